@@ -60,7 +60,7 @@ def measure(slow: float = 5.0) -> Measurements:
 
 def main(directory: Path) -> list[Path]:
     """Draw what each effect explains, and print what was found."""
-    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=4))
+    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=2))
     print(f"as given: {found.start.rms / MM:.2f} mm held out")
     for step in found.steps:
         print(f"+ {step.effect}: {step.held_out.rms / MM:.2f} mm ({100 * step.gain:.0f} % less)")

@@ -41,7 +41,7 @@ def main(out: Path) -> list[Path]:
     axes = figure.subplots()
     lids = (((), "lid without vents"), (("vents",), "lid with vents from the camera"))
     for k, (free, name) in enumerate(lids):
-        spec = HeatingSpec(hold_time=30, objective="margin", free=free)
+        spec = HeatingSpec(hold_time=15, objective="margin", free=free)
         plan = tubeopt.plan_heating(rig.tube, fit.rig, spec)
         lid = replace(true, mold=replace(true.mold, vents=plan.rig.mold.vents))
         model = thermal_model(rig.tube, lid, FINE)

@@ -10,6 +10,7 @@ certificate does.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 import casadi as ca
@@ -26,6 +27,9 @@ BARRIER = 0.01
 """Weight (cm^2) of the logarithm that keeps the matrix definite, since at the best singular values tend to be equal,
 where the least one has a kink; of the least squared singular value it takes 3 times this at most."""
 
+NO_FLOOR = -5.0
+"""No tubes within the bounds come near this certificate."""
+
 
 def minors(matrix: ca.MX) -> ca.MX:
     """Leading principal minors (3,): a symmetric matrix is positive semidefinite as long as they stay at least 0."""
@@ -34,16 +38,17 @@ def minors(matrix: ca.MX) -> ca.MX:
     return ca.vertcat(matrix[0, 0], second, ca.dot(columns[0], ca.cross(columns[1], columns[2])))
 
 
-def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeopt.Equilibrium, float]:
-    """The best tubes in their best pose, and their least singular value, cm."""
+def designs(near: tubeopt.Equilibrium, floors: list[float]) -> Iterator[tuple[tubeopt.Equilibrium, float]]:
+    """The best tubes in their best pose, and their least singular value, cm, for every floor of the certificate: a
+    parameter of one program."""
     opti = ca.Opti()
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
     least = opti.variable()
     tubes = {"curvature": curvature}
     block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
     block.margin_at_least(0.1)
-    if certificate is not None:
-        block.certificate_at_least(certificate)
+    floor = opti.parameter()
+    block.certificate_at_least(floor)
     jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
     rest = minors(jacobian @ jacobian.T - least * ca.DM.eye(3))
     opti.subject_to(rest >= 0)
@@ -55,8 +60,10 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     opti.solver(
         "ipopt", {"print_time": False, "expand": True, "show_eval_warnings": False}, {"print_level": 0, "sb": "yes"}
     )
-    solution = opti.solve()
-    return block.equilibrium(solution), float(np.sqrt(solution.value(least)))
+    for each in floors:
+        opti.set_value(floor, each)
+        solution = opti.solve()
+        yield block.equilibrium(solution), float(np.sqrt(solution.value(least)))
 
 
 def main(out: Path) -> list[Path]:
@@ -64,8 +71,8 @@ def main(out: Path) -> list[Path]:
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     near = tubeopt.forward_kinematics(robot, [1.2, 0.0], [-0.01, -0.03])
     poses, titles = [], []
-    for name, floor in (("no certificate", None), ("certificate 0.1", 0.1)):
-        pose, least = design(near, floor)
+    names = "no certificate", "certificate 0.1"
+    for name, (pose, least) in zip(names, designs(near, [NO_FLOOR, 0.1]), strict=True):
         certified = tubeopt.snap_free_certificate(pose.robot, pose.translations)
         bends = ", ".join(f"{tube.curvature:.2f}" for tube in pose.robot.tubes)
         titles.append(f"{name}: {10 * least:.1f} mm per rad or 50 mm")

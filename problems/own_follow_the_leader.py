@@ -29,7 +29,7 @@ INNER, OUTER = (1.0e-3, 0.7e-3), (1.6e-3, 1.2e-3)
 TOGETHER, ALONE = 50e-3, 30e-3
 """Lengths that both tubes, and then the inner one alone, come out, m."""
 
-PARTS = np.linspace(0.1, 1.0, 10)
+PARTS = np.linspace(0.2, 1.0, 5)
 """Where along the arm its distance from the curve counts."""
 
 Curve = Callable[[np.ndarray], np.ndarray]

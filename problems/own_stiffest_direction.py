@@ -42,21 +42,23 @@ def main(out: Path) -> list[Path]:
     """Find the stiffest and the softest arm, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     near = tubeopt.forward_kinematics(robot, [0.2, 1.0, 2.0])
+    opti = ca.Opti()
+    rotations, sign = opti.variable(3), opti.parameter()
+    opti.set_initial(rotations, near.rotations)
+    block = tubeopt.EquilibriumBlock(opti, near, rotations=rotations)
+    block.margin_at_least(0.2)
+    opti.subject_to(block.tip_position[2] == HEIGHT)
+    opti.subject_to(opti.bounded(-2 * np.pi, rotations, 2 * np.pi))
+    give = softness(block)
+    opti.minimize(sign * give)
+    settings: dict[str, Any] = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive"}
+    opti.solver("ipopt", {"print_time": False, "expand": True}, settings)
     poses, titles = [], []
-    for name, sign in (("stiffest", 1.0), ("softest", -1.0)):
-        opti = ca.Opti()
-        rotations = opti.variable(3)
-        opti.set_initial(rotations, near.rotations)
-        block = tubeopt.EquilibriumBlock(opti, near, rotations=rotations)
-        block.margin_at_least(0.2)
-        opti.subject_to(block.tip_position[2] == HEIGHT)
-        opti.subject_to(opti.bounded(-2 * np.pi, rotations, 2 * np.pi))
-        opti.minimize(sign * softness(block))
-        settings: dict[str, Any] = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive"}
-        opti.solver("ipopt", {"print_time": False, "expand": True}, settings)
+    for name, which in (("stiffest", 1.0), ("softest", -1.0)):
+        opti.set_value(sign, which)
         solution = opti.solve()
         poses.append(block.equilibrium(solution))
-        way = 1e3 * solution.value(softness(block))
+        way = 1e3 * solution.value(give)
         titles.append(f"{name}: {way:.2f} mm/N along x")
         turned = np.degrees(poses[-1].rotations).round(1) + 0.0
         print(f"{titles[-1]} by bending, at rotations {turned} deg, margin {poses[-1].margin:.3f}")

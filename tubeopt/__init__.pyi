@@ -31,6 +31,9 @@ from .equilibrium.solving import Discretisation
 from .errors import InputError, SolveError
 from .inverse import IkSession, InverseOptions, InverseSolution, InverseStatus, inverse_kinematics
 from .planning import (
+    ArmsPlan,
+    ArmsProof,
+    PlacedRobot,
     PlanOptions,
     Proof,
     RateLimits,
@@ -43,7 +46,9 @@ from .planning import (
     follow_the_leader,
     follow_tip_path,
     load_roadmap,
+    plan_arms,
     plan_trajectory,
+    verify_arms,
     verify_trajectory,
 )
 from .robots.concentric import ConcentricRobot
@@ -53,7 +58,8 @@ from .robots.friction import Friction
 from .robots.limits import JointLimits
 from .robots.load import Load
 from .robots.materials import NITINOL, Material
-from .robots.pieces import Piece
+from .robots.pieces import Piece, Slots
+from .robots.steps import in_steps
 from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
@@ -110,6 +116,8 @@ __version__: str
 
 __all__ = [
     "NITINOL",
+    "ArmsPlan",
+    "ArmsProof",
     "Branch",
     "Camera",
     "Certificate",
@@ -148,6 +156,7 @@ __all__ = [
     "OrderWarning",
     "Path",
     "Piece",
+    "PlacedRobot",
     "PlanOptions",
     "Problem",
     "ProblemSolution",
@@ -158,6 +167,7 @@ __all__ = [
     "Rig",
     "Roadmap",
     "SegmentedEccentricRobot",
+    "Slots",
     "Snap",
     "SnappingLoss",
     "SolveError",
@@ -194,6 +204,7 @@ __all__ = [
     "forward_kinematics",
     "forward_kinematics_batch",
     "friction_band",
+    "in_steps",
     "inverse_kinematics",
     "judge",
     "lead_by",
@@ -204,6 +215,7 @@ __all__ = [
     "load_robot",
     "load_workspace",
     "optimize_design",
+    "plan_arms",
     "plan_heating",
     "plan_mold",
     "plan_trajectory",
@@ -220,6 +232,7 @@ __all__ = [
     "to_dataframe",
     "to_xarray",
     "trace_branch",
+    "verify_arms",
     "verify_trajectory",
     "workspace",
     "worst_certificate",

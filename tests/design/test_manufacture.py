@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from tests.design.tasks import closed_form, equal_pair, three_tubes, two_tubes
-from tubeopt import DesignTask, InputError, forward_kinematics, optimize_design
+from tubeopt import ConcentricRobot, DesignTask, InputError, Piece, Tube, forward_kinematics, optimize_design
 from tubeopt.design import (
     Free,
     Objective,
@@ -21,7 +21,7 @@ from tubeopt.design import (
 from tubeopt.design.multistart import multistart
 from tubeopt.design.program import compile_task
 from tubeopt.design.stock import combinations, with_sizes
-from tubeopt.design.tolerance import wilson
+from tubeopt.design.tolerance import sample_tubes, wilson
 
 
 def test_probability_of_two_tubes_is_that_of_a_product_of_normals() -> None:
@@ -63,6 +63,39 @@ def test_uniform_errors_stay_within_their_half_width() -> None:
 def stock() -> list[StockTube]:
     sizes = ((0.5, 0.4), (0.9, 0.7), (1.0, 0.9), (1.2, 1.05), (1.5, 1.2), (1.8, 1.4))
     return [StockTube(f"{od}", od * 1e-3, bore * 1e-3) for od, bore in sizes]
+
+
+def test_pieces_are_made_as_badly_as_the_tubes_that_they_are() -> None:
+    """The same robot, its tubes as two arcs each and with stiffnesses as given, and one whose stretch is known."""
+    joints = np.array([0.0, 2.0]), np.array([-0.02, -0.01])
+    tolerances = Tolerances(curvature=0.02, stiffness=0.03, straight_length=2e-4, curved_length=5e-4)
+    robot = two_tubes()
+    halves = tuple(
+        Tube.of_pieces(
+            tube.outer_diameter,
+            tube.inner_diameter,
+            [Piece(tube.curved_length / 2, tube.curvature), Piece(tube.curved_length / 2, tube.curvature)],
+            straight_length=tube.straight_length,
+            bending_stiffness=float(tube.bending_stiffness),
+            torsional_stiffness=float(tube.torsional_stiffness),
+        )
+        for tube in robot.tubes
+    )
+    plain, general = (
+        tolerance_analysis(one, tolerances, poses=[joints], samples=40) for one in (robot, ConcentricRobot(halves))
+    )
+    assert np.abs(general.certificate - plain.certificate).max() < 1e-6
+    assert np.abs(general.tip - plain.tip).max() < 1e-9
+    varying = Piece(0.04, lambda s: 10 + 100 * s, bending_stiffness=lambda s: 1e-3 + s)
+    tube = Tube.of_pieces(1e-3, 0.7e-3, [varying, Piece(0.04, -5.0)], straight_length=0.05)
+    longer = sample_tubes([tube], Tolerances(curved_length=8e-3, stiffness=0.1), 1, seed=1)[0][0]
+    grown = longer.curved_length / 0.08
+    factor = longer.bending_stiffness / tube.bending_stiffness
+    assert abs(grown - 1) > 1e-2
+    assert abs(factor - 1) > 1e-2
+    assert [piece.length for piece in longer.pieces] == pytest.approx([0.04 * grown] * 2)
+    assert longer.pieces[0].precurvature[0](0.03 * grown) == pytest.approx(13.0)
+    assert longer.pieces[0].bending_stiffness(0.03 * grown) == pytest.approx(31e-3 * factor)
 
 
 def test_stock_is_ranked_as_without_bounds() -> None:

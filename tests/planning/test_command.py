@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -126,3 +127,38 @@ def test_a_search_that_runs_out_of_time_saves_what_it_found(
     assert not (tmp_path / "out" / "trajectory.csv").exists()
     again = answer(run("verify", str(tmp_path / "out" / "partial" / "trajectory.csv"), "--json"))
     assert again["proved"]
+
+
+def test_two_arms_are_planned_saved_and_drawn(run: Run, tmp_path: Path) -> None:
+    study = ROOT / "configs" / "studies" / "plan_two_arms.yaml"
+    told = answer(run("plan-arms", str(study), "--out", str(tmp_path), "--plot", "--json"))
+    assert told["proved"]
+    assert [arm["name"] for arm in told["arms"]] == ["left", "right"]
+    (pair,) = told["pairs"]
+    assert pair["arms"] == [1, 2]
+    assert 0.5 <= pair["least_clearance_mm"] <= pair["measured_clearance_mm"]
+    for name in (
+        "arm_1/robot.yaml",
+        "arm_2/trajectory.csv",
+        "between_arms.csv",
+        "plan_arms.json",
+        "arms.png",
+        "arms.gif",
+    ):
+        assert (tmp_path / name).stat().st_size > 0
+    table = np.loadtxt(tmp_path / "between_arms.csv", delimiter=",", skiprows=1)
+    assert table[:, 1].min() >= pair["least_clearance_mm"]
+    assert answer(run("verify", str(tmp_path / "arm_1" / "trajectory.csv"), "--json"))["proved"]
+
+
+def test_goals_of_arms_that_make_no_study_are_refused(run: Run, tmp_path: Path) -> None:
+    arm = {"robot": str(ROOT / "configs" / "robots" / "crl_ctr.yaml")}
+    study = tmp_path / "study.yaml"
+    for arms, message in (
+        ([arm], "arms has 1 item; it must have at least 2"),
+        ([arm, arm | {"tip_mm": [1, 2, 3], "goal_deg": [0, 0, 0]}], "several goals"),
+        ([arm, arm | {"tip_at": "carina"}], "'carina' is no landmark of the anatomy; there are none"),
+        ([arm, arm | {"goal_deg": [1, 2]}], "has 2 numbers; it must be 3"),
+    ):
+        study.write_text(json.dumps({"kind": "plan_arms", "arms": arms}))
+        assert any(message in line for line in refused(run("plan-arms", str(study))))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tubeopt import ConcentricRobot, InputError, Piece, Tube, load_robot, save_robot
+from tubeopt.robots.fit import fit_warnings
 from tubeopt.robots.series import Series
 
 HEAD = """kind: concentric
@@ -64,6 +65,23 @@ def test_stiffnesses_and_patterns(tmp_path: Path) -> None:
     assert tube.pieces[0].torsional_stiffness == pytest.approx(0.5 * tube.torsional_stiffness)
     assert (tube.pieces[1].bending_stiffness, tube.pieces[1].torsional_stiffness) == pytest.approx((9e-4, 8e-4))
     assert tube.mass_per_length == pytest.approx(2.5e-3)
+
+
+def test_slots_are_read_written_and_count_in_the_strain(tmp_path: Path) -> None:
+    whole = "{length_mm: 10, radius_mm: 80}"
+    pattern = "pattern: {bending_factor: 0.3, torsion_factor: 0.5, source: measured}"
+    told = load(tmp_path, whole + "\n{length_mm: 10, radius_mm: 80, " + pattern + ", slots: {share: 0.4}}")
+    strain = 0.5e-3 / 80e-3 / (1 - 0.5e-3 / 80e-3)
+    assert told.straightened_strain == pytest.approx(strain * (1 - 0.3 * 0.6) / 0.4)
+    robot = ConcentricRobot((told,))
+    save_robot(robot, tmp_path / "saved.yaml")
+    assert load_robot(tmp_path / "saved.yaml") == robot
+    assert [line for line in fit_warnings(robot) if "slots" in line] == []
+    silent = load(tmp_path, whole + "\n{length_mm: 10, radius_mm: 80, " + pattern + "}")
+    assert silent.straightened_strain == pytest.approx(strain)
+    assert any("softer in piece 2 than elsewhere" in line for line in fit_warnings(ConcentricRobot((silent,))))
+    with pytest.raises(InputError, match=r"slots.share is 1.5; it must be at most 1|share of the slots is 1.5"):
+        load(tmp_path, "{length_mm: 10, radius_mm: 80, slots: {share: 1.5}}")
 
 
 def test_one_arc_is_the_ordinary_tube(tmp_path: Path) -> None:

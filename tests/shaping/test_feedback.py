@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Thermocouple, TubeResistance, lead_by
+from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Thermocouple, Tube, TubeResistance, lead_by
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.leader import Leader
@@ -19,7 +19,7 @@ from tubeopt.shaping.firmware.line import SimulatedLine
 from tubeopt.shaping.firmware.simulated import SimulatedRig
 from tubeopt.shaping.heating.feedback import wilson
 from tubeopt.shaping.heating.gains import RESET, Response, regulator
-from tubeopt.shaping.heating.ideal import joined
+from tubeopt.shaping.heating.ideal import joined, solve_ideal
 from tubeopt.shaping.heating.law import begin, decide
 from tubeopt.shaping.heating.leading import fleet_of, nominal_law
 from tubeopt.shaping.heating.loop import Fleet, run_loop
@@ -214,3 +214,14 @@ def test_a_computer_that_is_late_leaves_the_board_to_its_own_law() -> None:
     # Left alone, the law says the same again.
     again, _ = decide(law, replace(after, owed=memory.owed), law.reference[first + 1 : first + 2])
     assert abs(again[0] - count[0]) <= 1
+
+
+def test_margin_keeps_off_the_limit_too() -> None:
+    """A thin tube is hottest where it lies bare, beside the clamps, which is not of the window."""
+    tube, spec = Tube(1.0e-3, 0.9e-3, 0.0, 100e-3, 5.0), HeatingSpec(hold_time=10, objective="margin")
+    found = solve_ideal(tube, thesis_rig(), spec)
+    low, high = spec.window_degC
+    held, margin = found.held - ZERO_CELSIUS, -found.miss
+    assert margin > 10
+    assert min(held.min() - low, high - held.max()) == pytest.approx(margin, abs=0.01)
+    assert spec.limit - (found.tube.max() - ZERO_CELSIUS) == pytest.approx(margin, abs=0.01)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubeopt import HeatingPlan, HeatingSpec, MoldSpec, Rig, Tube
+from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Tube
 from tubeopt.shaping import Springback, tube_fabrication
 from tubeopt.shaping.heating.groove_air import Lie, even_gap
 from tubeopt.shaping.heating.ideal import joined
@@ -147,3 +147,28 @@ def test_a_hole_opens_of_a_groove_what_lies_between_its_walls() -> None:
     x = np.linspace(-0.75e-3, 0.75e-3, 200001)
     chord = np.minimum(2 * np.sqrt(0.75e-3**2 - x**2), 1e-3)
     assert open_area(1e-3, 1.5e-3) == pytest.approx(np.trapezoid(chord, x), rel=1e-6)
+
+
+def test_a_tube_that_draws_too_much_gets_longer_leads() -> None:
+    """The current through the cold tube, by Ohm's law, just below what the circuit bears; without it, above."""
+    rig, tube = thesis_rig(), replace(TUBE, outer_diameter=2.25e-3, inner_diameter=1.4e-3, curved_length=40e-3)
+    made = plan_tube(tube, rig, heating=SHORT)
+    assert made.agreed
+
+    def drawn(length: float) -> float:
+        section = 0.25 * np.pi * (tube.outer_diameter**2 - tube.inner_diameter**2)
+        thermal = tube.material.thermal
+        assert thermal is not None
+        ohm = rig.resistivity_factor * thermal.resistivity * length / section
+        return rig.battery.voltage / (rig.battery.internal_resistance + rig.circuit.resistance + ohm)
+
+    assert 0.95 * rig.circuit.peak_limit < drawn(made.heating.free_length) < rig.circuit.peak_limit
+    least = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
+    assert drawn(least) > 1.05 * rig.circuit.peak_limit
+    assert made.heating.peak_current < rig.circuit.peak_limit
+
+
+def test_no_current_heats_what_is_no_metal() -> None:
+    nylon = replace(TUBE.material, name="nylon", youngs_modulus=2e9, shear_modulus=0.7e9, thermal=None)
+    with pytest.raises(InputError, match=r"nylon are not known, and its Young's modulus of 2 GPa is that of no metal"):
+        plan_tube(replace(TUBE, material=nylon), thesis_rig(), heating=SHORT)

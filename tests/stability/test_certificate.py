@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from tests.examples import CRL, MM, THESIS
 from tests.stability.reference import Bundle, Elements, bundle, settle_at, worst_by_elements
 from tests.stability.robots import random_robot, random_translations, unit_pair
-from tubeopt import ConcentricRobot, InputError, Tube, snap_free_certificate
+from tubeopt import ConcentricRobot, InputError, Piece, Tube, snap_free_certificate
 from tubeopt.physics.certificate import PARAMETERS
 from tubeopt.stability import certify, worst_certificate, worst_margin
 from tubeopt.typing import Array
@@ -217,6 +217,19 @@ def test_worst_over_translations_against_a_grid(robot: ConcentricRobot) -> None:
     assert (worst.certificate.translations >= low - 1e-12).all()
     assert (worst.certificate.translations <= high + 1e-12).all()
     assert worst.certificate.margin == pytest.approx(snap_free_certificate(robot, worst.certificate.translations))
+
+
+def test_the_least_certificate_of_an_s_over_a_box_is_a_certificate() -> None:
+    """It is bounded where it is least, and no place of a grid has less."""
+    inner = Tube.of_pieces(1.0e-3, 0.7e-3, [Piece(0.04, 8.0), Piece(0.04, -8.0)], straight_length=0.12)
+    outer = Tube.of_pieces(1.6e-3, 1.2e-3, [Piece(0.03, 12.0), Piece(0.03, -10.0)], straight_length=0.06)
+    robot = ConcentricRobot((inner, outer))
+    low, high = np.array([-0.02, 0.0]), np.array([0.01, 0.0])
+    worst = worst_certificate(robot, low, high).certificate
+    assert worst.margin == snap_free_certificate(robot, worst.translations)
+    grid = [snap_free_certificate(robot, low + x * (high - low)) for x in np.linspace(0, 1, 16)]
+    assert worst.margin <= min(grid) + 1e-9
+    assert worst.margin > min(grid) - 0.01
 
 
 def test_worst_over_a_box_without_extent() -> None:

@@ -9,11 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tubeopt import InputError, load_robot
-from tubeopt.validation import FitOptions, compare_effects, fit, validate, where_to_measure
+from tubeopt.validation import FitOptions, Measurements, compare_effects, fit, validate, where_to_measure
+from tubeopt.validation.fitting import FitProblem
 from tubeopt.validation.folds import deal, passes
+from tubeopt.validation.held_out import hold_out, predicted_held_out
+from tubeopt.validation.model import ArmModel
+from tubeopt.validation.parameters import choose_parameters
 from tubeopt.validation.timeline import Timeline, runs_of
 
-from .laboratory import MM, TURN
+from .laboratory import MM, TURN, in_device
 from .way import driven, joints, poses, robot, trivial
 
 NAMES = ["latency", "rotation_2", "translation_all", "rotation_gain_all"]
@@ -201,3 +205,28 @@ def test_tubes_of_equal_length_are_measured_where_they_move_together() -> None:
     found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2)
     assert np.allclose(found.translations[:, 0], found.translations[:, 1], rtol=0, atol=1e-12)
     assert np.ptp(found.translations[:, 0]) > 1 * MM
+
+
+def test_room_between_the_tubes_is_found_like_any_other_effect() -> None:
+    time, truth = np.arange(50) * 1.2, 40e-6
+    read, loose = joints(time, 60.0), replace(robot(), clearance=(truth,))
+    tips = poses(loose, trivial(), read).position[:, 0]
+    noisy = in_device(tips + np.random.default_rng(0).normal(0, 0.1 * MM, tips.shape))
+    data = Measurements(read[:, :2], read[:, 2:], noisy)
+    found = compare_effects(robot(), data, ("clearance", "curvature"), FitOptions(folds=4))
+    assert found.chosen == ("clearance_1",)
+    assert found.fit is not None
+    (estimate,) = found.fit.estimates
+    assert estimate.low < truth < estimate.high < 1.2 * truth
+
+
+def test_what_is_held_out_to_first_order_is_what_is_held_out() -> None:
+    data, options = driven(count=150), FitOptions(priors=True)
+    chosen = choose_parameters(robot(), data, NAMES)
+    problem = FitProblem(ArmModel(robot(), data, chosen), options)
+    fold = deal(data, 6, passes(data).place)
+    exact = hold_out(problem.model, problem.weights(), problem.fit, fold).residuals
+    told = predicted_held_out(problem.model, problem.weights(), problem.fit, fold)
+    moved = np.linalg.norm(exact - problem.fit.residuals, axis=1)
+    assert moved.max() > 0.05 * MM
+    assert np.linalg.norm(told - exact, axis=1).max() < 0.05 * moved.max()

@@ -33,14 +33,15 @@ def tubes_at(tubes: Sequence[Tube], given: Mapping[str, Array]) -> tuple[Tube, .
     out = []
     for i, tube in enumerate(tubes):
         kb, kt = (float(given[name][i]) for name in ("bending_stiffness", "torsional_stiffness"))
-        pieces = []
+        pieces: list[Piece] = []
         for k in np.flatnonzero(chain.owner == i).tolist():
             rows = np.flatnonzero(chain.piece == k).tolist()
             joints = np.concatenate([[0.0], np.cumsum(width[rows, 0])])
             shapes = (*(channels[rows, c] for c in range(4)), turning[rows])
             bending, torsional, x, y, z = (_quantity(joints, shape) for shape in shapes)
-            own = [None if value == b else value for value, b in zip((bending, torsional), (kb, kt), strict=True)]
-            pieces.append(Piece(float(joints[-1]), (x, y, z), *own))
+            own = (None if value == b else value for value, b in zip((bending, torsional), (kb, kt), strict=True))
+            slots = tube.pieces[len(pieces)].slots if tube.pieces else None
+            pieces.append(Piece(float(joints[-1]), (x, y, z), next(own), next(own), slots))
         out.append(_tube(tube, pieces, float(given["straight_length"][i]), (kb, kt)))
     return tuple(out)
 

@@ -7,7 +7,7 @@ blocks, as an expression of that; on the numbers of solved equilibria, the value
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,6 +38,7 @@ SIZES = {
     "position": 3,
     "curvature": 2,
     "strain": 1,
+    "straightened_strain": 1,
     "clearance": CLEARANCES,
     "deflection": 3,
     "stroke_force": 1,
@@ -49,7 +50,8 @@ SIZES = {
 @dataclass(frozen=True)
 class Quantity:
     """One quantity: its name; the pose (from 0) of which it is, or None; and `at`: the fraction of the arm's length,
-    the translations (n,) of a certificate, the tube of a strain, the body of a clearance, the force of a deflection."""
+    the translations (n,) of a certificate, the tube of a strain, the body of a clearance, the force of a deflection; of
+    a strain held straight the tube and its piece."""
 
     name: str
     pose: int | None = None
@@ -125,7 +127,8 @@ class PoseQuantities:
         return self._of("curvature", _fraction(fraction))
 
     def strain(self, tube: int) -> Any:
-        """Largest bending strain at the surface of a tube (0 is the innermost). For designs only."""
+        """Largest bending strain at the surface of a tube (0 is the innermost), with its slots where they are told. For
+        designs only."""
         return self._of("strain", int(tube))
 
     def clearance(self, body: Any) -> Any:
@@ -159,8 +162,8 @@ class Quantities:
         n_tubes: number of tubes n.  tubes: every one of TUBES by name, (n,).  poses: in order.
     """
 
-    def __init__(self, look: Look, n_tubes: int, n_poses: int) -> None:
-        self._look, self.n_tubes = look, n_tubes
+    def __init__(self, look: Look, n_tubes: int, n_poses: int, pieces: Sequence[int] = ()) -> None:
+        self._look, self.n_tubes, self._pieces = look, n_tubes, tuple(pieces)
         self.tubes = Tubes(look)
         self.poses = tuple(PoseQuantities(look, k) for k in range(n_poses))
 
@@ -171,6 +174,14 @@ class Quantities:
             raise InputError("translations of a certificate must be numbers")
         row = vector("translations of a certificate", given, self.n_tubes)
         return self._look(Quantity("certificate", at=tuple(row.tolist())))
+
+    def straightened_strain(self, tube: int) -> Any:
+        """(pieces,) largest strain of every piece of a tube (0 is the innermost) that is held straight, with its slots
+        where they are told; a tube of one curvature is one piece. For designs only."""
+        if not self._pieces:
+            raise InputError("the strain of a tube held straight is told in designs only")
+        pieces = range(self._pieces[tube])
+        return ca.vertcat(*(self._look(Quantity("straightened_strain", at=(int(tube), j))) for j in pieces))
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +225,11 @@ def _checked(value: Any) -> Array:
     return found
 
 
-def recorded(function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, words: str) -> Expression:
-    """An expression of quantities; `words` say whose it is where it makes no sense.
+def recorded(
+    function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, words: str, pieces: Sequence[int] = ()
+) -> Expression:
+    """An expression of quantities; `words` say whose it is where it makes no sense. `pieces` are those of every tube
+    where it may speak of them.
 
     Raises:
         InputError: it is no expression, speaks of nothing or of a pose that is not there.
@@ -229,7 +243,7 @@ def recorded(function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, 
         return symbols[one]
 
     try:
-        found = function(Quantities(look, n_tubes, n_poses))
+        found = function(Quantities(look, n_tubes, n_poses, pieces))
         column = ca.vertcat(*found) if isinstance(found, (list, tuple)) else found
     except IndexError as error:
         raise InputError(f"the expression of {words} speaks of a pose or tube that is not there ({error})") from None

@@ -198,11 +198,7 @@ class MeshObstacle:
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
         array = as_points(points)
-        flat = array.reshape(-1, 3)
-        distance, nearest, normal = self.surface.nearest(flat)
-        far = np.abs(distance)[:, None] > 1e-12
-        away = np.where(far, (flat - nearest) / np.where(far, distance[:, None], 1.0), normal)
-        return np.asarray(away.reshape(array.shape))
+        return self.surface.gradient(array.reshape(-1, 3)).reshape(array.shape)
 
     @cached_property
     def grid(self) -> tuple[tuple[Array, Array, Array], Array]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy
@@ -39,6 +39,13 @@ UP = np.array([0.0, 0.0, 1.0])
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
+class Source(Protocol):
+    """What a table was made from."""
+
+    def gradient(self, points: Array) -> Array:
+        """(N, 3) unit vectors away from the body at points (N, 3), m from the first node along the lattice's axes."""
+
+
 @dataclass(frozen=True, eq=False)
 class DistanceField:
     """A body by its signed distance on a lattice, positive outside of it, where the arm may be.
@@ -50,6 +57,7 @@ class DistanceField:
         node_error: by how much the values may fall short, m.
         bounded: whether all of the body lies within the lattice; else it goes on beyond.
         name: what it is called.
+        source: what tells gradients exactly; None where the table is all there is.
     """
 
     values: Array = field(repr=False)
@@ -58,6 +66,7 @@ class DistanceField:
     node_error: float = 0.0
     bounded: bool = False
     name: str = "anatomy"
+    source: Source | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         shape = np.shape(self.values)
@@ -134,11 +143,23 @@ class DistanceField:
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors along which the distance of points (..., 3) grows.
 
-        Differences between neighbours of the nodes, interpolated: of squares of distances, which are quadratic about
-        planes and points alike, and next to the surface, where squares have a kink, of the distances themselves.
+        With a source they are those of the distance itself, to round-off, wherever one place of the body is the
+        nearest: elsewhere the distance has no gradient, and it is that of one of the nearest places. Without, see
+        `_sloped`.
         """
         array = as_points(points)
-        at, _ = self._places(array.reshape(-1, 3))
+        flat = array.reshape(-1, 3)
+        if self.source is not None:
+            out = self.source.gradient(self.frame.seen(flat)) @ self.frame.axes.T
+        else:
+            out = self._sloped(flat)
+        return np.asarray(out.reshape(array.shape))
+
+    def _sloped(self, points: Array) -> Array:
+        """(N, 3) unit vectors by differences between neighbours of the nodes, interpolated: of squares of distances,
+        which are quadratic about planes and points alike, and next to the surface, where squares have a kink, of the
+        distances themselves."""
+        at, _ = self._places(points)
         base = np.minimum(np.floor(at).astype(int), np.array(self.values.shape)[:, None] - 2)
         t = at - base
         corner = base[:, :, None] + CORNERS.T[:, None, :]
@@ -157,6 +178,6 @@ class DistanceField:
             slope[:, axis] = (weight * np.where(close[:, None], near, far)).sum(1)
         out = unit_vectors(slope @ self.frame.axes.T, UP)
         if self.bounded:  # as far as `signed_distance` is the hypotenuse of both
-            away = array.reshape(-1, 3) - self.frame.placed(at.T * self.spacing)
+            away = points - self.frame.placed(at.T * self.spacing)
             out = unit_vectors(out * np.maximum(linear, 0.0)[:, None] + away, out)
-        return np.asarray(out.reshape(array.shape))
+        return out

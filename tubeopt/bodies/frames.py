@@ -40,6 +40,11 @@ class Frame:
         """(..., 3) points (..., 3) of the frame that it is given in, as this one has them."""
         return np.asarray((np.asarray(points, dtype=float) - self.origin) @ self.axes)
 
+    @property
+    def inverse(self) -> Frame:
+        """The frame that this one is given in, as this one has it."""
+        return Frame(self.axes.T, self.seen(np.zeros(3)))
+
     def of(self, inner: Frame) -> Frame:
         """A frame that is given in the same one as this, as this one has it."""
         return Frame(self.axes.T @ inner.axes, self.seen(inner.origin))

@@ -8,6 +8,9 @@ others by that bound; and which side they are on by a way to another node that n
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
@@ -15,9 +18,10 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, choice, positive
 from ..typing import Array
 from .corridors import MeshObstacle
-from .distance_field import DistanceField
+from .distance_field import UP, DistanceField
 from .frames import Frame
-from .triangles import bisected
+from .obstacles import unit_vectors
+from .triangles import Triangles, bisected
 
 KEEP = ("out", "in")
 """Ways to keep to a closed surface."""
@@ -58,24 +62,36 @@ def field_of_mesh(
         InputError: a cell that is not greater than 0, or far too small.
     """
     choice("keep", keep, KEEP)
-    surface = mesh.surface
-    axes = _lattice(surface.corners.reshape(-1, 3), cell, name, AROUND[keep])
+    corners = mesh.surface.corners
+    axes = _lattice(corners.reshape(-1, 3), cell, name, AROUND[keep])
     shape, size = tuple(len(axis) for axis in axes), float(axes[0][1] - axes[0][0])
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    origin = np.array([axis[0] for axis in axes])
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) - origin
+    surface = Triangles((corners if keep == "out" else corners[:, ::-1]) - origin)  # from the inside, all else is body
     least, most = _bounds(surface.corners, nodes, size)
     near = least < BAND * size
     exact = surface.signed_distance(nodes[near])
     # No surface crosses the way between neighbours that are farther from it than half a cell.
     parts, count = scipy.ndimage.label(~near.reshape(shape))
     part, node = np.unique(parts.ravel(), return_index=True)
-    outer = np.ones(count + 1, dtype=bool)
-    outer[part] = surface.signed_distance(nodes[node]) > 0
-    free = outer[parts.ravel()] == (keep == "out")
-    values = np.where(free, least, -most)
-    values[near] = exact if keep == "out" else -exact
+    free = np.ones(count + 1, dtype=bool)
+    free[part] = surface.signed_distance(nodes[node]) > 0
+    values = np.where(free[parts.ravel()], least, -most)
+    values[near] = exact
     lost = float((most - least)[~near].max(initial=0.0))
-    origin = np.array([axis[0] for axis in axes])
-    return DistanceField(values.reshape(shape), np.full(3, size), Frame(origin=origin), lost, keep == "out", name)
+    placed = Frame(origin=origin)
+    return DistanceField(values.reshape(shape), np.full(3, size), placed, lost, keep == "out", name, surface)
+
+
+@dataclass(frozen=True, eq=False)
+class Centres:
+    """Balls of one radius by the tree of their centres, m."""
+
+    tree: Any
+
+    def gradient(self, points: Array) -> Array:
+        """(N, 3) unit vectors to points (N, 3) from the nearest centre."""
+        return unit_vectors(points - self.tree.data[self.tree.query(points)[1]], UP)
 
 
 def field_of_points(
@@ -94,9 +110,11 @@ def field_of_points(
         raise InputError(f"{name} has points that are NaN or infinite; every number must be finite")
     axes = _lattice(np.concatenate([array - radius, array + radius]), cell, name, AROUND["out"])
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    far, _ = scipy.spatial.cKDTree(array).query(nodes.reshape(-1, 3))
     origin, size = np.array([axis[0] for axis in axes]), float(axes[0][1] - axes[0][0])
-    return DistanceField(far.reshape(nodes.shape[:3]) - radius, np.full(3, size), Frame(origin=origin), 0.0, True, name)
+    tree = scipy.spatial.cKDTree(array - origin)
+    far, _ = tree.query(nodes.reshape(-1, 3) - origin)
+    values, placed = far.reshape(nodes.shape[:3]) - radius, Frame(origin=origin)
+    return DistanceField(values, np.full(3, size), placed, 0.0, True, name, Centres(tree))
 
 
 def _lattice(points: Array, cell: float | None, name: str, around: int) -> list[Array]:

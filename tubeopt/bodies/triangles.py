@@ -28,6 +28,9 @@ CHUNK = 4096
 TIE = 1e-9
 """Triangles are equally near to within this share of the size of the body."""
 
+ON = 1e-12
+"""Distance (m) up to which a point is on the surface."""
+
 
 def bisected(corners: Array, longest: float) -> Array:
     """(g, 3, 3) a surface of triangles (f, 3, 3), cut across their longest sides until none is longer than this."""
@@ -100,6 +103,13 @@ class Triangles:
         empty = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
         distance, place, normal = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
         return distance, place, normal
+
+    def gradient(self, points: Array) -> Array:
+        """(N, 3) unit vectors along which the distance of points (N, 3) grows: on the surface its normals, and where
+        several places are equally near, along the way from one of them."""
+        distance, nearest, normal = self.nearest(points)
+        far = np.abs(distance)[:, None] > ON
+        return np.asarray(np.where(far, (points - nearest) / np.where(far, distance[:, None], 1.0), normal))
 
     def _chunk(self, points: Array) -> tuple[Array, Array, Array]:
         tree, radius = self._tree

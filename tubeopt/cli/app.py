@@ -44,6 +44,7 @@ COMMANDS = {
     "heat calibrate": "heat.calibrate",
     "view": "view.view",
     "plan": "plan.plan",
+    "plan-arms": "plan.plan_arms",
     "verify": "plan.verify",
     "export": "export.export",
     "serve": "serve.serve",

@@ -1,7 +1,8 @@
-"""`tubeopt plan` and `tubeopt verify`: motions that never snap, and whether a trajectory is one."""
+"""`tubeopt plan`, `plan-arms` and `verify`: motions that never snap, and whether a trajectory is one."""
 
 from __future__ import annotations
 
+from ..runs.arms_study import ArmsStudy
 from ..runs.plan_study import PlanStudy
 from ..runs.verify_study import VerifyStudy
 from .flags import answer, asks, asks_file
@@ -23,6 +24,20 @@ def plan(study: PlanStudy, output: Output) -> None:
 
     Ends with 0 if it is proved, 3 where none was found, and 4 where one was found, shown and saved, but the time limit
     was reached before its proof was finished.
+    """
+    answer(study, output)
+
+
+@asks_file(
+    ArmsStudy,
+    example="tubeopt plan-arms configs/studies/plan_two_arms.yaml --out results",
+    note="All is said assuming no friction, and no load or weight.",
+)
+def plan_arms(study: ArmsStudy, output: Output) -> None:
+    """Plan motions of several robots beside each other, none of which snaps or touches another, and prove them.
+
+    Ends with 0 if they are proved, 3 where none were found, and 4 where some were found, shown and saved, but are not
+    proved.
     """
     answer(study, output)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
@@ -13,13 +14,13 @@ from ..errors import InputError
 from ..physics.torsion import cross_section
 from ..robots.assembly import ROUND_OFF
 from .objectives import Objective
-from .statements import Points, Poses, straightened_strain
+from .statements import Points, Poses
 
 
 @singledispatch
-def aim(one: Any, n: int, poses: Poses, certified: Points, depth_pose: int | None) -> Expression | None:
-    """An objective in its own sign, SI, for n tubes: the largest of its numbers counts where less is better, the least
-    where more is; None for the change of the unknowns, which is no matter of tubes and poses.
+def aim(one: Any, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None) -> Expression | None:
+    """An objective in its own sign, SI, for tubes of so many pieces: the largest of its numbers counts where less is
+    better, the least where more is; None for the change of the unknowns, which is no matter of tubes and poses.
 
     `poses` are those whose margin counts, `certified` the translations of the certificate, `depth_pose` the pose of
     reach_radius.
@@ -31,22 +32,24 @@ def aim(one: Any, n: int, poses: Poses, certified: Points, depth_pose: int | Non
 
 
 @aim.register
-def _(one: OwnObjective, n: int, poses: Poses, certified: Points, depth_pose: int | None) -> Expression:
-    found = recorded(one.expression, n, max(poses, default=-1) + 1, one.words)
+def _(one: OwnObjective, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None) -> Expression:
+    found = recorded(one.expression, len(pieces), max(poses, default=-1) + 1, one.words, pieces)
     if found.value.numel_out() != 1:
         raise InputError(f"the objective {one.words} has {found.value.numel_out()} numbers; it must be one")
     return found
 
 
 @aim.register
-def _(one: Objective, n: int, poses: Poses, certified: Points, depth_pose: int | None) -> Expression | None:
+def _(
+    one: Objective, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None
+) -> Expression | None:
     if one.kind == "change":
         return None
 
     def numbers(q: Quantities) -> Any:
         match one.kind:
             case "strain":
-                return ca.vertcat(*(straightened_strain(q, i) for i in range(n)))
+                return ca.vertcat(*(q.straightened_strain(i) for i in range(len(pieces))))
             case "margin" if certified:
                 return ca.vertcat(*(q.certificate(row) for row in certified))
             case "margin":
@@ -70,7 +73,7 @@ def _(one: Objective, n: int, poses: Poses, certified: Points, depth_pose: int |
             case _:
                 return 1 / _tip_curvature(one, q)
 
-    return recorded(numbers, n, max([*poses, depth_pose or 0], default=-1) + 1, one.words)
+    return recorded(numbers, len(pieces), max([*poses, depth_pose or 0], default=-1) + 1, one.words, pieces)
 
 
 def _tip_curvature(one: Objective, q: Quantities) -> Any:

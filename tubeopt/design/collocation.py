@@ -21,6 +21,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..physics.certificate import determinant_function
+from ..physics.strain import surface_strain
 from ..robots.assembly import assemble
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
@@ -162,6 +163,9 @@ class _Collocated:
     def _quantity(self, one: Quantity) -> Any:
         if one.name == "certificate":
             return self._certificate(one.at)
+        if one.name == "straightened_strain":
+            radius, natural = (self.dimensions[name][one.at[0]] for name in ("outer_diameter", "curvature"))
+            return surface_strain(radius / 2, ca.fabs(natural), natural)
         if one.pose is None:
             return self.dimensions[one.name]
         block = self.blocks[one.pose]

@@ -206,8 +206,10 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
 
 def _of_one_pose(one: Requirement, n: int) -> bool:
     """Whether a requirement can be asked of any pose: an own one that speaks of poses by number says nothing of it."""
+    if not isinstance(one, OwnRequirement):
+        return True
     try:
-        return not isinstance(one, OwnRequirement) or bool(recorded(one.expression, n, 1, one.words).quantities)
+        return bool(recorded(one.expression, n, 1, one.words, (1,) * n).quantities)
     except InputError:
         return False
 

@@ -10,7 +10,7 @@ from ..block.quantities import Quantity
 from ..equilibrium.along import curvature_at, position_at
 from ..typing import Array
 from .anatomy import arm_clearance
-from .bending import pose_strain
+from .bending import pose_strain, straightened_strain
 from .state import State
 
 Linear = Callable[[Quantity], tuple[Array, Array]]
@@ -24,6 +24,8 @@ def at_state(state: State) -> Linear:
         """Value and change of one quantity."""
         if one.name == "certificate":
             return _row(state.certificate_at(one.at))
+        if one.name == "straightened_strain":
+            return _row(straightened_strain(state, *one.at))
         if one.pose is None:
             return np.array([getattr(tube, one.name) for tube in state.tubes]), state.slopes[one.name]
         if one.name in ("rotations", "translations"):

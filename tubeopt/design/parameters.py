@@ -10,10 +10,21 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, choice, finite
+from ..robots.pieces import Slots
 from ..robots.tubes import Tube, second_moment
 from ..typing import Array
 from .checks import items, whole
-from .pieces import PIECE_FIELDS, Spot, as_pieces, changed_tubes, given_of, largest_bend_slope, start_of
+from .pieces import (
+    PIECE_FIELDS,
+    Place,
+    Spot,
+    as_pieces,
+    changed_tubes,
+    given_of,
+    largest_bend_slope,
+    start_of,
+    with_slots,
+)
 
 TUBE_FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")
 
@@ -57,6 +68,8 @@ class Free:
     pieces: from 0, from the straight part to the tip; () are all.  coefficients: of a shape.
     torsion_share: with a bending factor b the torsion factor is 1 - torsion_share (1 - b): what the workshop measured
         on its slots. None leaves the torsional stiffness as it is.
+    slots: where they are cut that leave a bending factor, for the strain of what they leave; None are those that the
+        pieces have.
 
     Raises:
         InputError: unknown field or tie, no tube, bounds that are not finite or crossed.
@@ -70,6 +83,7 @@ class Free:
     pieces: tuple[int, ...] = ()
     coefficients: int = 1
     torsion_share: float | None = None
+    slots: Slots | None = None
 
     def __post_init__(self) -> None:
         choice("field of a free dimension", self.field, FIELDS)
@@ -104,6 +118,8 @@ class Free:
             raise InputError(f"coefficients is {self.coefficients}; it must be at most {MOST_COEFFICIENTS}")
         if self.field.endswith("_factor") and not 0 < self.lower <= self.upper <= 1:
             raise InputError(f"bounds of the {name} are {self.lower:g} and {self.upper:g}; they must be in (0, 1]")
+        if self.slots is not None and self.field != "piece_bending_factor":
+            raise InputError(f"slots are given for the {name}; they belong to a piece_bending_factor")
         if self.torsion_share is None:
             return
         if self.field != "piece_bending_factor":
@@ -176,10 +192,19 @@ class DesignSpace:
     def bend_slopes(self, tubes: Sequence[Tube], x: Array) -> Array:
         """(n, D) change of the largest curvature of tubes made of pieces."""
         out = np.zeros((len(tubes), len(self.unknowns)))
+        for i, tube in enumerate(tubes):
+            for j, piece in enumerate(tube.pieces):
+                if piece.largest_curvature >= tube.curvature * (1 - 1e-12):
+                    slope = self.bend_slope(tube, (i, j), x)
+                    out[i] = np.where(np.abs(slope) > np.abs(out[i]), slope, out[i])
+        return out
+
+    def bend_slope(self, tube: Tube, place: Place, x: Array) -> Array:
+        """(D,) change of the largest curvature of a piece of a tube."""
+        out = np.zeros(len(self.unknowns))
         for column, ((field, spot), value) in enumerate(zip(self.of_pieces, x.tolist(), strict=True)):
-            for i, j in spot.pieces:
-                slope = largest_bend_slope(tubes[i], j, (field, spot.order, value))
-                out[i, column] = slope if abs(slope) > abs(out[i, column]) else out[i, column]
+            if place in spot.pieces:
+                out[column] = largest_bend_slope(tube, place[1], (field, spot.order, value))
         return out
 
     def slopes(self, tubes: Sequence[Tube]) -> dict[str, Array]:
@@ -261,6 +286,8 @@ def _piece_space(tubes: tuple[Tube, ...], free: Sequence[Free]) -> DesignSpace:
             )
         places = [place for i in one.tubes for place in _places(one, i, tubes)]
         taken = {(other.field, place) for other, spot in found for place in spot.pieces}
+        if one.slots is not None:
+            tubes = with_slots(tubes, places, one.slots)
         for i, j in places:
             if (one.field, (i, j)) in taken:
                 raise InputError(f"{NAMES[one.field]} of piece {j + 1} of tube {i + 1} is free twice; name it once")

@@ -12,7 +12,7 @@ from numpy.polynomial import chebyshev
 from ..block.transcription.chain import bend_of
 from ..equilibrium.general_derivatives import Change, Linearised
 from ..errors import InputError
-from ..robots.pieces import Piece
+from ..robots.pieces import Piece, Slots
 from ..robots.series import Quantity, Series, times, turned
 from ..robots.tubes import Tube
 from ..typing import Array
@@ -53,6 +53,19 @@ def as_pieces(tube: Tube) -> Tube:
     if tube.general or tube.curved_length == 0:
         return tube
     return replace(tube, curvature=abs(tube.curvature), pieces=(Piece(tube.curved_length, tube.curvature),))
+
+
+def with_slots(tubes: Sequence[Tube], places: Sequence[Place], slots: Slots) -> tuple[Tube, ...]:
+    """The tubes with slots in some of their pieces."""
+    return tuple(
+        replace(
+            tube,
+            pieces=tuple(
+                replace(piece, slots=slots) if (i, j) in places else piece for j, piece in enumerate(tube.pieces)
+            ),
+        )
+        for i, tube in enumerate(tubes)
+    )
 
 
 def start_of(tube: Tube, number: int, field: str, order: int) -> float:
@@ -137,10 +150,10 @@ def factors(values: Mapping[tuple[str, int], tuple[float, float | None]]) -> tup
 
 
 def largest_bend_slope(tube: Tube, number: int, unknown: tuple[str, int, float]) -> float:
-    """Change of the largest curvature of a tube with an unknown of one of its pieces: field, order and value."""
+    """Change of the largest curvature of a piece of a tube with one of its unknowns: field, order and value."""
     field, order, value = unknown
     piece = tube.pieces[number]
-    if field not in ("piece_curvature", "piece_shape") or piece.largest_curvature < tube.curvature * (1 - 1e-12):
+    if field not in ("piece_curvature", "piece_shape"):
         return 0.0
     if field == "piece_curvature":
         return -1.0 if value < 0 else 1.0

@@ -154,23 +154,24 @@ def _recorded(
     """Requirements and objectives as expressions; `about` is the number of task poses, the pose of reach_radius, and
     the translations of the certificate."""
     count, depth_pose, certified = about
-    n, posed, passed = task.robot.n_tubes, tuple(range(count)), tuple(range(count + len(added.vias)))
+    pieces = [len(tube.pieces) or 1 for tube in task.space.robot_tubes]
+    posed, passed = tuple(range(count)), tuple(range(count + len(added.vias)))
     boxes = iter(added.points)
     stated = []
     for number, one in enumerate(_all_requirements(task)):
         match one:
             case Coverage():
-                stated.append(statements(one, n, own[number], next(boxes, corners(one))))
+                stated.append(statements(one, pieces, own[number], next(boxes, corners(one))))
             case Reach():
-                stated.append(statements(one, n, own[number]))
+                stated.append(statements(one, pieces, own[number]))
             case SnapFreeInUse():
-                stated.append(statements(one, n, passed))
+                stated.append(statements(one, pieces, passed))
             case _:
-                stated.append(statements(one, n, posed, certified))
+                stated.append(statements(one, pieces, posed, certified))
     aims = {}
     for wanted in task.objectives:
         on_the_way = isinstance(wanted, Objective) and wanted.kind == "margin"
-        found = aim(wanted, n, passed if on_the_way else posed, certified, depth_pose)
+        found = aim(wanted, pieces, passed if on_the_way else posed, certified, depth_pose)
         if found is not None:
             aims[wanted] = found
     return tuple(stated), aims

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..block.own import OwnRequirement
 from ..block.quantities import Expression, Quantities, recorded
-from ..physics.strain import surface_strain
 from .limit import Limit
 from .requirements import (
     Avoid,
@@ -56,8 +55,10 @@ Poses = tuple[int, ...]
 Points = Sequence[tuple[float, ...]]
 
 
-def statements(requirement: Requirement, n: int, poses: Poses, points: Points = ()) -> tuple[Statement, ...]:
-    """What a requirement states as expressions, for n tubes; () where it is none of that kind.
+def statements(
+    requirement: Requirement, pieces: Sequence[int], poses: Poses, points: Points = ()
+) -> tuple[Statement, ...]:
+    """What a requirement states as expressions, for tubes of so many pieces; () where it is none of that kind.
 
     `poses` are those that it is about: its own for Reach and Coverage, also those on joint paths for SnapFreeInUse, all
     task poses for others. `points` are those of a box in the program for Coverage, the translations of the certificate
@@ -66,13 +67,13 @@ def statements(requirement: Requirement, n: int, poses: Poses, points: Points = 
     Raises:
         InputError: an own requirement whose expression makes no sense.
     """
-    count = max(poses, default=-1) + 1
+    n, count = len(pieces), max(poses, default=-1) + 1
     out = []
     for k, (limit, function, vector) in enumerate(_stated(requirement, n, poses, points)):
         own = isinstance(requirement, OwnRequirement)
         words = limit.words
-        found = None if vector is None else recorded(vector, n, count, words)
-        out.append(Statement(k, limit, recorded(function, n, count, words), found, own))
+        found = None if vector is None else recorded(vector, n, count, words, pieces)
+        out.append(Statement(k, limit, recorded(function, n, count, words, pieces), found, own))
     return tuple(out)
 
 
@@ -116,7 +117,7 @@ def _(requirement: Strain, n: int, poses: Poses, points: Points) -> Stated:
     posed = poses if requirement.in_poses else ()
 
     def room(q: Quantities, tube: int) -> Any:
-        straight = [straightened_strain(q, tube)] if requirement.straightened else []
+        straight = [q.straightened_strain(tube)] if requirement.straightened else []
         return requirement.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in posed))
 
     limits = [Limit(f"strain of tube {i + 1}", most, True, "%", 1e2, 1e-3) for i, most in enumerate(requirement.limits)]
@@ -232,9 +233,3 @@ def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities)
     heading, wanted = q.poses[pose].tip_direction, ca.DM(direction)
     apart, together = (ca.sqrt(ca.sumsqr(heading + sign * wanted) + ROUND**2) for sign in (-1, 1))
     return limit.value - 2 * ca.atan2(apart, together)
-
-
-def straightened_strain(q: Quantities, tube: int) -> Any:
-    """Strain of a tube held straight."""
-    radius, natural = q.tubes["outer_diameter"][tube] / 2, q.tubes["curvature"][tube]
-    return surface_strain(radius, ca.fabs(natural), natural)

@@ -11,7 +11,7 @@ from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
-from ..robots.tubes import must_follow_section
+from ..robots.tubes import must_follow_section, slots_unknown
 from ..typing import Array
 from .checks import items
 from .objectives import KINDS, PUSHED, AnyObjective, Objective, key_of
@@ -178,15 +178,14 @@ def _given_poses(task: DesignTask, what: str) -> None:
 
 
 def _check_pieces(task: DesignTask) -> None:
-    """What a design of pieces cannot ask for: what is told along the arm, or by one curvature of a tube."""
+    """What a design of pieces cannot ask for: what is about boxes or forces, or told by one curvature of a tube."""
     if not task.space.spots:
         return
     for one in task.requirements:
-        posed = isinstance(one, Strain) and one.in_poses and task.has_poses
-        if isinstance(one, Coverage) or posed:
-            instead = "that of tubes held straight (in_poses: false)" if posed else "targets at its points"
-            what = "strain in poses" if posed else type(one).__name__
-            raise InputError(f"{what} is required; a design of pieces does not take it, but {instead}")
+        if isinstance(one, Strain):
+            _check_slots(task.space)
+        if isinstance(one, Coverage):
+            raise InputError("Coverage is required; a design of pieces does not take it, but targets at its points")
         if isinstance(one, SnapFree) and (one.box is not None or one.max_force):
             raise InputError(
                 "snap_free names a box or a force; a design of pieces takes translations only: name those that matter"
@@ -194,8 +193,24 @@ def _check_pieces(task: DesignTask) -> None:
     for wanted in task.objectives:
         if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
             raise InputError(f"objective is {wanted.kind}; of tubes made of pieces it is not one number")
+        if isinstance(wanted, Objective) and wanted.kind == "strain":
+            _check_slots(task.space)
         if isinstance(wanted, Objective) and wanted.kind in (*PUSHED, "stroke_force"):
             raise InputError(f"objective is {wanted.kind}; a design of pieces does not take it")
+
+
+def _check_slots(space: DesignSpace) -> None:
+    """A limit of strain must know where slots are: they strain what they leave more than a whole tube."""
+    free = {place for name, spot in space.of_pieces if name == "piece_bending_factor" for place in spot.pieces}
+    for i, tube in enumerate(space.robot_tubes):
+        for j, piece in enumerate(tube.pieces):
+            if piece.slots is None and (slots_unknown(tube, piece) or (i, j) in free):
+                how = "may be" if (i, j) in free else "is"
+                raise InputError(
+                    f"strain is limited, and piece {j + 1} of tube {i + 1} {how} softer than its tube; slots: "
+                    "{share: ...} must say along how much of it they are cut, 1 where it is alike all along: what "
+                    "they leave is strained more"
+                )
 
 
 def _check_objectives(task: DesignTask) -> None:

@@ -13,7 +13,8 @@ from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector
 from ..files.marks import NOT_NEGATIVE, OneOf, unit
 from ..robots.concentric import ConcentricRobot
-from ..robots.tubes import Tube, must_follow_section
+from ..robots.tubes import OfCrossSection, Tube
+from ..stability import snap_free_certificate
 from ..typing import Array
 from .checks import whole
 from .pool import Progress, executor, run_all
@@ -32,7 +33,7 @@ class Tolerances:
     """Independent errors of every tube: standard deviations, or half widths where uniform.
 
     Translations count from home, which each tube finds by its own transition: a longer straight part is a longer
-    transmission, and no longer arm.
+    transmission, and no longer arm. Of tubes made of pieces all are bent, stiffened and stretched alike.
     """
 
     curvature: Annotated[float, unit("percent"), NOT_NEGATIVE, "relative error"] = 0.0
@@ -92,7 +93,6 @@ def tolerance_analysis(
         InputError: fewer than 2 samples, joint values of another number of tubes, no `Tolerances`.
         SolveError: a pose has no equilibrium of the robot as designed.
     """
-    must_follow_section(robot.tubes, "a tolerance analysis")
     if not isinstance(tolerances, Tolerances):
         raise InputError(f"tolerances is {tolerances!r}; it must be Tolerances")
     whole("samples", samples, 2)
@@ -139,25 +139,34 @@ def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, se
     errors = random.standard_normal(size) if tolerances.distribution == "normal" else random.uniform(-1, 1, size)
     out = []
     for row in errors:
-        made = []
-        for tube, (bend, stiff, straight, curved) in zip(tubes, row.tolist(), strict=True):
-            factor = 1 + tolerances.stiffness * stiff
-            material = replace(
-                tube.material,
-                youngs_modulus=tube.material.youngs_modulus * factor,
-                shear_modulus=tube.material.shear_modulus * factor,
-            )
-            made.append(
-                replace(
-                    tube,
-                    material=material,
-                    curvature=tube.curvature * (1 + tolerances.curvature * bend),
-                    straight_length=max(0.0, tube.straight_length + tolerances.straight_length * straight),
-                    curved_length=max(0.0, tube.curved_length + tolerances.curved_length * curved),
-                )
-            )
+        made = [_made(tube, tolerances, errors) for tube, errors in zip(tubes, row.tolist(), strict=True)]
         out.append(tuple(made))
     return out
+
+
+def _made(tube: Tube, tolerances: Tolerances, errors: Sequence[float]) -> Tube:
+    """A tube as it may be made: what has stiffnesses of its own is as much stiffer as its material."""
+    bend, stiff, straight, curved = errors
+    factor = 1 + tolerances.stiffness * stiff
+    material = replace(
+        tube.material,
+        youngs_modulus=tube.material.youngs_modulus * factor,
+        shear_modulus=tube.material.shear_modulus * factor,
+    )
+    own = {name: getattr(tube, name) for name in ("bending_stiffness", "torsional_stiffness")}
+    given = {name: value * factor for name, value in own.items() if not isinstance(value, OfCrossSection)}
+    length = max(0.0, tube.curved_length + tolerances.curved_length * curved)
+    longer = length / tube.curved_length if tube.pieces else 1.0
+    pieces = tuple(piece.stretched(longer).stiffened(factor) for piece in tube.pieces)
+    return replace(
+        tube,
+        material=material,
+        curvature=tube.curvature * (1 + tolerances.curvature * bend),
+        straight_length=max(0.0, tube.straight_length + tolerances.straight_length * straight),
+        curved_length=length,
+        pieces=pieces,
+        **given,
+    )
 
 
 def _batch(
@@ -170,11 +179,15 @@ def _batch(
     tips = np.full((len(batch), len(poses), 3), np.nan)
     for k, tubes in enumerate(batch):
         straight = np.array([tube.straight_length for tube in tubes])
-        certificates[k] = min(
-            Pose(without_solving(tubes, np.minimum(row, straight))).certificate[0] for row in translations
-        )
+        certificates[k] = min(_certificate(tubes, np.minimum(row, straight)) for row in translations)
         if poses:
             rotations, shift = (np.array([pose[part] for pose in poses], dtype=float) for part in (0, 1))
             found = forward_kinematics_batch(ConcentricRobot(tubes), rotations, np.minimum(shift, straight))
             tips[k, found.stable] = found.tip_position[found.stable]
     return certificates, tips
+
+
+def _certificate(tubes: tuple[Tube, ...], translations: Array) -> float:
+    if any(tube.general for tube in tubes):
+        return snap_free_certificate(ConcentricRobot(tubes), translations)
+    return float(Pose(without_solving(tubes, translations)).certificate[0])

@@ -13,6 +13,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
+from ..robots.tubes import piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
 from .deflection import STRONGEST
@@ -31,6 +32,9 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
         """The numbers of one quantity."""
         if one.name == "certificate":
             return np.array([snap_free_certificate(robot, np.array(one.at))])
+        if one.name == "straightened_strain":
+            tube = robot.tubes[one.at[0]]
+            return np.array([piece_strain(tube, tube.pieces[one.at[1]]) if tube.pieces else tube.straightened_strain])
         if one.pose is None:
             return np.array([getattr(tube, one.name) for tube in robot.tubes])
         found = equilibria[one.pose]
@@ -62,7 +66,8 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
 
 def check_own(one: OwnRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> tuple[str, str, bool]:
     """An own requirement: what it is, what was found, and whether it is kept."""
-    expression = recorded(one.expression, robot.n_tubes, len(equilibria), one.words)
+    pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
+    expression = recorded(one.expression, robot.n_tubes, len(equilibria), one.words, pieces)
     try:
         least = float(expression(numbers_of(robot, equilibria)).min())
     except FloatingPointError:

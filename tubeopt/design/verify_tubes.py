@@ -9,11 +9,14 @@ import numpy as np
 
 from ..equilibrium.result import Equilibrium
 from ..robots.concentric import ConcentricRobot
+from ..robots.pieces import Piece
+from ..robots.series import Series
+from ..robots.tubes import Tube
 from ..typing import Array
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 
-CLOSE = 1e-6
-"""Distance (m) from a breakpoint within which the arm's curvature, which jumps there, is not looked at."""
+ASIDE = 1e-9
+"""Distance (m) from a shape point at which to look for strain: the arm's curvature jumps at breakpoints."""
 
 MISSED = 1e-6
 """Part of a limit by which it may be missed."""
@@ -49,22 +52,41 @@ def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equi
 
 
 def largest_strain(one: Strain, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Array:
-    """(n,) largest bending strain of every tube where `one` limits it: held straight, and at the shape points."""
-    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
-    kappa = np.array([tube.curvature for tube in robot.tubes])
-    bent = radius * np.abs(kappa)
-    found = bent / (1 - bent) if one.straightened else np.zeros(robot.n_tubes)
+    """(n,) largest bending strain of every tube where `one` limits it: held straight, and at the shape points, to both
+    sides of which the tubes are bent as their balance of moments says."""
+    found = np.array([tube.straightened_strain if one.straightened else 0.0 for tube in robot.tubes])
     for e in equilibria if one.in_poses else ():
-        curved = np.array([tube.curved_length for tube in robot.tubes])
-        places = np.concatenate([e.translations, e.translations + curved])
-        inside = (np.abs(e.arc_length[:, None] - places) > CLOSE).all(axis=1)
-        for i in range(robot.n_tubes):
-            natural = np.where(e.arc_length > e.translations[i], kappa[i], 0.0)
-            own = natural * np.array([np.cos(e.rotation[i]), np.sin(e.rotation[i])])
-            strain = radius[i] * np.linalg.norm(e.curvature.T - own, axis=0) / (1 - radius[i] * np.abs(natural))
-            there = inside & (e.arc_length < e.translations[i] + curved[i])
-            found[i] = max(found[i], strain[there].max(initial=0.0))
+        for aside in (-ASIDE, ASIDE):
+            s = e.arc_length + aside
+            there = (s > 0) & (s < e.translations[:, None] + np.array([[tube.curved_length] for tube in robot.tubes]))
+            own = [_own(tube, s - d) for tube, d in zip(robot.tubes, e.translations, strict=True)]
+            stiffness = there * np.array([part[1] for part in own])
+            turned = [part[0] * np.exp(1j * angle) for part, angle in zip(own, e.rotation, strict=True)]
+            bent = (stiffness * turned).sum(axis=0) / np.maximum(stiffness.sum(axis=0), 1e-300)
+            for i, tube in enumerate(robot.tubes):
+                radius = tube.outer_diameter / 2
+                strain = own[i][2] * radius * np.abs(bent - turned[i]) / (1 - radius * np.abs(own[i][0]))
+                found[i] = max(found[i], strain[there[i]].max(initial=0.0))
     return found
+
+
+def _own(tube: Tube, place: Array) -> tuple[Array, Array, Array]:
+    """Precurvature x + j y in its own frame, 1/m, bending stiffness, N m^2, and how many times as much as a whole tube
+    it is strained, (m,) each, at places from where its straight part ends, m."""
+    bend, whole = np.zeros(len(place), dtype=complex), float(tube.bending_stiffness)
+    stiffness, ratio, begin = np.full(len(place), whole), np.ones(len(place)), 0.0
+    for piece in tube.pieces or (Piece(tube.curved_length, tube.curvature),) * (tube.curved_length > 0):
+        here = (place > begin) & (place <= begin + piece.length)
+        x, y, kb = (_at(part, place[here] - begin) for part in (*piece.precurvature[:2], piece.bending_stiffness))
+        bend[here] = x + 1j * y
+        stiffness[here] = whole if kb is None else kb
+        ratio[here] = piece.strain_ratio(whole)
+        begin += piece.length
+    return bend, stiffness, ratio
+
+
+def _at(quantity: Any, place: Array) -> Any:
+    return quantity(place) if isinstance(quantity, Series) else quantity
 
 
 def least_room(body: Any, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:

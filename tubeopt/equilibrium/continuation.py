@@ -50,8 +50,8 @@ class JointPath:
     def at(self, t: float) -> tuple[Array, Array]:
         """Rotations and translations at fraction t."""
         joint = self.end if t == 1.0 else self.start + t * (self.end - self.start)
-        rotations, translations = np.split(joint, 2)
-        return rotations, translations
+        n = len(joint) // 2
+        return joint[:n], joint[n:]
 
     def problem(self, t: float) -> ReducedProblem:
         """The reduced problem at fraction t."""
@@ -59,15 +59,19 @@ class JointPath:
 
     def largest_step(self) -> float:
         """Largest fraction of the path in one step."""
-        turn, shift = np.split(np.abs(self.end - self.start), 2)
+        change, n = np.abs(self.end - self.start), len(self.start) // 2
+        turn, shift = change[:n], change[n:]
         longest = max(tube.length for tube in self.robot.tubes)
         steps = max(turn.max() / LARGEST_TURN, shift.max() / (LARGEST_SHIFT * longest), 1.0)
         return 1.0 / float(steps)
 
     def events(self) -> list[float]:
         """Fractions, 1 included, at which the order of breakpoints may change: two meet, or one meets the plate."""
-        rates = np.split(self.end - self.start, 2)[1]
-        assembly = self.robot.assembly(np.split(self.start, 2)[1])
+        n = len(self.start) // 2
+        rates = self.end[n:] - self.start[n:]
+        if not rates.any():
+            return [1.0]
+        assembly = self.robot.assembly(self.start[n:])
         points = np.array([*assembly.breakpoints, 0.0])
         speeds = np.append(rates[assembly.breakpoint_tubes], 0.0)
         gap, closing = points[:, None] - points, speeds - speeds[:, None]

@@ -25,7 +25,7 @@ from ..robots.friction import Friction, check_friction
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
 from ..solvers.rubbing import Increment, held_margin, imbalance, increment, least
-from ..typing import Array
+from ..typing import Array, Index
 from .result import Equilibrium, FrictionState, Status
 from .solving import Solution, sample_rotation, to_equilibrium
 
@@ -198,38 +198,53 @@ def _smooth_error(held: Held) -> float:
     mesh, n, t = problem.mesh, problem.assembly.n_tubes, problem.mesh.tableau
     if not problem.size:
         return 0.0
-    nodes = tableau("gauss", t.degree + EXTRA_POINTS).nodes
-    theta = arms.rotations_at(problem, held.profile, tuple(nodes.tolist()))[mesh.collocated]
-    if problem.here is None:
-        chosen = [
-            np.repeat(part[mesh.collocated], len(nodes), axis=0)
-            for part in (problem.piece_stiffness, problem.piece_moment)
-        ]
-        kt, direction = problem.assembly.torsional_stiffness, theta.reshape(-1, n)
-    else:
-        there = sections_at(problem.assembly, mesh, nodes)
-        kept = np.repeat(mesh.collocated, len(nodes))
-        chosen = [there.stiffness[kept], there.moment[kept]]
-        kt, direction = there.torsional_stiffness.min(0), theta.reshape(-1, n) + there.phase[kept]
+    nodes, chosen, phase, arm = _between(held.contact)
+    theta = arms.rotations_at(problem, held.profile, nodes)[mesh.collocated]
+    direction = theta.reshape(-1, n) + phase
     moment = section_function("moment", len(direction), n, False)(direction, *chosen)[0].reshape(theta.shape)
     own = held.found.state.torsion.moment.reshape(-1, t.degree, n)
-    wrong = np.abs(moment - t.lagrange(nodes) @ own).max(1) / kt
+    return float((np.abs(moment - t.basis(nodes, 0) @ own).max(1) * arm).sum(0).max())
+
+
+@lru_cache(maxsize=8)
+def _between(contact: Contact) -> tuple[tuple[float, ...], tuple[Array, Array], Array | float, Array]:
+    """Finer points on a piece, stiffness and moment of the tubes there, what turns them against theta, and by how much
+    a moment (N) on a piece turns the arm beyond, (E, n) rad per N."""
+    problem = contact.problem
+    mesh, t = problem.mesh, problem.mesh.tableau
+    finer = tableau("gauss", t.degree + EXTRA_POINTS).nodes
+    phase: Array | float = 0.0
+    if problem.here is None:
+        tables = (problem.piece_stiffness, problem.piece_moment)
+        stiffness, moment = (np.repeat(part[mesh.collocated], len(finer), axis=0) for part in tables)
+        kt = problem.assembly.torsional_stiffness
+    else:
+        there = sections_at(problem.assembly, mesh, finer)
+        kept = np.repeat(mesh.collocated, len(finer))
+        stiffness, moment, phase = there.stiffness[kept], there.moment[kept], there.phase[kept]
+        kt = there.torsional_stiffness.min(0)
     lever = problem.assembly.transmission + (mesh.start + mesh.length)[mesh.collocated, None]
-    return float((mesh.length[mesh.collocated, None] * wrong * lever).sum(0).max())
+    turn = mesh.length[mesh.collocated, None] * lever / kt
+    return tuple(finer.tolist()), (stiffness, moment), phase, turn
 
 
 def _front_error(held: Held) -> float:
-    """Bound of what the ends of slip are off, which lie somewhere between two points: half a spacing of full torque
-    where the rotation is a parabola of it."""
-    contact, signs = held.contact, held.found.signs
-    problem, wrong = contact.problem, 0.0
+    """Bound of what the ends of slip are off, which lie somewhere between two points, rad."""
+    signs = held.found.signs
+    return float(sum(wrong[np.diff(signs[rows]) != 0].sum() for rows, wrong in _fronts(held.contact)))
+
+
+@lru_cache(maxsize=8)
+def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
+    """Of every pair its rows along the arm (K,), and what an end of slip between neighbours can be off, (K - 1,) rad:
+    half a spacing of full torque where the rotation is a parabola of it."""
+    problem, out = contact.problem, []
     here, n = problem.here, problem.assembly.n_tubes
     soft = 1 / problem.assembly.torsional_stiffness if here is None else here.rate.reshape(-1, n).max(0)
     for pair in np.unique(contact.pair):
         rows = np.flatnonzero((contact.pair == pair) & (contact.point >= 0))
-        fronts = np.flatnonzero(np.diff(signs[rows]) != 0)
         spacing = problem.weight[contact.point[rows]]
-        per_length = contact.capacity[rows] / spacing
-        widest = np.maximum(spacing[fronts], spacing[fronts + 1])
-        wrong += float((per_length[fronts] * widest**2 / 8).sum() * soft[[pair, pair + 1]].sum())
-    return wrong
+        per_length = (contact.capacity[rows] / spacing)[:-1]
+        widest = np.maximum(spacing[:-1], spacing[1:])
+        out.append((rows, per_length * widest**2 / 8 * soft[[pair, pair + 1]].sum()))
+    return out

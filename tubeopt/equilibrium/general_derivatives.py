@@ -81,6 +81,12 @@ class Answer:
     bent: Array
     turn: Array
 
+    def only(self, k: int) -> Answer:
+        """Of the k-th change alone."""
+        own = slice(k, k + 1)
+        whole = Change(*(getattr(self.whole, field.name)[own] for field in fields(Change)))
+        return Answer(whole, self.between[own], self.bent[own], self.turn[own])
+
 
 def general_columns(
     equilibrium: Equilibrium, wrt: Sequence[str], side: int

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 
 from ..block.transcription.collocated import ENDS
 from ..typing import Array
-from .general_derivatives import Change, Linearised, changes_of, columns_of
+from .general_derivatives import Answer, Change, Linearised, changes_of, columns_of, together
 from .result import Equilibrium
 from .solving import discretisation_of, polish
 
@@ -48,15 +50,25 @@ class GeneralMotion:
         self.cuts = s[::steps]
 
     @cached_property
-    def _changes(self) -> list[tuple[Linearised, Change]]:
-        """What every joint changes, and of which equilibrium."""
+    def changes(self) -> list[tuple[Linearised, Change]]:
+        """What every joint changes, and of which equilibrium; then the same of what else does."""
         own = () if self._more is None else self._more(self.here)
         joints = changes_of(self.here, self.equilibrium, ("rotations", "translations"), self.side)
         return [*joints, *((self.here, change) for change in own)]
 
     @cached_property
+    def answers(self) -> list[tuple[Linearised, Change, Answer]]:
+        """The same with what each does along the arm."""
+        out: list[tuple[Linearised, Change, Answer]] = []
+        for at, run in groupby(self.changes, key=itemgetter(0)):
+            changes = [change for _, change in run]
+            whole = at.answer(together(changes))
+            out += [(at, change, whole.only(k)) for k, change in enumerate(changes)]
+        return out
+
+    @cached_property
     def _columns(self) -> Array:
-        return columns_of(self._changes)
+        return columns_of(self.changes)
 
     @property
     def tip_position(self) -> Array:
@@ -98,13 +110,13 @@ class GeneralMotion:
     def shape(self) -> tuple[Array, Array, Array]:
         """(m, 3, Q) of the shape points, and of the frames there (turn vector), with the arc lengths (m, Q) at which
         they are: with their pieces of the mesh, or fixed where a joint cuts these anew, but for the tip."""
-        parts = zip(*(self._moved(at, change) for at, change in self._changes), strict=True)
+        parts = zip(*(self._moved(*one) for one in self.answers), strict=True)
         position, turn, ahead = (np.stack(part, axis=-1) for part in parts)
         return position, turn, ahead[:, 0]
 
-    def _moved(self, at: Linearised, change: Change) -> tuple[Array, Array, Array]:
+    def _moved(self, at: Linearised, change: Change, answer: Answer) -> tuple[Array, Array, Array]:
         """(m, 3) of the shape points with one joint, the turn vectors, and (m, 1) of their arc lengths."""
-        turn, length = at.answer(change).turn[0], change.length[0][:, None, None]
+        turn, length = answer.turn[0], change.length[0][:, None, None]
         up_to = at.t.lagrange(ENDS, integrals=1)
         turned, lever = (_cumulate(up_to, part) for part in (turn, np.cross(turn, at.position)))
         stretch = _cumulate(up_to, at.frame[..., 2] * length)
@@ -132,8 +144,8 @@ class GeneralMotion:
     def bend(self) -> Array:
         """(Q,) of int |u|^2 ds, 1/m."""
         out = []
-        for at, change in self._changes:
-            bent, weights = at.answer(change).bent[0], at.t.weights
+        for at, change, answer in self.answers:
+            bent, weights = answer.bent[0], at.t.weights
             grown = change.length[0][:, None] * (at.u**2).sum(2) + 2 * at.length[:, None] * (at.u * bent).sum(2)
             out.append(float((weights * grown).sum()))
         return np.array(out)

@@ -180,10 +180,6 @@ def to_equilibrium(
     # The inverse of the linearised equation amplifies a defect by at most one over the margin.
     defect = arm.defect if solution.rubbed is None else solution.rubbed[1]
     error = defect / max(min(1.0, abs(solution.margin)), 1e-6)
-    # A wrong theta turns the curvature: |dp| <= int |u| |dtheta| (L - s) ds.
-    # |u| itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum kb_i does.
-    ahead = mesh.start[-1:] + mesh.length[-1:] - mesh.start - mesh.length / 2
-    lever = float((pull_rate(problem) * mesh.length) @ ahead) if len(mesh.length) else 0.0
     method, start, seconds = how
     return Equilibrium(
         robot=robot,
@@ -207,7 +203,7 @@ def to_equilibrium(
         energy=arm.energy,
         residual=residual(problem, state),
         mesh_error=error,
-        tip_error=arm.shape_error + error * lever,
+        tip_error=arm.shape_error + error * _lever(problem),
         status=Status.STABLE if solution.margin > 0 else Status.UNSTABLE,
         statistics=Statistics(
             method=method,
@@ -222,6 +218,21 @@ def to_equilibrium(
     )
 
 
+@lru_cache(maxsize=16)
+def _lever(problem: ReducedProblem) -> float:
+    """By how much a tip can move with a wrong theta, m per rad: |dp| <= int |du / dtheta| |dtheta| (L - s) ds.
+
+    The curvature u itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum
+    kb_i bounds it.
+    """
+    mesh = problem.mesh
+    if not len(mesh.length):
+        return 0.0
+    ahead = mesh.start[-1] + mesh.length[-1] - mesh.start - mesh.length / 2
+    return float((pull_rate(problem) * mesh.length) @ ahead)
+
+
+@lru_cache(maxsize=16)
 def _refinement(problem: ReducedProblem) -> int:
     """How often the pieces of the default mesh were halved."""
     collocated = problem.mesh.collocated

@@ -26,18 +26,18 @@ def surface_strain(radius: Any, bend: Any, natural: Any) -> Any:
     return radius * bend / (1 - radius * abs(natural))
 
 
-def slotted_strain_bound(radius: Any, bend: Any, bending_factor: Any, share: Any, *, symmetric: bool = True) -> Any:
-    """Most strain of what slots leave of a tube of outer `radius`, m, whose slotted piece is bent by `bend`, 1/m.
+def slotted_strain_ratio(bending_factor: Any, share: Any, *, symmetric: bool = True) -> Any:
+    """How many times as much as the whole tube, at the same bend, what slots leave of it is strained at most.
 
-    A bound for pieces in which stretches with slots, all alike, and whole rings follow one another and bend as beams
-    under one moment: with the factor b of the whole piece and slots along the share f of it, the slotted stretches are
-    bent (1 - b (1 - f)) / f times as much as the piece, and nothing of a cross-section is farther from its neutral axis
-    than the radius, or, if slots on one side shift that, than twice the radius. It knows no stress concentration at
-    the ends of slots, and it is none where rings between staggered rows of slots bend out of their planes.
+    With the strain r Delta kappa a bound for pieces in which stretches with slots, all alike, and whole rings follow
+    one another and bend as beams under one moment: with the factor b of the whole piece and slots along the share f of
+    it, the slotted stretches are bent (1 - b (1 - f)) / f times as much as the piece, and nothing of a cross-section is
+    farther from its neutral axis than the radius, or, if slots on one side shift that, than twice the radius. It knows
+    no stress concentration at the ends of slots, and it is none where rings between staggered rows of slots bend out of
+    their planes.
 
     Args:
-        bend: change of the mean curvature of the piece from its precurvature.
         bending_factor: b, in (0, 1].  share: f, in (0, 1].
         symmetric: whether the slots are, about the plane across the bend.
     """
-    return (1 if symmetric else 2) * radius * bend * (1 - bending_factor * (1 - share)) / share
+    return (1 if symmetric else 2) * (1 - bending_factor * (1 - share)) / share

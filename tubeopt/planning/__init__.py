@@ -1,5 +1,7 @@
 """Trajectories that never snap: on one stable branch all the way, around obstacles, within rates, and proved."""
 
+from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
+from .arms_plan import ArmsPlan, plan_arms
 from .goals import TipGoal
 from .leader import follow_the_leader
 from .motion import RateLimits
@@ -12,6 +14,10 @@ from .tip_path import follow_tip_path
 from .trajectory import PlanStatistics, Trajectory
 
 __all__ = [
+    "ArmsPlan",
+    "ArmsProof",
+    "PairProof",
+    "PlacedRobot",
     "PlanOptions",
     "PlanStatistics",
     "Proof",
@@ -25,6 +31,8 @@ __all__ = [
     "follow_the_leader",
     "follow_tip_path",
     "load_roadmap",
+    "plan_arms",
     "plan_trajectory",
+    "verify_arms",
     "verify_trajectory",
 ]

@@ -25,6 +25,8 @@ next."""
 SAMPLE_STEP = 0.04
 """Largest change of a joint between samples, in units of its scale."""
 
+INSTANT = 1e-9
+"""Duration (s) of a motion that goes nowhere."""
 
 OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_acceleration")
 """Limits that are one number for all tubes, or one per tube."""
@@ -124,7 +126,7 @@ class Motion:
 
     def sampled(self, scale: Array) -> tuple[Array, Array]:
         """Evenly spaced times (T,) and joint values (T, m), close enough that straight lines between them will do."""
-        if self.duration == 0:
+        if self.duration < INSTANT:  # from joint values to the same, but for round-off
             return np.zeros(1), self.joints[:1]
         coarse = self.at(np.linspace(0, self.duration, 40 * len(self.time)))
         change = np.abs(np.diff(coarse / scale, axis=0)).max() * len(coarse)

@@ -91,7 +91,7 @@ class Passage:
     measured: float
 
 
-class _SnapError(Exception):
+class BranchEndsError(Exception):
     """The branch ends at a fraction of the time."""
 
     def __init__(self, at: float) -> None:
@@ -141,7 +141,7 @@ class Follower:
         return Step(at, e, joints)
 
     def onwards(self, here: Step, at: float, joints: Array) -> Step:
-        """The stable equilibrium next to a step; raises _SnapError where the branch ends before it."""
+        """The stable equilibrium next to a step; raises BranchEndsError where the branch ends before it."""
         there = self.near(here, at, joints)
         if there is not None:
             return there
@@ -149,7 +149,7 @@ class Follower:
         there = self.step(here, at, joints) if end is None else None
         if there is None:
             # Without a snap it is stability that ends, where branches cross, or a solver that gives up.
-            raise _SnapError(here.at if end is None else end)
+            raise BranchEndsError(here.at if end is None else end)
         return there
 
     def between(self, one: Step, other: Step) -> Step | None:
@@ -188,9 +188,9 @@ def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> P
     while True:
         pairs = pairwise([step for step in steps if snap is None or step.at < snap or step is begin])
         try:
-            links, lost = _joined(follower, [Link(a, b) for a, b in pairs])
+            links, lost = joined(follower, [Link(a, b) for a, b in pairs])
             break
-        except _SnapError as error:
+        except BranchEndsError as error:
             snap = error.at
     clearance = measured = math.inf
     if follower.scene.bodies:
@@ -219,7 +219,7 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
             at = float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
             try:
                 steps.append(follower.onwards(steps[-1], at, there))
-            except _SnapError as error:
+            except BranchEndsError as error:
                 return steps, error.at
             if follower.over:
                 return steps, None
@@ -242,7 +242,7 @@ def _meetings(constants: Constants, translations: Array) -> dict[int, Array]:
     return found
 
 
-def _joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
+def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
     """Links that are joined by one stable branch, in order of time; and between which times none is shown."""
     done: list[Link] = []
     lost: list[tuple[float, float]] = []
@@ -256,19 +256,19 @@ def _joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tup
                 lost.append((link.one.at, link.other.at))
                 done.append(replace(link, off=np.full_like(off, np.inf)))
             else:
-                fresh += _halves(follower, link)
+                fresh += halves(follower, link)
         links = fresh
     return sorted(done, key=lambda link: link.one.at), lost
 
 
-def _halves(follower: Follower, link: Link) -> list[Link]:
-    """Both halves of a link; raises _SnapError where the branch ends in it."""
+def halves(follower: Follower, link: Link) -> list[Link]:
+    """Both halves of a link; raises BranchEndsError where the branch ends in it."""
     middle = follower.between(link.one, link.other)
     if middle is None:
         end = follower.ends(link.one, link.other.at, link.other.joints)
-        raise _SnapError(link.one.at if end is None else end)
-    halves = Link(link.one, middle), Link(middle, link.other)
-    return [replace(half, unbounded=link.unbounded) for half in halves]
+        raise BranchEndsError(link.one.at if end is None else end)
+    parts = Link(link.one, middle), Link(middle, link.other)
+    return [replace(half, unbounded=link.unbounded) for half in parts]
 
 
 def _looked_at(follower: Follower, links: Sequence[Link]) -> list[tuple[Link, bool, Array]]:
@@ -324,8 +324,8 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
         if follower.over:
             break
         try:
-            links, more = _joined(follower, [half for key in short for half in _halves(follower, done[key])])
-        except _SnapError as error:  # not where one branch was shown
+            links, more = joined(follower, [half for key in short for half in halves(follower, done[key])])
+        except BranchEndsError as error:  # not where one branch was shown
             lost.append((error.at, error.at))
             break
         lost += more

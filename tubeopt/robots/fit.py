@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from ..files.units import TO_MM
 from .robot import Robot
-from .tubes import Tube
+from .tubes import Tube, slots_unknown
 
 TIGHT_MM = 0.01
 """Radial clearance below which tubes bind: what drawn tubing and its ovality already use up."""
@@ -40,6 +40,12 @@ def fit_warnings(robot: Robot) -> list[str]:
             found.append(f"{reached} {tube.material.superelastic_strain * 100:.3g} % from which {name} springs back")
         elif strain > tube.material.working_strain:
             found.append(f"{reached} {tube.material.working_strain * 100:.3g} % to which {name} may be cycled")
+        unknown = [str(j) for j, piece in enumerate(tube.pieces, start=1) if slots_unknown(tube, piece)]
+        if unknown:
+            found.append(
+                f"tube {i} is softer in piece{'s' * (len(unknown) > 1)} {', '.join(unknown)} than elsewhere: slots are "
+                "strained more than is told here, unless slots: {share: ...} says along how much of a piece they are"
+            )
     for i, (around, clearance) in clearances(robot).items():
         fit = f"tube {i + 1} has {clearance:.3g} mm of radial clearance in tube {around + 1},"
         if clearance < TIGHT_MM:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo
@@ -11,9 +11,10 @@ from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive
 from ..files.csv_file import read_csv
+from ..files.fields import Part, entry_of, to_data
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, shown, to_si
 from ..typing import Array
-from .pieces import Piece, check_table
+from .pieces import Piece, Slots, check_table
 from .series import Quantity, Series, spline, turned
 
 DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
@@ -82,6 +83,12 @@ class PatternEntry(Entry):
     source: str = Field(description="where the factors are from: a measurement, a model of slotted tubes")
 
 
+if TYPE_CHECKING:  # to which an entry is whatever can be built
+    SlotsEntry = Part
+else:
+    SlotsEntry = entry_of(Slots)
+
+
 def _load_table(value: object, info: ValidationInfo) -> tuple[Array, Array]:
     """Arc lengths (k,), m, and u* (k, 3), 1/m, of a table in a CSV file."""
     if not isinstance(value, str):
@@ -128,6 +135,7 @@ class PieceEntry(Entry):
     bending_stiffness_N_mm2: Stiffness | None = None
     torsional_stiffness_N_mm2: Stiffness | None = None
     pattern: PatternEntry | None = None
+    slots: SlotsEntry | None = Field(None, description="where they are cut, for the strain of what they leave")
 
     def build(self, own: tuple[float, float]) -> Piece:
         """The piece in SI, of a tube with stiffnesses `own`, N m^2."""
@@ -136,7 +144,8 @@ class PieceEntry(Entry):
         if self.plane_deg is not None:
             x, y = turned(x, y, to_si(self.plane_deg, DEG))
         bending, torsional = self._stiffness(own)
-        return Piece(length, (x, y, z), bending_stiffness=bending, torsional_stiffness=torsional)
+        slots = None if self.slots is None else self.slots.build()
+        return Piece(length, (x, y, z), bending_stiffness=bending, torsional_stiffness=torsional, slots=slots)
 
     def _length(self) -> float:
         if self.table is None:
@@ -212,6 +221,8 @@ def piece_to_dict(piece: Piece) -> dict[str, Any]:
         own = getattr(piece, name)
         if own is not None:
             data[f"{name}_N_mm2"] = _written(own, N_MM2)
+    if piece.slots is not None:
+        data["slots"] = to_data(piece.slots)
     return data
 
 

@@ -6,18 +6,43 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, finite, positive
+from ..files.marks import POSITIVE, REQUIRED
+from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
 from .series import Quantity, Series, expand, extremes, spline, times
 
 Along = float | Series | Callable[[float], float]
 """What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""
+
+
+@dataclass(frozen=True)
+class Slots(Displayed):
+    """Where slots are cut into a piece, for the strain of what they leave.
+
+    Stretches with slots, all alike, follow on whole rings, and both bend as beams under one moment:
+    `physics.strain.slotted_strain_ratio`.
+
+    Raises:
+        InputError: a share that is not in (0, 1].
+    """
+
+    share: Annotated[float, REQUIRED, POSITIVE, "of the piece's length along which there are slots, at most 1"] = 1.0
+    one_sided: Annotated[bool, "cut from one side of the bend only, which shifts the neutral axis"] = False
+
+    def __post_init__(self) -> None:
+        if positive("share of the slots", self.share) > 1:
+            raise InputError(f"share of the slots is {self.share:g}; it must be at most 1, all of the piece's length")
+
+    def strain_ratio(self, bending_factor: Any) -> Any:
+        """How many times as much as the whole tube it is strained, where they leave this of its bending stiffness."""
+        return slotted_strain_ratio(bending_factor, self.share, symmetric=not self.one_sided)
 
 
 @dataclass(frozen=True)
@@ -30,6 +55,7 @@ class Piece(Displayed):
             (x, y, z; z is the natural twist), or a function of the piece's own arc length (m) that returns either.
             A function must be smooth: it is turned into polynomials at once, and jumps lie where two pieces meet.
         bending_stiffness, torsional_stiffness: N m^2, a number or such a function; None is that of the tube.
+        slots: where there are some, of which the stiffnesses tell already: for the strain alone.
 
     Raises:
         InputError: a value is not finite or out of its range, or a function is not smooth.
@@ -39,9 +65,13 @@ class Piece(Displayed):
     precurvature: Any
     bending_stiffness: Any = None
     torsional_stiffness: Any = None
+    slots: Slots | None = None
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
+        slots: Any = self.slots
+        if isinstance(slots, Mapping):  # as JSON has them
+            set_field(self, "slots", Slots(**slots))
         set_field(self, "length", positive("length of a piece", self.length))
         set_field(self, "precurvature", _precurvature(self.precurvature, self.length))
         for field in ("bending_stiffness", "torsional_stiffness"):
@@ -78,10 +108,39 @@ class Piece(Displayed):
 
     @property
     def plain(self) -> bool:
-        """Whether it is a circular arc, or straight, about x, with the tube's own stiffnesses."""
+        """Whether it is a circular arc, or straight, about x, with the tube's own stiffnesses and no slots."""
         x, *rest = self.precurvature
-        own = self.bending_stiffness is None and self.torsional_stiffness is None
+        own = self.bending_stiffness is None and self.torsional_stiffness is None and self.slots is None
         return own and not isinstance(x, Series) and tuple(rest) == (0.0, 0.0)
+
+    def bending_factor(self, whole: float) -> float:
+        """The least of its bending stiffness along it, of that of the whole tube, N m^2; at most 1."""
+        own = whole if self.bending_stiffness is None else extremes([self.bending_stiffness], self.length)[0]
+        return min(1.0, float(own) / whole)
+
+    def strain_ratio(self, whole: float) -> float:
+        """How many times as much as without slots it is strained at most, in a tube of bending stiffness `whole`."""
+        return 1.0 if self.slots is None else float(self.slots.strain_ratio(self.bending_factor(whole)))
+
+    def stretched(self, factor: float) -> Piece:
+        """The piece `factor` times as long; what varies along it is stretched."""
+
+        def longer(quantity: Any) -> Any:
+            return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
+
+        return replace(
+            self,
+            length=self.length * factor,
+            precurvature=tuple(longer(part) for part in self.precurvature),
+            bending_stiffness=longer(self.bending_stiffness),
+            torsional_stiffness=longer(self.torsional_stiffness),
+        )
+
+    def stiffened(self, factor: float) -> Piece:
+        """The piece with what stiffnesses of its own it has `factor` times as large."""
+        own = self.bending_stiffness, self.torsional_stiffness
+        bending, torsional = (None if value is None else times(value, factor) for value in own)
+        return replace(self, bending_stiffness=bending, torsional_stiffness=torsional)
 
     def scaled(self, factor: float) -> Piece:
         """The piece bent `factor` times as much, with the same natural twist."""

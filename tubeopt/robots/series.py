@@ -79,6 +79,10 @@ class Series:
         table = padded(self.coefficients)
         return np.asarray((table[panel] * chebyshev.chebvander(x, table.shape[1] - 1)).sum(-1).reshape(shape))
 
+    def stretched(self, factor: float) -> Series:
+        """The same quantity along a stretch that is `factor` times as long."""
+        return Series(tuple(s * factor for s in self.breaks), self.coefficients)
+
     def times(self, factor: float) -> Series:
         """The quantity multiplied by a number."""
         return Series(self.breaks, tuple(tuple(factor * c for c in panel) for panel in self.coefficients))

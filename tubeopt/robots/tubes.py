@@ -184,8 +184,25 @@ class Tube(Displayed):
 
     @property
     def straightened_strain(self) -> float:
-        """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa)."""
-        return float(surface_strain(self.outer_diameter / 2, abs(self.curvature), self.curvature))
+        """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa).
+
+        Of slotted pieces it is the bound of their `slots`; where these are not told, that of the tube without slots.
+        """
+        if not self.pieces:
+            return float(surface_strain(self.outer_diameter / 2, abs(self.curvature), self.curvature))
+        return max(piece_strain(self, piece) for piece in self.pieces)
+
+
+def piece_strain(tube: Tube, piece: Piece) -> float:
+    """Largest surface strain of a piece of a tube that is held straight, slots included where they are told."""
+    bend = piece.largest_curvature
+    whole = surface_strain(tube.outer_diameter / 2, bend, bend)
+    return piece.strain_ratio(float(tube.bending_stiffness)) * float(whole)
+
+
+def slots_unknown(tube: Tube, piece: Piece) -> bool:
+    """Whether a piece has less bending stiffness than its tube, as slots make it, and does not say where they are."""
+    return piece.slots is None and piece.bending_factor(float(tube.bending_stiffness)) < 1 - 1e-9
 
 
 def must_be_plain(tubes: Iterable[Tube], what: str) -> None:

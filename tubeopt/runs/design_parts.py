@@ -34,6 +34,7 @@ from ..files.checked import Entry, NotNegative, Number, Positive, Whole
 from ..files.fields import Part, asking, described, entry_of, extended, values
 from ..files.units import DEG, MM, PER_M, UNITS, to_si, unit_of
 from ..robots.file import Range
+from ..robots.piece_file import SlotsEntry
 from ..robots.tubes import Tube
 from .obstacle_file import Bodies
 
@@ -94,6 +95,8 @@ class FreeEntry(Part):
         None, description="torsional stiffness that is lost per bending stiffness, with a piece_bending_factor; 0 to 1"
     )
 
+    slots: SlotsEntry | None = Field(None, description="where they are cut, for a strain, with a piece_bending_factor")
+
     def build(self) -> Free:
         """The free dimension in SI."""
         given = [(key, getattr(self, key)) for key in RANGES if getattr(self, key) is not None]
@@ -113,6 +116,7 @@ class FreeEntry(Part):
             tuple(j - 1 for j in self.pieces),
             self.coefficients,
             None if self.torsion_share is None else float(self.torsion_share),
+            None if self.slots is None else self.slots.build(),
         )
 
 

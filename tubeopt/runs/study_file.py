@@ -28,6 +28,7 @@ STUDY_KINDS = Kinds(
         "measure": "measure_study.MeasureStudy",
         "design": "design_study.DesignStudy",
         "plan": "plan_study.PlanStudy",
+        "plan_arms": "arms_study.ArmsStudy",
         "verify": "verify_study.VerifyStudy",
         "workspace": "workspace_study.WorkspaceStudy",
         "heating": "heating_study.HeatingStudy",

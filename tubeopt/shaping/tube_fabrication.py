@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..robots.materials import NITINOL, ZERO_CELSIUS
 from ..robots.tubes import Tube
 from .heating.ageing import ageing_words
+from .heating.counts import full_current
 from .heating.plan import HeatingPlan
 from .heating.planning import plan_heating
 from .heating.rig import Rig
@@ -35,6 +36,12 @@ SAME = 1e-5
 
 LONGER = 1e-3
 """What leads get beyond the cold ends, m, where these reach into the curved part."""
+
+PEAK_KEPT = 0.98
+"""Part of the circuit's peak current for which leads are made longer, where a shorter tube would draw more."""
+
+LEAST_METAL = 10e9
+"""Young's modulus (Pa) of no metal: below it a material has no thermal constants but those that are said."""
 
 UNLIKE = 0.25
 """Part by which the even gap of a rig's file may differ from the one computed before that is remarked."""
@@ -98,7 +105,8 @@ def plan_tube(
         number: of the tube, for texts.
 
     Raises:
-        InputError: no mold can be drawn for the rig's leads, or tube and rig cannot belong together.
+        InputError: no mold can be drawn for the rig's leads, tube and rig cannot belong together, or the tube is of no
+            metal and of no thermal constants.
         SolveError: the optimal control problem of the heating did not converge.
     """
     asked = MoldSpec() if mold is None else mold
@@ -118,7 +126,7 @@ def plan_tube(
             plan = plan_heating(heated_tube(following.grooves[0]), on, heating)
         elif _settled(drawn, plan):
             return TubeFabrication(tube, drawn, on, plan, round_, "", (*remarks, *ageing_words(plan)))
-        known = _known(drawn.grooves[0], plan)
+        known = _known(drawn.grooves[0], plan, heating)
     assert drawn is not None
     assert plan is not None
     short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + SAME
@@ -243,7 +251,13 @@ def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
 def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
     if tube.material.thermal is not None:
         return tube, ()
-    words = f"thermal constants of {tube.material.name} are not known; mold and heating take those of nitinol"
+    name, stiffness = tube.material.name, tube.material.youngs_modulus
+    if stiffness < LEAST_METAL:
+        raise InputError(
+            f"the thermal constants of {name} are not known, and its Young's modulus of {1e-9 * stiffness:.2g} GPa is "
+            "that of no metal; a rig heats a tube by the current through it: say constants (thermal) of what conducts"
+        )
+    words = f"thermal constants of {name} are not known; mold and heating take those of nitinol"
     return replace(tube, material=replace(tube.material, thermal=NITINOL.thermal)), (words,)
 
 
@@ -260,15 +274,31 @@ def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
     )
 
 
-def _known(groove: Groove, plan: HeatingPlan) -> Known:
-    """What the heating tells the next mold; leads that are too short get longer."""
+def _known(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> Known:
+    """What the heating tells the next mold; leads that are too short, or let too much current flow, get longer."""
     held, end = _lead_and_gap(groove), plan.cold_end
     if math.isinf(end):
         # The whole tube is cold, for which no lead helps.
         end = groove.cold.length
     hot = int(np.flatnonzero(plan.in_hold)[-1])
     clamps = float(plan.clamp_temperature[hot]) + ZERO_CELSIUS
-    return Known(end if end <= held + SAME else end + LONGER, plan.growth, clamps)
+    # The plate makes leads longer than they are asked to be, by as much again next time.
+    asked = groove.cold.length + _length_for_peak(plan, spec) - held
+    return Known(max(end if end <= held + SAME else end + LONGER, asked), plan.growth, clamps)
+
+
+def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
+    """Length (m) from clamp to bend with which the cold tube draws what the circuit bears; 0 where that is too long.
+
+    The current is greatest through the cold tube at rest, whose resistance grows as its length.
+    """
+    tube, rig = plan.tube, plan.rig
+    now, most = full_current(tube, rig, leaking=False), PEAK_KEPT * rig.circuit.peak_limit
+    whole = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
+    ohm = rig.battery.voltage / now - rig.battery.internal_resistance - rig.circuit.resistance
+    needed = whole * (1 + rig.battery.voltage * (1 / most - 1 / now) / ohm)
+    each = 0.5 * (needed - tube.curved_length)
+    return each if each <= spec.lead_range[1] else 0.0
 
 
 def _lead_and_gap(groove: Groove) -> float:

@@ -17,6 +17,7 @@ from .report import Report
 from .report import report as registered
 
 MODULES = {
+    "arms_report": ("ArmsPlan",),
     "certify_report": ("Certification",),
     "design_report": ("DesignAnswer",),
     "doctor": ("Doctor",),

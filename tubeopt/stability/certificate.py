@@ -125,6 +125,16 @@ def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
     return (sharper, least.opposition) if sharper > value else (value, None)
 
 
+def estimated_certificate(robot: Robot, shift: Array) -> float:
+    """What `snap_free_certificate` is but for what the mesh leaves out of tubes made of pieces, which takes longer to
+    bound than the rest: where to look for the least, and no proof."""
+    if not is_general(robot):
+        return snap_free_certificate(robot, shift)
+    problem = _problem(robot, shift)
+    value, pair = worst_case(problem)[0], pair_of(problem)
+    return value if pair is None else max(value, least_margin_of_pair(pair).bound)
+
+
 def _finer(robot: Robot, shift: Array) -> ReducedProblem:
     return reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
 

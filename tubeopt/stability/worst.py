@@ -18,7 +18,7 @@ from ..robots.robot import Robot
 from ..solvers.newton import newton
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index
-from .certificate import Certificate, certify, snap_free_certificate
+from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_worst import least_margin
 from .pair_certificate import least_margin_of_pair, pair_of
 from .shooting import profiles, to_base
@@ -150,7 +150,8 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
     Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box), then
     L-BFGS-B from its best point and from every corner, then Nelder and Mead's method from the best of all, since
     mu_cert has kinks where two breakpoints meet. It is continuous and piecewise smooth in the translations, so this
-    finds the least value to the resolution of DIRECT; it is not a proof for the box.
+    finds the least value to the resolution of DIRECT; it is not a proof for the box. Of tubes made of pieces, what the
+    mesh leaves out of the certificate is bounded where it is least, and not on the way.
 
     Args:
         lower, upper: (n,) m; default the translations of `robot.limits`.
@@ -179,7 +180,7 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
         nonlocal count
         count += 1
         try:
-            return max(snap_free_certificate(robot, _fill(low, carriages, part)), NOTHING_PROVED)
+            return max(estimated_certificate(robot, _fill(low, carriages, part)), NOTHING_PROVED)
         except InputError:  # translations at which curved parts of segments would overlap
             return 1.0
 

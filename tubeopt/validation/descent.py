@@ -26,6 +26,10 @@ TURNS_LINEAR = 3.0
 SETTLED = 1e-7
 """Relative decrease of the cost at which the descent ends: a small part of what noise makes of it."""
 
+NEAR = 1e-5
+"""The same where a step is costly, or one of many fits alike: a few hundredths of a standard error of the parameters.
+Along a way with friction, kinks where what sticks changes let steps gain less than they promise, and never end."""
+
 EXACT = 1e-14
 """Cost of an observation, in squares of its standard deviation, that is as good as none."""
 
@@ -114,7 +118,7 @@ def descend(
         jacobian: to keep throughout, where the start is close to the answer; None is that of every state, or, where it
             is costly, of those at which an older one no longer serves, and of the last.
         first: that of the start, where it is known.
-        settled: relative decrease of the cost, won or promised, at which to end.
+        settled: relative decrease of the cost, won or promised, at which to end; at least NEAR where it is costly.
     """
     bounds = np.array([[p.low, p.high] for p in model.parameters]).reshape(-1, 2).T
     state = State(np.clip(start.x, *bounds), start.registration)
@@ -124,7 +128,8 @@ def descend(
     cost, damping, obstacle = _cost(model, weights, state, residuals), 1e-6, ""
     for _ in range(iterations):
         square, slope = normal_equations(model, weights, state, residuals, slopes)
-        before, accepted, enough = cost, False, settled * cost + EXACT * len(residuals)
+        least = max(settled, NEAR) if model.costly(state) else settled
+        before, accepted, enough = cost, False, least * cost + EXACT * len(residuals)
         while not accepted and damping < STEEPEST:
             step = _step(square, slope, damping, state.x, bounds)
             if -slope @ step <= enough:
@@ -138,6 +143,9 @@ def descend(
             accepted = cost_there <= cost
             if accepted:
                 state, residuals, cost, damping = trial, there, cost_there, max(damping / 10, 1e-9)
+            elif not fresh:
+                obstacle = ""
+                break  # old slopes that lead no further down: new ones are worth more than a shorter step
             else:
                 damping *= 10
         if fresh and (not accepted or before - cost <= enough):

@@ -59,7 +59,7 @@ class Effect:
             that does not fit the plate's pose itself), or "".
         sets: names of what it sets, by which effects contradict each other.
         history: whether it makes the tip depend on how its configuration was reached.
-        compared: whether a model comparison tries it.
+        compared: whether a model comparison tries it: "always", "asked" (by name only, since it takes long) or "never".
         drives: whether it changes nothing but joint values.
     """
 
@@ -73,7 +73,7 @@ class Effect:
     needs: str = ""
     sets: tuple[str, ...] = ()
     history: bool = False
-    compared: bool = True
+    compared: str = "always"
     drives: bool = False
 
 
@@ -253,7 +253,7 @@ EFFECTS: dict[str, Effect] = {
     ),
     "clearance": Effect(
         "radial clearance of tube I in the next one, which lets the arm beyond its end tilt", "m", "pair",
-        _clearance_span, _put("clearance"), compared=False,
+        _clearance_span, _put("clearance"), compared="asked",
     ),
     "curvature": Effect(
         "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",
@@ -273,7 +273,7 @@ EFFECTS: dict[str, Effect] = {
     ),
     "stiffness_ratio": Effect(
         "bending stiffness of tube I over that of the first, I >= 2, Poisson's ratio kept", "", "kind",
-        _ratio_span, _ratio, first=2, sets=("bending_stiffness",), compared=False,
+        _ratio_span, _ratio, first=2, sets=("bending_stiffness",), compared="never",
     ),
     "torsional_stiffness": Effect(
         "factor on the torsional stiffness GJ of tube I, or of all, EI kept", "", "kind",
@@ -281,7 +281,7 @@ EFFECTS: dict[str, Effect] = {
     ),
     "nu": Effect(
         "Poisson's ratio of all tubes, or of tube I, EI kept", "", "kind",
-        _nu_span, _nu, common=True, sets=("torsional_stiffness",), compared=False,
+        _nu_span, _nu, common=True, sets=("torsional_stiffness",), compared="never",
     ),
     "plate_shift": Effect(
         "the plate stands off where the registration puts it", "m", "xyz",

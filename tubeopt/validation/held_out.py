@@ -8,14 +8,11 @@ import numpy as np
 
 from ..errors import SolveError
 from ..typing import Array, Index
-from .descent import Descent, Weights, descend, normal_equations
+from .descent import NEAR, Descent, Weights, descend, normal_equations
 from .model import ArmModel
 
 STEPS = 6
 """Steps of a fit to the rows of the other folds, with the Jacobian of the fit to all: each gains two digits or more."""
-
-NEAR = 1e-5
-"""Relative decrease of the cost at which such a fit ends: a few hundredths of a standard error of the parameters."""
 
 DRAWS = 400
 DRAW_SEED = 1
@@ -46,25 +43,18 @@ def hold_out(model: ArmModel, weights: Weights, fit: Descent, fold: Index) -> He
     return HeldOut(out, np.asarray(own))
 
 
-def predicted_held_out(
-    model: ArmModel, weights: Weights, fit: Descent, jacobian: Array, prior: Array, fold: Index, bounds: Array
-) -> Array:
-    """(V, 3) residuals held out, were the observations linear in the parameters: nothing is solved.
-
-    Args:
-        jacobian: (V, 3, Q) of any parameters around the fit, `prior` (Q,) their standard deviations around it.
-        bounds: (2, Q) on their steps.
-    """
-    own = fold[model.row]
-    w = weights.of(fit.residuals)
-    size = jacobian.shape[2]
-    parts = {int(k): _part(jacobian[own == k], fit.residuals[own == k], w[own == k]) for k in np.unique(own)}
-    square = sum((a for a, _ in parts.values()), np.diag(1 / prior**2))
-    slope = sum((b for _, b in parts.values()), np.zeros(size))
-    out = np.empty_like(fit.residuals)
-    for k, (a, b) in parts.items():
-        step = np.clip(-_solve(square - a, slope - b), *bounds)
-        out[own == k] = fit.residuals[own == k] + jacobian[own == k] @ step
+def predicted_held_out(model: ArmModel, weights: Weights, near: Descent, fold: Index) -> Array:
+    """(V, 3) residuals held out, were the observations linear in the parameters around a state: nothing is solved."""
+    own, w, jacobian, x = fold[model.row], weights.of(near.residuals), near.jacobian, near.state.x
+    square, slope = normal_equations(model, weights, near.state, near.residuals, jacobian)
+    free = np.full(model.freedoms, np.inf)
+    low, high = (np.array([getattr(p, side) for p in model.parameters]) - x for side in ("low", "high"))
+    bounds = np.append(low, -free), np.append(high, free)
+    out = np.empty_like(near.residuals)
+    for k in np.unique(own):
+        mine = own == k
+        a, b = _part(jacobian[mine], near.residuals[mine], w[mine])
+        out[mine] = near.residuals[mine] + jacobian[mine] @ np.clip(-_solve(square - a, slope - b), *bounds)
     return out
 
 

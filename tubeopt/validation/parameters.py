@@ -162,12 +162,16 @@ def lacking(measurements: Measurements, effect: Effect, registration: str) -> st
     return ""
 
 
-def groups(robot: Robot, measurements: Measurements, registration: str = "rigid") -> dict[str, tuple[str, ...]]:
-    """Effects that these data of this robot can speak of, each with the names of its parameters."""
+def groups(
+    robot: Robot, measurements: Measurements, registration: str = "rigid", asked: Sequence[str] = ()
+) -> dict[str, tuple[str, ...]]:
+    """Effects that these data of this robot can speak of, and that are always compared or `asked` for, each with the
+    names of its parameters."""
     context = Context(robot, measurements, Setup.of(robot))
     found: dict[str, tuple[str, ...]] = {}
     for kind, effect in EFFECTS.items():
-        if not effect.compared or lacking(measurements, effect, registration):
+        wanted = effect.compared == "always" or (effect.compared == "asked" and kind in asked)
+        if not wanted or lacking(measurements, effect, registration):
             continue
         numbered = effect.each and not (kind in ("translation_gain",) and effect.common)
         found[kind] = tuple(_spelled_out(context, f"{kind}_all")) if numbered else (kind,)

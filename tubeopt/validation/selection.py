@@ -3,7 +3,8 @@
 Every effect lowers the error of the fit; only one that is there lowers the error of what is held out. At each step the
 effects that are left are ranked by their held-out gain to first order, for which nothing is solved; the best few are
 fitted and held out in full, and the best of these is kept if it pays. At last each that was kept is left out again:
-one that came first may be what later ones explain better.
+one that came first may be what later ones explain better. Along a way with friction, where every solution costs that of
+all rows before, what is held out is told to first order around each fit.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .comparison import Progress, check_tubes, distances
-from .descent import Descent, Weights, descend
+from .descent import NEAR, Descent, Weights, descend
 from .errors import ErrorSummary
 from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
-from .held_out import NEAR, hold_out, predicted_held_out
+from .held_out import hold_out, predicted_held_out
 from .measurements import Measurements
 from .model import ArmModel, State
-from .parameters import choose_parameters, groups
+from .parameters import apply, choose_parameters, groups
 from .registration import FREEDOMS
 
 TRIED = 3
@@ -114,7 +115,8 @@ def compare_effects(
     """Add effects in the order in which they pay held out, and stop where none does.
 
     Args:
-        effects: kinds out of `effects.EFFECTS` to choose from; none for all that these data can speak of.
+        effects: kinds out of `effects.EFFECTS` to choose from; none for all that these data can speak of but
+            "clearance", which takes long.
         options: as for `fit`, with folds; priors keep the many parameters in hand and are always on while comparing.
         progress: called with the number of steps done, and 0.
 
@@ -125,7 +127,7 @@ def compare_effects(
     """
     options = options or FitOptions(folds=10)
     check_tubes(robot, measurements)
-    known = groups(robot, measurements, options.registration)
+    known = groups(robot, measurements, options.registration, effects)
     for effect in effects:
         if effect not in known:
             raise InputError(
@@ -193,7 +195,10 @@ class _Search:
     def _held_out(self, effects: tuple[str, ...], model: ArmModel, fit: Descent, sigma: tuple[float, float]) -> _Trial:
         weights = weigh(model, self.options, sigma)
         self.scale = self.scale or weights  # all are measured by the scale of the first
-        out = hold_out(model, weights, fit, self.fold).residuals
+        if model.costly(fit.state):
+            out = predicted_held_out(model, weights, fit, self.fold)
+        else:
+            out = hold_out(model, weights, fit, self.fold).residuals
         self.done += 1
         if self.progress is not None:
             self.progress(self.done, 0)
@@ -236,41 +241,40 @@ class _Search:
 
     def _slopes(self, left: Sequence[str]) -> dict[str, Array]:
         """(V, 3, Q) derivatives by the parameters kept, those of each effect, and the registration."""
-        now, kept = self.now.fit, len(self.now.model.parameters)
-        every = [p for kind in left for p in self.parameters[kind]]
-        chosen = [*self.now.model.parameters, *every]
-        x = np.append(now.state.x, [p.start for p in every])
-        model = self.model.with_parameters(chosen)
-        table = model.jacobian(State(x, now.state.registration), skip=kept)
-        out, at = {}, kept
-        for kind in left:
-            mine = table[..., at : at + len(self.parameters[kind])]
-            at += mine.shape[2]
-            out[kind] = np.concatenate([now.jacobian[..., :kept], mine, now.jacobian[..., kept:]], axis=2)
+        now, kept = self.now.fit.jacobian, len(self.now.model.parameters)
+        begun = [kind for kind in left if self._begins(kind)]
+        out = {}
+        for kinds in ([kind for kind in left if kind not in begun], *([kind] for kind in begun)):
+            model, state = self._with(*kinds)
+            table, at = model.jacobian(state, skip=kept), kept
+            for kind in kinds:
+                mine = table[..., at : at + len(self.parameters[kind])]
+                at += mine.shape[2]
+                out[kind] = np.concatenate([now[..., :kept], mine, now[..., kept:]], axis=2)
         return out
 
-    def _with(self, kind: str) -> tuple[ArmModel, State]:
-        """The model with one more effect, at the state of now."""
-        model = self.model.with_parameters([*self.now.model.parameters, *self.parameters[kind]])
-        x = np.append(self.now.fit.state.x, [p.start for p in self.parameters[kind]])
-        return model, State(x, self.now.fit.state.registration)
+    def _with(self, *kinds: str) -> tuple[ArmModel, State]:
+        """The model with more effects, at the state of now."""
+        more = [p for kind in kinds for p in self.parameters[kind]]
+        model = self.model.with_parameters([*self.now.model.parameters, *more])
+        return model, State(np.append(self.now.fit.state.x, [p.start for p in more]), self.now.fit.state.registration)
 
     def _to_first_order(self, kind: str, slopes: Array) -> Array:
         """(V, 3) residuals held out with one more effect, were all linear."""
         model, state = self._with(kind)
-        weights = weigh(model, self.options, self.now.sigma)
-        free = np.full(model.freedoms, np.inf)
-        low, high = (np.array([getattr(p, side) for p in model.parameters]) - state.x for side in ("low", "high"))
-        bounds = np.array([np.append(low, -free), np.append(high, free)])
-        prior = np.append(weights.prior, free)
-        return predicted_held_out(model, weights, self.now.fit, slopes, prior, self.fold, bounds)
+        residuals = model.residuals(state) if self._begins(kind) else self.now.fit.residuals
+        near = Descent(state, residuals, slopes, True)
+        return predicted_held_out(model, weigh(model, self.options, self.now.sigma), near, self.fold)
+
+    def _begins(self, kind: str) -> bool:
+        """Whether an effect is there at its start already, where having none has no slope."""
+        chosen, first = self.parameters[kind], self.model.first
+        return not apply(first, chosen, np.array([p.start for p in chosen])).same_tubes(first)
 
     def _trial(self, kind: str, slopes: Array) -> _Trial:
         """A fit with one more effect, with slopes that are kept."""
         model, state = self._with(kind)
-        fit = descend(
-            model, weigh(model, self.options, self.now.sigma), state, jacobian=slopes, iterations=CHORDS, settled=NEAR
-        )
+        fit = self._chords(model, state, slopes)
         return self._held_out((*self.now.effects, kind), model, fit, self.now.sigma)
 
     def _step(self, kind: str, residuals: Array) -> Step:
@@ -305,7 +309,7 @@ class _Search:
             if pays(gain, certainty):
                 return
             (kind,) = set(self.now.effects) - set(best.effects)
-            self.now = best
+            self.now = self._some(best.effects) if self.now.model.costly(self.now.fit.state) else best
             self.dropped.append(kind)
             self.steps = [step for step in self.steps if step.effect != kind]
 
@@ -333,8 +337,20 @@ class _Search:
         return self._fitted(kinds, State(x, now.registration), self.now.sigma)
 
     def _without(self, kind: str) -> _Trial:
-        """The fit with one effect less."""
-        return self._some(tuple(k for k in self.now.effects if k != kind))
+        """The fit with one effect less; where new slopes are costly, with those of now."""
+        now, kinds = self.now, tuple(k for k in self.now.effects if k != kind)
+        if not now.model.costly(now.fit.state):
+            return self._some(kinds)
+        kept = [k for k, p in enumerate(now.model.parameters) if p.kind != kind]
+        model = self.model.with_parameters([now.model.parameters[k] for k in kept])
+        slopes = now.fit.jacobian[..., [*kept, *range(len(now.model.parameters), now.fit.jacobian.shape[2])]]
+        fit = self._chords(model, State(now.fit.state.x[kept], now.fit.state.registration), slopes)
+        return self._held_out(kinds, model, fit, now.sigma)
+
+    def _chords(self, model: ArmModel, start: State, slopes: Array) -> Descent:
+        """A fit with slopes that are kept."""
+        weights = weigh(model, self.options, self.now.sigma)
+        return descend(model, weights, start, jacobian=slopes, iterations=CHORDS, settled=NEAR)
 
     def answer(self) -> Comparison:
         """The comparison, with the fit of the kept effects."""

@@ -6,6 +6,7 @@ from .findings import Findings, examine
 from .loss import SnappingLoss, snapping_loss
 from .run import load_workspace, save_workspace, workspace
 from .samples import METHODS
+from .shared import SharedWorkspace, place_pair, shared_workspace
 from .table import Workspace
 from .volume import Volume, alpha_volume, meridian_volume, voxel_volume
 from .voxels import PATCHES, Voxels, voxels
@@ -14,6 +15,7 @@ __all__ = [
     "METHODS",
     "PATCHES",
     "Findings",
+    "SharedWorkspace",
     "SnappingLoss",
     "Volume",
     "Voxels",
@@ -22,7 +24,9 @@ __all__ = [
     "examine",
     "load_workspace",
     "meridian_volume",
+    "place_pair",
     "save_workspace",
+    "shared_workspace",
     "snapping_loss",
     "voxel_volume",
     "voxels",

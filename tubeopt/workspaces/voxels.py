@@ -63,9 +63,9 @@ class Voxels:
     @property
     def surface(self) -> Mask:
         """(V,) whether one of the six neighbours holds no tip."""
-        keys = _keys(self.index)
+        keys = keys_of(self.index)
         steps = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
-        return np.asarray(np.any([~np.isin(_keys(self.index + step), keys) for step in steps], axis=0))
+        return np.asarray(np.any([~np.isin(keys_of(self.index + step), keys) for step in steps], axis=0))
 
 
 def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Voxels:
@@ -129,7 +129,7 @@ class Store:
 
     def add(self, tips: Array, directions: Array, margin: Array, early: Mask) -> None:
         """Sort in tips (B, 3), their directions (B, 3) and margins (B,)."""
-        keys = np.concatenate([self.keys, _keys(cells(tips, self.size))])
+        keys = np.concatenate([self.keys, keys_of(cells(tips, self.size))])
         ones = np.ones(len(tips), np.int64)
         word = np.left_shift(np.uint64(1), patch_of(directions).astype(np.uint64))
         order = np.argsort(keys, kind="stable")
@@ -142,7 +142,7 @@ class Store:
     def voxels(self, samples: int) -> Voxels:
         """What was sorted in."""
         directions = np.bitwise_count(self.patches).astype(np.int64)
-        return Voxels(self.size, samples, _index(self.keys), self.count, self.early, directions, self.margin)
+        return Voxels(self.size, samples, index_of(self.keys), self.count, self.early, directions, self.margin)
 
 
 def _reduce(how: np.ufunc, parts: Iterable[NDArray[Any]], order: Keys, starts: Keys) -> NDArray[Any]:
@@ -158,13 +158,14 @@ def cells(points: Array, size: float) -> Keys:
     return index.astype(np.int64)
 
 
-def _keys(index: Keys) -> Keys:
+def keys_of(index: Keys) -> Keys:
     """(V,) one number per cube."""
     x, y, z = (index + _HALF).T
     return np.asarray((x << (2 * _BITS)) | (y << _BITS) | z)
 
 
-def _index(keys: Keys) -> Keys:
+def index_of(keys: Keys) -> Keys:
+    """(V, 3) the cubes of such numbers."""
     mask = (1 << _BITS) - 1
     return np.column_stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask]) - _HALF
 

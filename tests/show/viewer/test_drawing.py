@@ -15,6 +15,7 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.planning.file import load_trajectory
 from tubeopt.show.plots.mesh import Centreline
 from tubeopt.show.viewer import export, plots, words
+from tubeopt.show.viewer.cut import Plane, cut_parts, cut_words
 from tubeopt.show.viewer.playback import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
 from tubeopt.show.viewer.surfaces import Surface, between, margin_colour, obstacle_surface, plate_part, robot_parts
@@ -54,6 +55,24 @@ def test_tubes_have_their_true_diameter_everywhere(robot: ConcentricRobot) -> No
 def test_parts_keep_their_number_of_vertices_while_the_robot_moves() -> None:
     shapes = [[len(p.surface.vertices) for p in robot_parts(forward_kinematics(THESIS, (a, 0, 0)))] for a in (0, 1, 2)]
     assert shapes[0] == shapes[1] == shapes[2]
+
+
+def test_a_cut_leaves_what_lies_before_the_plane_and_fills_what_it_cuts() -> None:
+    ball, plane = Sphere((0.1, 0.01, 0.02), 0.02), Plane(0, 0.105)
+    rest, filled = cut_parts([ball], 1.0, plane)
+    for part in (rest, filled):
+        assert part.surface.vertices[:, 0].max() <= 0.105 + 1e-12
+    together = Surface(
+        np.concatenate([rest.surface.vertices, filled.surface.vertices]),
+        np.concatenate([rest.surface.faces, filled.surface.faces + np.uint32(len(rest.surface.vertices))]),
+    )
+    height = 0.02 + 0.005
+    assert enclosed(together) == pytest.approx(np.pi * height**2 * (0.06 - height) / 3, rel=0.02)
+    area = np.pi * (0.02**2 - 0.005**2) * 1e4
+    assert float(cut_words([rest, filled], plane).split()[6]) == pytest.approx(area, rel=0.01)
+    (whole,) = cut_parts([ball], 1.0, Plane(0, 0.2))
+    assert enclosed(whole.surface) == pytest.approx(enclosed(obstacle_surface(ball, 1.0)))
+    assert cut_parts([ball], 1.0, Plane(0, 0.05)) == []
 
 
 def test_bodies_enclose_their_volume() -> None:

@@ -76,6 +76,16 @@ def test_another_robot_stands_beside_and_obstacles_are_loaded(tab: Tab) -> None:
     tab.wait_for_tip(tip(90, 0, 0))
 
 
+def test_bodies_are_cut_by_a_plane(tab: Tab) -> None:
+    """The ball of 20 mm at x = 60 mm is cut through its middle, and a plane that was dragged beside it cuts nothing."""
+    tab.tab("Layers")
+    tab.page.get_by_label("cut bodies across").click()
+    tab.page.get_by_role("option", name="x").click()
+    tab.wait_for("message", "cut across x at 0 mm: 0.00 cm2 of bodies")
+    tab.type("cut at (mm)", 60)
+    tab.wait_for("message", "cut across x at 60 mm: 12.5")
+
+
 def test_exact_values_and_what_is_refused(tab: Tab) -> None:
     """Number boxes act at their button; a bad number is refused in a sentence, and the robot stays."""
     tab.page.get_by_text("Exact values").click()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from ...typing import Array
 from .collocated import ENDS
 from .mesh import Mesh
 from .reduced import Evaluation, ReducedProblem
-from .tableau import tableau
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,30 +98,25 @@ def integrate_torque(problem: ReducedProblem, base: Array, moment: Array) -> Pro
     return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, None, slope, mean)
 
 
-@lru_cache(maxsize=64)
-def _basis(points: tuple[float, ...], family: str, degree: int, integrals: int) -> Array:
-    return tableau(family, degree).lagrange(points, integrals=integrals)
-
-
 def rotations_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
     """theta (P, len(x), n), phi with tubes made of pieces, at fractions x of every piece."""
     t, h = problem.mesh.tableau, problem.mesh.length[:, None, None]
     if arm.slope is not None:
-        bases = (_basis(x, t.family, t.degree, 1), _basis(x, t.family, t.degree, 2))
+        bases = (t.basis(x, 1), t.basis(x, 2))
         return arm.turned(problem.mesh.length, np.array(x), bases)
     theta = arm.rotation[:, None, :] + np.array(x)[:, None] * h * arm.twist[:, None, :]
-    theta += h**2 * (_basis(x, t.family, t.degree, 2) @ arm.moment)
+    theta += h**2 * (t.basis(x, 2) @ arm.moment)
     if arm.extra is not None:
-        theta += h * (_basis(x, t.family, t.degree, 1) @ arm.extra)
+        theta += h * (t.basis(x, 1) @ arm.extra)
     return theta
 
 
 def torsion_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
     """theta' (P, len(x), n) at fractions x of every piece, rad/m."""
     t, h = problem.mesh.tableau, problem.mesh.length[:, None, None]
-    slope: Array = arm.twist[:, None, :] + h * (_basis(x, t.family, t.degree, 1) @ arm.moment)
+    slope: Array = arm.twist[:, None, :] + h * (t.basis(x, 1) @ arm.moment)
     if arm.extra is not None:
-        slope += _basis(x, t.family, t.degree, 0) @ arm.extra
+        slope += t.basis(x, 0) @ arm.extra
     return slope
 
 

@@ -132,15 +132,6 @@ def _kron(family: str, degree: int, n: int) -> tuple[Array, Array, Array, Array]
     return matrix, adjoint, weights, same
 
 
-@lru_cache(maxsize=64)
-def _basis_of(family: str, degree: int, x: tuple[float, ...], integrals: int) -> Array:
-    return tableau(family, degree).lagrange(x, integrals=integrals)
-
-
-def _basis(t: Tableau, x: Array, integrals: int) -> Array:
-    return _basis_of(t.family, t.degree, tuple(x.tolist()), integrals)
-
-
 def _spread(matrix: Array, blocks: Array) -> Array:
     """(P, K n, K c) of sum_j: matrix (K, K) between points times blocks (P, K, n, c) at the second point."""
     pieces, count, n, c = blocks.shape
@@ -246,10 +237,10 @@ def respond(arm: Arm, chain: Chain, base: Array, data: Array, jumps: Array) -> R
 def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
     """theta (P, len(x), n) at fractions x of every piece."""
     t, h = arm.tableau, arm.length[:, None, None]
-    theta = arm.theta[:, None] + x[:, None] * h * arm.twist[:, None] + h**2 * (_basis(t, x, 2) @ at.rate)
+    theta = arm.theta[:, None] + x[:, None] * h * arm.twist[:, None] + h**2 * (t.basis(tuple(x.tolist()), 2) @ at.rate)
     if arm.place:
         inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        theta = theta + h * (_basis(t, x, 1) @ ((at.stretch - 1) * inside))
+        theta = theta + h * (t.basis(tuple(x.tolist()), 1) @ ((at.stretch - 1) * inside))
     return np.asarray(theta)
 
 
@@ -299,10 +290,10 @@ def shape_points(pieces: int) -> NDArray[np.intp]:
 def rotation_rates_at(arm: Arm, at: Slopes, x: Array) -> Array:
     """theta' (P, len(x), n) at fractions x of every piece, rad/m."""
     t, h = arm.tableau, arm.length[:, None, None]
-    slope = arm.twist[:, None] + h * (_basis(t, x, 1) @ at.rate)
+    slope = arm.twist[:, None] + h * (t.basis(tuple(x.tolist()), 1) @ at.rate)
     if arm.place:
         inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        slope = slope + _basis(t, x, 0) @ ((at.stretch - 1) * inside)
+        slope = slope + t.basis(tuple(x.tolist()), 0) @ ((at.stretch - 1) * inside)
     return np.asarray(slope)
 
 
@@ -314,12 +305,12 @@ def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Ar
     columns = np.concatenate([inner, section], axis=2)
     rate = at.rate_slope @ columns - (at.rate / arm.torsional_stiffness)[..., None] * data[:, None, 2 * n :]
     start, twist = response.state[:-1, None, :n], response.state[:-1, None, n:]
-    out = start + x[:, None, None] * h * twist + h**2 * along(_basis(t, x, 2), rate)
+    out = start + x[:, None, None] * h * twist + h**2 * along(t.basis(tuple(x.tolist()), 2), rate)
     if arm.place:
         inside = arm.twist[:, None] + h[..., 0] * (t.adjoint @ at.rate)
         turned = twist + h * along(t.adjoint, rate)
         extra = (at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns)
-        out = out + h * along(_basis(t, x, 1), extra)
+        out = out + h * along(t.basis(tuple(x.tolist()), 1), extra)
     return np.asarray(out)
 
 

@@ -211,8 +211,15 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     pull[:split] -= push.torque * problem.tip_row
     gradient = x + factor * pull
     gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
-    hessian = -factor * (turned.T @ work @ turned)
-    hessian[:split, :split] += torsional_hessian(torsion, softened) - np.eye(split)
+    # What bending turns is diagonal in `turned`.
+    by_tubes, by_bending = turned[:, :split], np.repeat(-factor * problem.softness, 2)
+    felt_by_tubes = work @ by_tubes
+    hessian = np.empty((problem.size, problem.size))
+    hessian[:split, :split] = torsional_hessian(torsion, softened) - factor * (by_tubes.T @ felt_by_tubes)
+    hessian.ravel()[: split * problem.size : problem.size + 1] -= 1.0
+    hessian[split:, :split] = by_bending[:, None] * felt_by_tubes
+    hessian[:split, split:] = hessian[split:, :split].T
+    hessian[split:, split:] = by_bending[:, None] * work * np.repeat(problem.softness, 2)
     hessian.ravel()[:: problem.size + 1] += 1.0
     if not problem.load.has_energy:
         hessian -= factor * _unsymmetric(problem, along, push, turned)

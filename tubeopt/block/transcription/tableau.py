@@ -57,6 +57,15 @@ class Tableau:
         coefficients = _integrated(self.family, self.degree, integrals)
         return np.asarray(legendre.legvander(x, len(coefficients) - 1) @ coefficients)
 
+    def basis(self, at: tuple[float, ...], integrals: int) -> Array:
+        """`lagrange` at places that are asked for again and again: remembered, not to be changed."""
+        return _basis(self.family, self.degree, at, integrals)
+
+
+@lru_cache(maxsize=128)
+def _basis(family: str, degree: int, at: tuple[float, ...], integrals: int) -> Array:
+    return tableau(family, degree).lagrange(at, integrals=integrals)
+
 
 @lru_cache(maxsize=64)
 def _integrated(family: str, degree: int, integrals: int) -> Array:

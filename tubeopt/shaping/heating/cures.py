@@ -15,7 +15,7 @@ from .counts import count_rate, full_current
 from .ideal import Ideal, Shift, solve_ideal
 from .outcome import Outcome
 from .rig import Rig
-from .spec import HeatingSpec
+from .spec import LONGEST, HeatingSpec
 
 ENOUGH = 0.05
 """A window missed by less than this, K, by the program is worth a schedule of counts to see whether it is held."""
@@ -59,10 +59,12 @@ class Schedule(Protocol):
 
 @dataclass(frozen=True)
 class Search:
-    """How schedules are found: the best one, and the soonest one, which is None where it does not keep everything."""
+    """How schedules are found: the best one; the soonest one, which is None where it does not keep everything; that of
+    whole counts in the place of a program's answer."""
 
     best: Callable[[Tube, Rig, HeatingSpec], Schedule]
     soonest: Callable[[Tube, Rig, HeatingSpec], Schedule | None]
+    counted: Callable[[Tube, HeatingSpec, Ideal], Schedule]
 
 
 @dataclass(frozen=True)
@@ -119,19 +121,24 @@ def _kept(change: Change, tube: Tube, by: Search) -> Cure | None:
 
 
 def _estimated(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed, by: Search) -> Cure | None:
-    """What the program makes of a change; what it would cure is confirmed, the rig no longer free."""
+    """What the program makes of a change, and whole counts of what it would cure."""
     tried = _tried(change, tube, spec, best)
     if tried is None or tried[0].shortfall >= ENOUGH:
         return None if tried is None else tried[0]
-    return _confirmed((tried[0].change, tried[1], replace(change[2], free=())), tube, by)
+    cure, answer = tried
+    fixed = replace(change[2], free=())
+    if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, by)) is not None:
+        return kept
+    outcome = by.counted(tube, fixed, answer).outcome
+    return replace(cure, shortfall=outcome.shortfall, broken=outcome.broken)
 
 
 def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
     return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
 
 
-def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed) -> tuple[Cure, Rig] | None:
-    """By how much the program misses the window with a change, and the rig as it chose; None where it finds nothing."""
+def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed) -> tuple[Cure, Ideal] | None:
+    """By how much the program misses the window with a change, and its answer; None where it finds none."""
     words, rig, asked = change
     part = asked.slot / spec.slot
     low, high = best.reserve
@@ -143,7 +150,7 @@ def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed) -> t
         return None
     mold, clamps = answer.rig.mold, answer.rig.clamps
     told = words.format(lead=1e3 * mold.lead, clearance=1e3 * clamps.clearance, vent=100 * max(mold.vents))
-    return Cure(told, max(answer.miss, 0.0)), answer.rig
+    return Cure(told, max(answer.miss, 0.0)), answer
 
 
 def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
@@ -178,9 +185,16 @@ def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) 
     last = ideal.held[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.held[-1])
     if last.max() < low:
         return _for_power(rig, spec)
+    # A mold that had no time to get warm is told by a heating as long as it may be.
+    soon = [_more_time(rig, spec)] if ideal.heating > (1 - WORTH) * spec.longest_heating else []
     if last.max() - last.min() > 0.5 * (high - low):
-        return _for_ends(rig, spec)
-    return _for_narrow_window(rig, spec)
+        return soon + _for_ends(rig, spec)
+    return soon + _for_narrow_window(rig, spec)
+
+
+def _more_time(rig: Rig, spec: HeatingSpec) -> Change:
+    longer = replace(spec, longest_heating=min(MORE_TIME * spec.longest_heating, LONGEST))
+    return f"a heating of up to {longer.longest_heating:g} s", rig, longer
 
 
 def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
@@ -194,9 +208,7 @@ def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
     found.append((words, replace(rig, circuit=circuit), spec))
     if rig.battery.state_of_charge < 0.95:
         found.append(("a full battery", rig.with_charge(1.0), spec))
-    longer = replace(spec, longest_heating=MORE_TIME * spec.longest_heating)
-    found.append((f"a heating of up to {longer.longest_heating:g} s", rig, longer))
-    return found
+    return [*found, _more_time(rig, spec)]
 
 
 def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:

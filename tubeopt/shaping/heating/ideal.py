@@ -40,11 +40,12 @@ MOST_MISS = 1500.0
 """The program is always solvable: the window may be missed by this much, K, at a price."""
 
 WEIGHTS = {
-    "time": {"w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
-    "energy": {"w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_drive": 0.01},
-    "margin": {"w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
+    "time": {"below": 0.0, "w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
+    "energy": {"below": 0.0, "w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_drive": 0.01},
+    "margin": {"below": 1.0, "w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
 }
-"""Per s / 30, J / 1e4, square of 25 K, K, and square of steps of the drive of 100 A^2."""
+"""Whether the limit keeps off by as much as the window's ends; per s / 30, J / 1e4, square of 25 K, K, and square of
+steps of the drive of 100 A^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +226,11 @@ def _unknown_bounds(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> t
     intervals, longest = s.mesh.heating, spec.longest_heating
     lower = [
         cold.ravel(), np.zeros(2 * s.points), np.zeros(n_u), np.full(intervals, 0.5 / DURATION),
-        np.full(s.holding_points, least_miss), tail[0], vent_low,
+        np.full(s.points, least_miss), tail[0], vent_low,
     ]  # fmt: skip
     upper = [
         hot.ravel(), np.full(2 * s.points, np.inf), np.full(n_u, np.inf), np.full(intervals, longest / DURATION),
-        np.full(s.holding_points, MOST_MISS), tail[1], vent_high,
+        np.full(s.points, MOST_MISS), tail[1], vent_high,
     ]  # fmt: skip
     return np.concatenate(lower), np.concatenate(upper)
 
@@ -287,7 +288,7 @@ def _start(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
     design = np.array([rig.clamps.clearance, rig.mold.lead]) / LENGTH
     durations = np.full(s.mesh.heating, planned / DURATION)
     vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
-    misses = np.full(s.holding_points, _start_miss(made, model, spec, found["z"]))
+    misses = np.full(s.points, _start_miss(made, model, spec, found["z"]))
     return np.concatenate([found["z"], found["circuit"], found["drive"], durations, misses, design, vents])
 
 

@@ -114,7 +114,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
-    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _hastened))
+    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _hastened, _counted))
     start, iterations = found.start, 0 if found.program is None else found.program.ideal.iterations
     computed = Computed(
         found.model, start, found.counts, found.levels, found.checked, found.exact, found.error, iterations
@@ -226,12 +226,16 @@ def _schedule(
     asked, on = (spec, rig) if before is None else (replace(spec, free=()), before.ideal.rig)
     guess = None if before is None else before.ideal
     ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess)
+    said = Programmed(ideal, shift, reserve)
+    return replace(_counted(tube, spec, ideal), program=said), said
+
+
+def _counted(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Schedule:
+    """Whole counts in the place of an ideal schedule."""
     model = thermal_model(tube, ideal.rig, FINE)
     levels = commanded(slots(ideal, spec), ideal.rig)
     counts = guarded_counts(model, spec, ideal.rig, levels)
-    found = _simulated((tube, ideal.rig, spec), model, levels, counts, hold_start(ideal, spec))
-    said = Programmed(ideal, shift, reserve)
-    return replace(found, program=said), said
+    return _simulated((tube, ideal.rig, spec), model, levels, counts, hold_start(ideal, spec))
 
 
 def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: History) -> float:

@@ -22,7 +22,7 @@ from ...typing import Array
 from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
 
 WISHES = (
-    "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_drive",
+    "hold", "low", "high", "limit", "below", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_drive",
 )  # fmt: skip
 """Numbers of the question: s, K, K, K, K/s, A, and the weights of the objective."""
 
@@ -149,8 +149,8 @@ def interpolation(mesh: TimeMesh) -> Array:
 class _Unknowns:
     """The symbols: states (S, N), circuit (2, N), drive (1, 1+K), duration and miss in copies, design.
 
-    A copy of the duration in every interval and of the miss at every point of the hold: a single one would be a dense
-    column, which fills the factors.
+    A copy of the duration in every interval and of the miss at every point: a single one would be a dense column, which
+    fills the factors.
     """
 
     z: Any
@@ -169,7 +169,7 @@ class _Unknowns:
             "circuit": (2, s.points),
             "drive": (1, mesh.heating + mesh.hold + 1),
             "durations": (1, mesh.heating),
-            "misses": (1, s.holding_points),
+            "misses": (1, s.points),
             "design": (2 + VENTS, 1),
         }
         return cls(**{name: ca.MX.sym(name, *shape) for name, shape in sizes.items()})
@@ -211,14 +211,14 @@ def program(s: Structure) -> Program:
     everywhere = instant(s.resolution).map("instants", "serial", s.points, [4, 5], [])
     equations, power = everywhere(x.z, rate, x.circuit, drive, x.design, p)
     held = _held(s, x, numbers)
-    misses = ca.repmat(x.misses, held.size1(), 1)
-    limit = (w["limit"] - numbers.scalar["ambient"]) / RISE
+    misses = ca.repmat(x.misses[s.points - s.holding_points :], held.size1(), 1)
+    limit = (w["limit"] - numbers.scalar["ambient"] + w["below"] * x.misses) / RISE
     blocks = {
         "equations": equations,
         "same": ca.horzcat(ca.diff(x.durations, 1, 1), ca.diff(x.misses, 1, 1)),
         "low": (held + misses - w["low"]) / WINDOW,
         "high": (held - misses - w["high"]) / WINDOW,
-        "limit": x.z[: s.resolution.cells, :] - limit,
+        "limit": x.z[: s.resolution.cells, :] - ca.repmat(limit, s.resolution.cells, 1),
         "ramp": rate[s.resolution.grip : s.resolution.cells, :] * RISE / w["ramp"],
         "current": drive * DRIVE / (x.circuit[0, :] * AMPERE) / w["current"],
         "duty": drive * DRIVE / AMPERE**2 - x.circuit[0, :] ** 2,

@@ -39,9 +39,10 @@ class HeatingSpec(Displayed):
     objective: Annotated[
         str,
         OneOf(OBJECTIVES),
-        "what is best: time (soonest done), energy (least charge), margin (farthest from the window's ends)",
+        "what is best: time (soonest done), energy (least charge), margin (farthest from the window's ends and from "
+        "the limit)",
     ] = "time"
-    longest_heating: Annotated[float, key("longest_s"), POSITIVE, "longest heating before the hold"] = 120.0
+    longest_heating: Annotated[float, key("longest_s"), POSITIVE, "longest heating before the hold"] = 360.0
     slot: Annotated[float, key("slot_s"), POSITIVE, "for how long a duty is kept"] = 0.5
     quench: Annotated[str, OneOf(QUENCHES), "after the hold: water or air"] = "water"
     free: Annotated[

@@ -71,8 +71,9 @@ class HeatSpec:
         check_fields(self)
         for name, cold in (("ambient", self.ambient), ("clamp_temperature", self.clamps)):
             if self.set_temperature <= cold:
+                hot = self.set_temperature - ZERO_CELSIUS
                 raise InputError(
-                    f"set_temperature is {self.set_temperature:g} K; it must be above the {name} ({cold:g} K)"
+                    f"set_temperature is {hot:g} degC; it must be above the {name} ({cold - ZERO_CELSIUS:g} degC)"
                 )
 
     @property

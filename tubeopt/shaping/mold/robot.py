@@ -47,7 +47,7 @@ def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list
     if tubes is not None:
         for number in tubes:
             if not 1 <= number <= len(all_tubes):
-                raise InputError(f"tubes is {list(tubes)}; it must be numbers from 1 to {len(all_tubes)}")
+                raise InputError(f"tubes has {number}; it must be numbers of tubes, from 1 to {len(all_tubes)}")
         return list(tubes), []
     numbers: list[int] = []
     left_out = []

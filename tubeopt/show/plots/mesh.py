@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ...bodies.frames import Frame
 from ...typing import Array
 
 if TYPE_CHECKING:
@@ -32,6 +33,10 @@ class Mesh:
         """(k,) m: by which to sort facets that are seen from `towards_viewer` (3,), far ones first."""
         depth: Array = self.corners.mean(1) @ towards_viewer
         return depth if self.lift is None else depth + self.lift * (self.normals @ towards_viewer)
+
+    def placed(self, frame: Frame) -> Mesh:
+        """The same facets, which stand in a frame, as that has them in which it is given."""
+        return Mesh(frame.placed(self.corners), self.normals @ frame.axes.T, self.colours, self.lift)
 
     @staticmethod
     def join(parts: list[Mesh]) -> Mesh:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from ...bodies.corridors import Corridor, MeshObstacle
 from ...bodies.distance_field import DistanceField
 from ...bodies.obstacles import Box as BoxObstacle
 from ...bodies.obstacles import Capsule, HalfSpace, Sphere
+from ...bodies.placed import Turned
 from ...bodies.surface_net import surface_net
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
@@ -86,13 +87,7 @@ def animate_trajectory(
     Raises:
         InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
     """
-    from matplotlib.animation import FuncAnimation, PillowWriter, writers
-
-    ending = Path(path).suffix.lower()
-    if ending not in (".gif", ".mp4"):
-        raise InputError(f"{path}: the name of a film must end in .gif or .mp4")
-    if ending == ".mp4" and not writers.is_available("ffmpeg"):
-        raise InputError(f"{path}: MP4 needs ffmpeg, which was not found; install it, or let the name end in .gif")
+    film_ending(path)
     t = trajectory
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
     arms = arms_at(t, rows)
@@ -113,9 +108,28 @@ def animate_trajectory(
         return []
 
     figure.suptitle(f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", fontsize=9, x=0.04, ha="left")
-    film = FuncAnimation(figure, draw, frames=len(rows), blit=False)
+    return save_film(figure, draw, len(rows), path)
+
+
+def film_ending(path: str | PathLike[str]) -> str:
+    """.gif or .mp4; raises InputError for any other, and where .mp4 cannot be written."""
+    from matplotlib.animation import writers
+
+    ending = Path(path).suffix.lower()
+    if ending not in (".gif", ".mp4"):
+        raise InputError(f"{path}: the name of a film must end in .gif or .mp4")
+    if ending == ".mp4" and not writers.is_available("ffmpeg"):
+        raise InputError(f"{path}: MP4 needs ffmpeg, which was not found; install it, or let the name end in .gif")
+    return ending
+
+
+def save_film(figure: Figure, draw: Callable[[int], Sequence[Any]], count: int, path: str | PathLike[str]) -> Path:
+    """Write as many pictures of a figure, each drawn by its number, as a film."""
+    from matplotlib.animation import FuncAnimation, PillowWriter
+
+    film = FuncAnimation(figure, draw, frames=count, blit=False)
     with atomic_write(path) as temporary:
-        if ending == ".gif":
+        if film_ending(path) == ".gif":
             film.save(temporary, writer=PillowWriter(fps=12), dpi=100)
         else:
             film.save(temporary, writer="ffmpeg", fps=24, dpi=150)
@@ -136,7 +150,7 @@ def arms_at(trajectory: Trajectory, rows: Array) -> list[Equilibrium]:
 def _stage(trajectory: Trajectory, arms: Sequence[Equilibrium], view: tuple[float, float] | None) -> tuple[View, Box]:
     points = np.concatenate([*(arm.position for arm in arms), trajectory.tip_position])
     seen = View(*view) if view is not None else widest_view(points)
-    bodies = [_body(obstacle) for obstacle in trajectory.obstacles]
+    bodies = [body_mesh(obstacle) for obstacle in trajectory.obstacles]
     corners = [mesh.corners.reshape(-1, 3) for mesh in bodies if mesh is not None]
     return seen, Box.around(np.concatenate([points, *corners, np.array([[0.0, 0.0, 0.0]])]))
 
@@ -146,10 +160,10 @@ def _draw_scene(
 ) -> None:
     seen, box = stage
     draw_box(scene, box, seen)
-    parts = [mesh for obstacle in trajectory.obstacles if (mesh := _body(obstacle)) is not None]
+    parts = [mesh for obstacle in trajectory.obstacles if (mesh := body_mesh(obstacle)) is not None]
     for k, arm in enumerate(arms):
         strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else 0.2
-        parts += [_arm(arm, strong)]
+        parts += [arm_mesh(arm, strong)]
     scene.add_collection(facets(Mesh.join(parts), seen))
     tips = seen.project(trajectory.tip_position[: None if upto is None else upto + 1])
     scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5, label="tip")
@@ -157,7 +171,7 @@ def _draw_scene(
     scene.plot(*tips[-1, :2], "o", color=INK, ms=4, zorder=6, label="end")
 
 
-def _arm(arm: Equilibrium, strong: float) -> Mesh:
+def arm_mesh(arm: Equilibrium, strong: float) -> Mesh:
     """The tubes of one shape, paler the less it counts."""
     from matplotlib.colors import to_rgba
 
@@ -174,7 +188,7 @@ def _arm(arm: Equilibrium, strong: float) -> Mesh:
     return Mesh.join(parts)
 
 
-def _body(obstacle: object) -> Mesh | None:
+def body_mesh(obstacle: object) -> Mesh | None:
     """An obstacle as facets; None for a half-space, which has no bounds."""
     if isinstance(obstacle, Sphere):
         return _swept(np.array([obstacle.centre, obstacle.centre]), np.full(2, obstacle.radius), OBSTACLE)
@@ -187,6 +201,9 @@ def _body(obstacle: object) -> Mesh | None:
     if isinstance(obstacle, MeshObstacle):
         corners = np.array(obstacle.vertices)[np.array(obstacle.faces)][:, [0, 1, 2, 2]]
         return _mesh(corners, OBSTACLE)
+    if isinstance(obstacle, Turned):
+        inner = body_mesh(obstacle.body)
+        return None if inner is None else inner.placed(obstacle.frame.inverse)
     if isinstance(obstacle, DistanceField):
         vertices, faces = surface_net(obstacle)
         return _mesh(vertices[faces], OBSTACLE if obstacle.bounded else VESSEL)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
+from .cut import AXES
 from .designs import Knob, knobs
 from .given import BODIES
 from .hand import KEYS
@@ -344,6 +345,7 @@ class Panel:
             self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
         self._button("Forget the trail", self._tab.forget_trail)
         self._upload("Load bodies (YAML, mesh, image)", "obstacles", BODIES)
+        self._cut_controls()
         self._upload("Put another robot beside (YAML)", "beside", YAML)
         self._check("dark", False, self._dark)
         for label, side in (
@@ -354,6 +356,19 @@ class Panel:
         ):
             self._button(label, lambda side=side: self._tab.look(side))
         self._gui.add_html(legend())
+
+    def _cut_controls(self) -> None:
+        """A plane that cuts the bodies, and where it stands."""
+        reach = round(1.5 * TO_MM * max(tube.length for tube in self._view.robot.tubes))
+        across = self._gui.add_dropdown("cut bodies across", ("nothing", *AXES))
+        at = self._gui.add_slider("cut at (mm)", -reach, reach, 0.5, 0.0, marks=())
+
+        async def changed(_: Any) -> None:
+            axis = AXES.index(across.value) if across.value in AXES else None
+            self._tab.cut(axis, float(at.value) / TO_MM)
+
+        across.on_update(changed)
+        at.on_update(changed)
 
     def _dark(self, on: bool) -> None:
         self._gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=on)

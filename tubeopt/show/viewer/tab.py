@@ -18,6 +18,7 @@ from ...robots.load import Load
 from ...workspaces import workspace
 from .arrow import ForceArrow
 from .beside import Beside, session_beside
+from .cut import Plane, cut_parts, cut_words
 from .designs import Knob, with_knob
 from .export import saved
 from .given import Given, load_bodies
@@ -29,7 +30,7 @@ from .playback import load_waypoints
 from .player import Player
 from .plots import torsion_plot
 from .pushing import push_on
-from .scene import Scene, animate, ghost_parts, look_from, obstacle_parts, swept_part
+from .scene import Scene, animate, ghost_parts, look_from, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
 from .swept import swept_volume
@@ -57,6 +58,7 @@ class Tab(Wishes):
         self.scene = Scene(client.scene)
         self._trail = True
         self._obstacles = view.obstacles
+        self._plane: Plane | None = None
         self._beside: Beside | None = None
         self._given = Given()
         self._pulling = self._pushing = self._driving = False
@@ -165,6 +167,14 @@ class Tab(Wishes):
 
     def show(self, layer: str, on: bool) -> None:
         self._do(lambda: self._show(layer, on))
+
+    def cut(self, axis: int | None, at: float) -> None:
+        def go() -> None:
+            self._plane = None if axis is None else Plane(axis, at)
+            if "obstacles" in self.scene.contents:  # which may be none before the plane
+                self._show("obstacles", True)
+
+        self._do(go, key="cut")
 
     def forget_trail(self) -> None:
         self._do(lambda: self._change(clear_trail))
@@ -315,8 +325,11 @@ class Tab(Wishes):
         elif layer == "obstacles":
             if not self._obstacles:
                 self._say("no obstacles were loaded", bad=True)
+                return
             reach = max(tube.length for tube in self.session.robot.tubes)
-            self.scene.layer("obstacles", obstacle_parts(self._obstacles, reach))
+            parts = cut_parts(self._obstacles, reach, self._plane)
+            self.scene.layer("obstacles", parts)
+            self._say(cut_words(parts, self._plane))
         elif layer == "workspace":
             self._say(f"solving {CLOUD} configurations …")
             found = workspace(self.session.robot, CLOUD)

@@ -1,0 +1,58 @@
+"""Two robots on one plate: where they must stand to reach much together, and a task in which neither touches the other.
+
+The plates may be 10 to 30 mm apart, lean by up to 30 deg, and be turned. Then each tip goes to a place of the other's
+side, among those that both reach.
+
+One learns: the distance of two arms that move at the same time can be proved at all times, and costs no more than the
+proof of either motion.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import tubeopt
+from tubeopt.bodies.frames import base_frame
+from tubeopt.show.plots.arms import plot_arms
+from tubeopt.workspaces import place_pair, shared_workspace
+
+ROOT = Path(__file__).resolve().parents[1]
+SHIFT = np.array([0.012, -0.05, -0.085])
+"""Translations at the goals, m."""
+
+
+def main(out: Path) -> list[Path]:
+    """Place the pair, plan, print what was proved, save the picture into `out`, and return its path."""
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+    reached = [tubeopt.workspace(robot, 4000, seed=0)] * 2
+    beside = shared_workspace(reached, [base_frame([x, 0, 0], [0, 0, 1]) for x in (-0.015, 0.015)])
+    best = place_pair(reached, least_distance=0.01, most_distance=0.03, most_tilt=np.radians(30))
+    apart = np.linalg.norm(best.bases[1].origin - best.bases[0].origin)
+    print(f"in voxels of {best.size * 1e3:.0f} mm:")
+    print(f"side by side, 30 mm apart: {100 * beside.share:.0f} % of a workspace is shared")
+    print(f"{apart * 1e3:.0f} mm apart, leaning and turned: {100 * best.share:.0f} %")
+
+    arms = [
+        tubeopt.PlacedRobot(robot, base_frame([x, 0, 0], [-8 * x, 0, 1]), name)
+        for x, name in ((-0.008, "left"), (0.008, "right"))
+    ]
+    withdrawn = (np.zeros(3), np.array([-0.02, -0.08, -0.09]))
+    goals = [(np.radians([60, 50, 75]), SHIFT), (np.radians([-120, -130, -105]), SHIFT)]
+    options = tubeopt.PlanOptions(clearance=5e-4)
+    plan = tubeopt.plan_arms(arms, [withdrawn] * 2, goals, options=options)
+    alone = sum(float(each.time[-1] - each.time[0]) for each in plan.trajectories)
+    print(f"both moved within {plan.duration:.1f} s, one after the other it would take {alone:.1f} s")
+    print(f"at least {plan.proof.least_clearance * 1e3:.2f} mm between them at all times, proved: {plan.proved}")
+    picture = out / "plan_two_arms.png"
+    plot_arms(plan, picture, title="Two robots on one plate cross over")
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

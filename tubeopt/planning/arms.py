@@ -1,0 +1,247 @@
+"""Several robots on one plate or endoscope: their motions past each other, proved; and what is known of a pair."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+
+from ..bodies.frames import Frame
+from ..bodies.obstacles import Capsule, Obstacle
+from ..bodies.placed import seen_from
+from ..bodies.scene import scene_of
+from ..display import Displayed
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError
+from ..inverse.arguments import check_robot, checked_obstacles, kind_of
+from ..inverse.clock import Clock
+from ..inverse.outline import Outline
+from ..robots.robot import Robot
+from ..typing import Array
+from .apart import Apart, Track, apart, tracked
+from .clearing import Wanted
+from .motion import RateLimits
+from .passage import Follower
+from .proof import Proof, ProofStatus, verify_trajectory
+from .sections import Constants
+
+TOLERANCE = 5e-5
+"""How far (m) the bound of the distance of two arms may lie below the least that was measured."""
+
+CHORD = 2e-3
+"""Longest piece (m) of an arm at rest that is taken as straight."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedRobot(Displayed):
+    """A robot, and where its plate is in the frame that all robots share.
+
+    Raises:
+        InputError: no robot, or no frame.
+    """
+
+    robot: Robot
+    base: Frame = field(default_factory=Frame)
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        check_robot(self.robot)
+        kind_of("base", self.base, Frame)
+
+    @property
+    def called(self) -> str:
+        """What messages call it."""
+        return self.name or self.robot.name or "robot"
+
+
+class TimedMotion(Protocol):
+    """Joint values over time: (T,) s, (T, n) rad, (T, n) m; a `Trajectory`, or what a file holds."""
+
+    @property
+    def time(self) -> Array: ...
+
+    @property
+    def rotations(self) -> Array: ...
+
+    @property
+    def translations(self) -> Array: ...
+
+
+@dataclass(frozen=True)
+class PairProof(Displayed):
+    """Two arms by their numbers, from 0, and lower bound of the distance between their surfaces at all times, m: -inf
+    where none is shown; the least that was measured, m, and when, s."""
+
+    arms: tuple[int, int]
+    least_clearance: float
+    measured_clearance: float
+    when: float
+
+
+@dataclass(frozen=True, eq=False)
+class ArmsProof(Displayed):
+    """What was found on motions of several arms: of each by itself, of each pair, and what is wrong, in words."""
+
+    proofs: tuple[Proof, ...]
+    pairs: tuple[PairProof, ...]
+    faults: tuple[str, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether all is proved."""
+        return not self.faults
+
+    @property
+    def least_clearance(self) -> float:
+        """Bound of the least distance between two arms, m."""
+        return min(pair.least_clearance for pair in self.pairs)
+
+    @property
+    def value(self) -> float:
+        """The same."""
+        return self.least_clearance
+
+    @property
+    def status(self) -> ProofStatus:
+        """Whether all is proved."""
+        if self.holds:
+            return ProofStatus.PROVED
+        late = any(proof.open for proof in self.proofs)
+        return ProofStatus.OPEN if late else ProofStatus.FAULTY
+
+
+def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
+    """Two arms at least.
+
+    Raises:
+        InputError: fewer, or what is none.
+    """
+    found = tuple(arms)
+    for k, arm in enumerate(found):
+        kind_of(f"arm {k + 1}", arm, PlacedRobot)
+    if len(found) < 2:
+        raise InputError(f"arms has {len(found)}; several robots are at least 2")
+    return found
+
+
+def one_each(name: str, values: Sequence[object], arms: Sequence[PlacedRobot]) -> None:
+    """Raise InputError unless there is one for every arm."""
+    if len(values) != len(arms):
+        raise InputError(f"{name} has {len(values)} for {len(arms)} arms; it must have one for each")
+
+
+def called(arms: Sequence[PlacedRobot], k: int) -> str:
+    """What messages call an arm: its number, and its name."""
+    return f"arm {k + 1} ({arms[k].called})"
+
+
+def verify_arms(
+    arms: Sequence[PlacedRobot],
+    motions: Sequence[TimedMotion],
+    *,
+    starts: Sequence[Equilibrium | None] | None = None,
+    obstacles: Sequence[Obstacle] = (),
+    min_margin: float = 0.0,
+    clearance: float = 0.0,
+    rate_limits: RateLimits | None = None,
+    clock: Clock | None = None,
+) -> ArmsProof:
+    """Follow motions of several robots, and say whether any of them snaps, hits a body, or touches another.
+
+    Every arm is followed by `verify_trajectory` and, between its equilibria, bounded as there; the distance of two arms
+    is bounded from below at all times and all along both (`apart`). Before and after its own times an arm rests.
+
+    Args:
+        motions: one for each arm, their times on one clock.   starts: stable equilibria at the first samples.
+        obstacles: in the frame that the arms share; each arm keeps `clearance` (m) from them and from all other arms.
+        min_margin, rate_limits, clock: as in `verify_trajectory`, of every arm.
+
+    Raises:
+        InputError: fewer than two arms, not one motion for each, tables that `verify_trajectory` refuses.
+        SolveError: there is no stable equilibrium at a first sample.
+
+    Examples:
+        >>> import tubeopt
+        >>> from tubeopt.bodies.frames import base_frame
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> plan = tubeopt.plan_trajectory(robot, ([0, 0, 0], None), ([0.5, 0, 0], None))
+        >>> arms = [tubeopt.PlacedRobot(robot, base_frame([x, 0, 0], [x, 0, 1])) for x in (-0.05, 0.05)]
+        >>> tubeopt.verify_arms(arms, [plan, plan]).holds
+        True
+    """
+    known = checked_arms(arms)
+    one_each("motions", motions, known)
+    begins = [None] * len(known) if starts is None else list(starts)
+    one_each("starts", begins, known)
+    bodies = checked_obstacles(obstacles)
+    proofs, tracks = [], []
+    for arm, motion, begin in zip(known, motions, begins, strict=True):
+        first = begin or forward_kinematics(arm.robot, motion.rotations[0], motion.translations[0])
+        proofs.append(
+            verify_trajectory(
+                arm.robot,
+                motion.time,
+                motion.rotations,
+                motion.translations,
+                start=first,
+                obstacles=seen_from(arm.base, bodies),
+                min_margin=min_margin,
+                clearance=clearance,
+                rate_limits=rate_limits,
+                clock=clock,
+            )
+        )
+        tracks.append(_track(arm, motion, first, clock))
+    faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
+    pairs = []
+    for i, j in combinations(range(len(known)), 2):
+        found = apart(tracks[i], tracks[j], Wanted(clearance, TOLERANCE))
+        pairs.append(PairProof((i, j), found.least, found.measured, found.when))
+        faults += _between(known, (i, j), found, clearance)
+    return ArmsProof(tuple(proofs), tuple(pairs), tuple(faults))
+
+
+def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None) -> Track:
+    wanted, longest = Wanted(0.0, TOLERANCE), max(tube.length for tube in arm.robot.tubes)
+    until = math.inf if clock is None else clock.began + clock.limit
+    follower = Follower(arm.robot, scene_of(()), wanted, longest, until, Constants.of(arm.robot))
+    joints = np.concatenate([motion.rotations, motion.translations], axis=1)
+    return tracked(follower, first, np.asarray(motion.time, dtype=float), joints, arm.base)
+
+
+def _between(arms: Sequence[PlacedRobot], pair: tuple[int, int], found: Apart, clearance: float) -> list[str]:
+    """What is wrong with two arms, or is not shown of them."""
+    words = " and ".join(called(arms, k) for k in pair)
+    if found.measured < clearance:
+        return [
+            f"{words} come as close as {found.measured * 1e3:.4g} mm at {found.when:.4g} s; they must keep "
+            f"{clearance * 1e3:.6g} mm"
+        ]
+    if found.least == -math.inf:
+        return [f"not proved: nothing bounds the distance of {words} all the way"]
+    if found.least < clearance:
+        shown = f"{found.least * 1e3:.4g} mm are shown of the distance of {words}"
+        return [f"not proved: of the clearance of {clearance * 1e3:.6g} mm only {shown}"]
+    return []
+
+
+def at_rest(equilibrium: Equilibrium, base: Frame) -> tuple[Capsule, ...]:
+    """Capsules that hold all of an arm, in the frame that arms share: what others keep away from while it rests."""
+    ends = equilibrium.tube_end
+    length = float(equilibrium.arc_length[-1])
+    s = np.union1d(np.linspace(0.0, length, 2 + int(length / CHORD)), ends[(ends > 0) & (ends < length)])
+    outline = Outline(equilibrium)
+    points, _ = outline.at(s)
+    bend = float(np.linalg.norm(equilibrium.curvature, axis=1).max(initial=0.0))
+    more = 1.2 * bend * np.diff(s) ** 2 / 8
+    places = base.placed(points)
+    radius = outline.radius((s[:-1] + s[1:]) / 2) + more
+    return tuple(
+        Capsule(tuple(a), tuple(b), float(r))
+        for a, b, r in zip(places[:-1].tolist(), places[1:].tolist(), radius, strict=True)
+    )

@@ -1,0 +1,134 @@
+"""What is said and saved about the motions of several robots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import NotProvedError
+from ..files.csv_file import to_csv
+from ..files.files import write_text
+from ..files.units import TO_MM
+from ..planning import ArmsPlan, PairProof, Trajectory
+from ..planning.file import save_trajectory
+from ..robots.file import save_robot
+from ..typing import Array
+from .plan_report import TRAJECTORY
+from .quantities import Quantity, line
+from .report import Drawing, Report, drawing, report
+
+INSTANTS = 200
+"""Instants at which the distances between arms are told in a file."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Arm:
+    """One of several robots of a plan: its number, from 1, and its motion."""
+
+    number: int
+    name: str
+    position: Array
+    direction: Array
+    motion: Trajectory
+
+
+def _arms(plan: ArmsPlan) -> list[_Arm]:
+    return [
+        _Arm(k + 1, arm.called, arm.base.origin, arm.base.axes[:, 2], motion)
+        for k, (arm, motion) in enumerate(zip(plan.arms, plan.trajectories, strict=True))
+    ]
+
+
+def _bound(pair: PairProof) -> str:
+    i, j = pair.arms
+    if not np.isfinite(pair.least_clearance):
+        return f"{i + 1} and {j + 1}: none is shown ({pair.measured_clearance * TO_MM:.3f} mm measured)"
+    shown = np.floor(pair.least_clearance * TO_MM * 1e3) / 1e3  # rounded down, so that a bound stays one
+    measured = f"{pair.measured_clearance * TO_MM:.3f} mm measured at {pair.when:.2f} s"
+    return f"{i + 1} and {j + 1}: at least {shown:.3f} mm at all times ({measured})"
+
+
+def _moves(arm: _Arm) -> str:
+    t = arm.motion
+    if len(t.time) == 1:
+        return f"{arm.name} rests"
+    return f"{arm.name} moves from {t.time[0]:.2f} to {t.time[-1]:.2f} s, margin at least {t.proof.least_margin:.4f}"
+
+
+ARM: tuple[Quantity[_Arm], ...] = (
+    Quantity("number", "of the arm, from 1"),
+    Quantity("name", "of the arm"),
+    Quantity("position_mm", "of its plate in the frame that all share"),
+    Quantity("direction", "along which it leaves the plate"),
+    Quantity("begin_s", "when it begins to move", lambda a: a.motion.time[0]),
+    Quantity("end_s", "from when it rests", lambda a: a.motion.time[-1]),
+    Quantity("motion", "its motion, in the frame of its own plate", of=TRAJECTORY),
+)
+
+PAIR: tuple[Quantity[PairProof], ...] = (
+    Quantity("arms", "their numbers, from 1", lambda p: [k + 1 for k in p.arms]),
+    Quantity("least_clearance_mm", "proved distance of both at all times"),
+    Quantity("measured_clearance_mm", "least distance that was measured"),
+    Quantity("when_s", "when that was"),
+)
+
+ARMS: tuple[Quantity[ArmsPlan], ...] = (
+    Quantity("proved", "whether all that was asked for holds"),
+    Quantity("status", "how the planning ended"),
+    Quantity("duration_s", "until the last arm rests", form=".2f"),
+    Quantity("order", "in which the arms were planned for, from 1", lambda p: [k + 1 for k in p.order],
+             words=lambda p: ", ".join(str(k + 1) for k in p.order)),
+    line("arms", lambda p: "; ".join(_moves(arm) for arm in _arms(p))),
+    line("distances between arms", lambda p: "; ".join(_bound(pair) for pair in p.proof.pairs)),
+    Quantity("faults", "what does not hold, in words", lambda p: list(p.proof.faults)),
+    Quantity("arms", "each of the arms", _arms, of=ARM),
+    Quantity("pairs", "what is known of two arms each", lambda p: p.proof.pairs, of=PAIR),
+    Quantity("seconds_s", "that planning and proof took", lambda p: p.seconds, form=".1f"),
+)  # fmt: skip
+
+
+class ArmsReport(Report[ArmsPlan]):
+    """What is said and saved about the motions of several robots."""
+
+    command = "plan-arms"
+    quantities = ARMS
+    file = "plan_arms.json"
+
+    def title(self) -> str:
+        """Whether all is proved."""
+        p = self.answer
+        return f"{len(p.arms)} arms: {'motions past each other, proved' if p.proved else f'motions, {p.status}'}"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write arm_1/robot.yaml, arm_1/trajectory.csv and so on, the distances between arms, and plan_arms.json."""
+        p, paths = self.answer, list[Path]()
+        for arm in _arms(p):
+            folder = directory / f"arm_{arm.number}"
+            paths += [folder / "robot.yaml", folder / "trajectory.csv"]
+            save_robot(arm.motion.robot, paths[-2])
+            save_trajectory(arm.motion, paths[-1], robot_file="robot.yaml")
+        times = np.linspace(0.0, p.duration, INSTANTS)
+        columns = ["time_s", *(f"arms_{i + 1}_{j + 1}_mm" for i, j in (pair.arms for pair in p.proof.pairs))]
+        rows = (
+            [float(t), *(round(float(x) * TO_MM, 6) for x in row)]
+            for t, row in zip(times, p.clearance(times), strict=True)
+        )
+        paths.append(directory / "between_arms.csv")
+        write_text(paths[-1], to_csv(columns, rows))
+        return [*paths, self.save_record(directory)]
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The arms and their distances, still and moving."""
+        from .plots.arms import animate_arms, plot_arms
+
+        return {"arms": drawing(plot_arms, self.answer), "arms.gif": drawing(animate_arms, self.answer)}
+
+    def conclude(self) -> None:
+        """Raise NotProvedError where something is not proved."""
+        if not self.answer.proved:
+            raise NotProvedError(f"motions were found, but: {self.answer.status}")
+
+
+report.register(ArmsPlan, ArmsReport)

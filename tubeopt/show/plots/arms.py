@@ -1,0 +1,124 @@
+"""Pictures of the motions of several robots: all arms as they sweep, and the distances between them; as a film too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...bodies.frames import Frame
+from ...files.units import TO_MM
+from ...planning import ArmsPlan
+from ...typing import Array
+from .mesh import Mesh
+from .stage import Box, View, draw_box, facets, widest_view
+from .style import FAINT, INK, headed, new_figure, number, picture, styled
+from .trajectory import arm_mesh, body_mesh, film_ending, save_film
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHOWN = 6
+"""Instants at which the arms are drawn in the picture."""
+
+FRAMES = 24
+"""Pictures of the film."""
+
+CURVE = 160
+"""Instants of the curve of distances."""
+
+
+@picture
+def plot_arms(plan: ArmsPlan, *, title: str = "", view: tuple[float, float] | None = None) -> Figure:
+    """Picture of a plan of several arms: all of them to scale at some instants, and the distances between them over
+    time, with what was asked for and what is proved.
+
+    Args:
+        title: heading; by default what the arms are called.
+        view: elevation and azimuth of the viewer, deg; None looks across the widest side of the motion.
+    """
+    figure = new_figure(10.0, 4.8)
+    scene, curve = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    stage = _stage(plan, view)
+    _draw(scene, plan, np.linspace(0.0, plan.duration, SHOWN), stage)
+    _distances(curve, plan, np.linspace(0.0, plan.duration, CURVE))
+    curve.legend(loc="best", frameon=False)
+    headed(figure, title or " and ".join(arm.called for arm in plan.arms))
+    return figure
+
+
+@styled
+def animate_arms(
+    plan: ArmsPlan, path: str | PathLike[str], *, frames: int = FRAMES, view: tuple[float, float] | None = None
+) -> Path:
+    """The moving arms as a film, with the distances between them below: GIF, or MP4 where there is ffmpeg.
+
+    Raises:
+        InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
+    """
+    film_ending(path)
+    figure = new_figure(5.0, 5.6)
+    figure.set_layout_engine("none")
+    scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
+    stage, times = _stage(plan, view), np.linspace(0.0, plan.duration, frames)
+
+    def draw(k: int) -> Sequence[Any]:
+        scene.clear()
+        below.clear()
+        _draw(scene, plan, times[k : k + 1], stage)
+        _distances(below, plan, times)
+        below.axvline(float(times[k]), color=INK, lw=0.8)
+        return []
+
+    figure.suptitle(f"{len(plan.arms)} arms: {number(plan.duration, 1)} s", fontsize=9, x=0.04, ha="left")
+    return save_film(figure, draw, frames, path)
+
+
+def _stage(plan: ArmsPlan, view: tuple[float, float] | None) -> tuple[View, Box]:
+    points = [np.zeros((1, 3))]
+    for arm, motion in zip(plan.arms, plan.trajectories, strict=True):
+        ends = (motion.start, motion.end)
+        points += [arm.base.placed(each) for each in (motion.tip_position, *(e.position for e in ends))]
+    together = np.concatenate(points)
+    bodies = [mesh.corners.reshape(-1, 3) for body in plan.obstacles if (mesh := body_mesh(body)) is not None]
+    return View(*view) if view is not None else widest_view(together), Box.around(np.concatenate([together, *bodies]))
+
+
+def _draw(scene: Axes, plan: ArmsPlan, times: Array, stage: tuple[View, Box]) -> None:
+    """All arms at some instants, paler but for the last, and the ways of their tips up to it."""
+    seen, box = stage
+    draw_box(scene, box, seen)
+    parts = [mesh for body in plan.obstacles if (mesh := body_mesh(body)) is not None]
+    for k, t in enumerate(times):
+        strong = 1.0 if k == len(times) - 1 else 0.45 if k == 0 else 0.15
+        for arm, motion, row in zip(plan.arms, plan.trajectories, plan.rows_at(float(t)), strict=True):
+            parts.append(arm_mesh(motion.arms[row], strong).placed(arm.base))
+    scene.add_collection(facets(Mesh.join(parts), seen))
+    for arm, motion, row in zip(plan.arms, plan.trajectories, plan.rows_at(float(times[-1])), strict=True):
+        tips = seen.project(arm.base.placed(motion.tip_position[: row + 1]))
+        scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5)
+        scene.plot(*tips[-1, :2], "o", color=INK, ms=3, zorder=6)
+        _name(scene, seen, arm.base, arm.called)
+
+
+def _name(scene: Axes, seen: View, base: Frame, name: str) -> None:
+    at = seen.project(base.origin)
+    scene.annotate(name, (float(at[0]), float(at[1])), (0, -12), textcoords="offset points", ha="center", fontsize=8)
+
+
+def _distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:
+    gaps = plan.clearance(times) * TO_MM
+    for k, pair in enumerate(plan.proof.pairs):
+        words = f"arms {pair.arms[0] + 1} and {pair.arms[1] + 1}"
+        line = axes.plot(times, gaps[:, k], lw=1.4, color=INK if k == 0 else None, label=words)[0]
+        if np.isfinite(pair.least_clearance):
+            axes.axhline(
+                pair.least_clearance * TO_MM, lw=0.8, color=line.get_color(), ls=":", label="proved at all times"
+            )
+    axes.axhline(plan.min_clearance * TO_MM, color=FAINT, lw=0.8, ls="--", label="asked for")
+    axes.set(xlabel="time (s)", ylabel="between arms (mm)")
+    axes.set_ylim(bottom=0)

@@ -1,0 +1,133 @@
+"""What two robots reach together, and how to place them so that this is much: overlap of workspaces, in voxels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from ..bodies.frames import Frame, base_frame
+from ..display import Displayed
+from ..errors import InputError, positive
+from ..typing import Array
+from .table import Workspace, held, require_samples
+from .voxels import cells, default_size, index_of, keys_of
+
+SEARCHED, EACH = 25, 5
+"""Generations of differential evolution at most, and how many of each there are per unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class SharedWorkspace(Displayed):
+    """Voxels of edge `size` (m) that the tips of two robots reach.
+
+    volumes: (2,) of either workspace, m^3.   shared: of both together, m^3.   places: (V, 3) centres of the voxels that
+    both reach, in the frame that the robots share, m.   bases: where the robots stand.
+    """
+
+    size: float
+    volumes: Array
+    shared: float
+    places: Array
+    bases: tuple[Frame, Frame]
+
+    @property
+    def value(self) -> float:
+        """The volume that both reach, m^3."""
+        return self.shared
+
+    @property
+    def share(self) -> float:
+        """Part of the smaller workspace that the other robot reaches too."""
+        return float(self.shared / self.volumes.min())
+
+
+def shared_workspace(
+    workspaces: Sequence[Workspace], bases: Sequence[Frame], *, size: float | None = None, min_margin: float = 0.0
+) -> SharedWorkspace:
+    """The voxels that the tips of two robots reach which stand in two frames; what keeps one from where the other is at
+    the time is for `plan_arms`.
+
+    Args:
+        size: edge of the voxels, m; by default as in `voxels`. With few samples in each, voxels are missed, and the
+            share is told too small.
+        min_margin: only configurations at least as stable count.
+
+    Raises:
+        InputError: not two workspaces and two frames, a size that is not greater than 0, no sample with the margin.
+    """
+    if len(workspaces) != 2 or len(bases) != 2:
+        raise InputError(f"there are {len(workspaces)} workspaces and {len(bases)} bases; there must be two of each")
+    tips = [_tips(each, min_margin) for each in workspaces]
+    return _shared(tips, (bases[0], bases[1]), _edge(workspaces, size))
+
+
+def _edge(workspaces: Sequence[Workspace], size: float | None) -> float:
+    """Edge of the voxels, m: as given, or such that some fifty samples of either workspace fall into one."""
+    return max(default_size(each) for each in workspaces) if size is None else positive("size", size)
+
+
+def _tips(workspace: Workspace, min_margin: float) -> Array:
+    require_samples(workspace)
+    table = workspace.table
+    tips = table[held(table, min_margin)]
+    n = workspace.robot.n_tubes
+    if not len(tips):
+        raise InputError(f"no sample of the workspace has a margin of {min_margin:g}")
+    return np.asarray(tips[:, 2 * n : 2 * n + 3])
+
+
+def _shared(tips: Sequence[Array], bases: tuple[Frame, Frame], size: float) -> SharedWorkspace:
+    one, other = (np.unique(keys_of(cells(base.placed(tip), size))) for base, tip in zip(bases, tips, strict=True))
+    both = index_of(np.intersect1d(one, other, assume_unique=True))
+    volumes = np.array([len(one), len(other)]) * size**3
+    return SharedWorkspace(size, volumes, len(both) * size**3, np.asarray((both + 0.5) * size), bases)
+
+
+def place_pair(
+    workspaces: Sequence[Workspace],
+    *,
+    least_distance: float,
+    most_distance: float,
+    most_tilt: float = np.pi / 4,
+    size: float | None = None,
+    min_margin: float = 0.0,
+    seed: int = 0,
+) -> SharedWorkspace:
+    """Where two robots stand best: beside each other along x, symmetric about the origin, each leaning in the plane of
+    x and z and turned about its own axis so that the volume that both reach is the largest.
+
+    Args:
+        least_distance, most_distance: between the middles of the plates, m.   most_tilt: of each from z, rad.
+        seed: of differential evolution, by which distance, two tilts and two turns are found.
+
+    Raises:
+        InputError: as `shared_workspace`; distances that leave nothing.
+    """
+    if not 0 < least_distance <= most_distance:
+        raise InputError(
+            f"the plates stand {least_distance * 1e3:g} to {most_distance * 1e3:g} mm apart; the least must be greater "
+            "than 0, and no more than the most"
+        )
+    edge = shared_workspace(workspaces, (Frame(), Frame()), size=size, min_margin=min_margin).size
+    tips = [_tips(each, min_margin) for each in workspaces]
+    tilt = positive("most_tilt", most_tilt)
+
+    def bases(x: Array) -> tuple[Frame, Frame]:
+        frames = []
+        for side, lean, turn in ((-1, x[1], x[3]), (1, x[2], x[4])):
+            frames.append(base_frame([side * x[0] / 2, 0, 0], [-side * np.sin(lean), 0, np.cos(lean)], turn))
+        return frames[0], frames[1]
+
+    found = scipy.optimize.differential_evolution(
+        lambda x: -_shared(tips, bases(x), edge).shared,
+        [(least_distance, most_distance), (-tilt, tilt), (-tilt, tilt), (-np.pi, np.pi), (-np.pi, np.pi)],
+        maxiter=SEARCHED,
+        popsize=EACH,
+        tol=1e-3,
+        rng=seed,
+        polish=False,
+    )
+    return _shared(tips, bases(found.x), edge)
