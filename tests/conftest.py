@@ -30,6 +30,11 @@ SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8"
 """Tests that take half a second or more: left out by `python -m pytest -m "not slow"`, for everyday work."""
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are processors: tests wait for browsers and other processes a fifth of their time."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the slow tests, which are listed in one file, so that a new list is one run with `--durations=0`.
 
