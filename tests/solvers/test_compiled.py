@@ -206,7 +206,7 @@ def test_a_compiler_that_does_not_know_the_processor_is_told_once(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     own = tmp_path / "old-cc"
-    own.write_text('#!/bin/sh\ncase " $* " in *" -march=native "*) exit 1;; esac\nexec cc "$@"\n')
+    own.write_text(f'#!/bin/sh\ncase " $* " in *" {building.OWN_PROCESSOR} "*) exit 1;; esac\nexec cc "$@"\n')
     own.chmod(0o755)
     monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path))
     monkeypatch.setenv("CC", str(own))
@@ -214,7 +214,7 @@ def test_a_compiler_that_does_not_know_the_processor_is_told_once(
     for text in ("int one(void) { return 1; }", "int two(void) { return 2; }"):
         assert building._build(text) is not None
     (record,) = caplog.records
-    assert record.getMessage().startswith(f"{own} cannot compile the kernel with -march=native: ")
+    assert record.getMessage().startswith(f"{own} cannot compile the kernel with {building.OWN_PROCESSOR}: ")
 
 
 def test_a_file_that_is_no_library_is_no_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
