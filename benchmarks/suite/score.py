@@ -87,7 +87,8 @@ def _table(one: dict[str, Any], key: str, factor: float, n: int) -> Array:
 
 
 def _failed(question: dict[str, Any], answer: dict[str, Any] | None, why: str) -> Score:
-    seconds = np.nan if answer is None else float(answer.get("seconds", np.nan))
+    told = None if answer is None else answer.get("seconds")
+    seconds = float(told) if isinstance(told, int | float) else np.nan
     return Score(question["id"], question["robot"], question["scene"], seconds, why)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from tubeopt.bodies.frames import Frame, base_frame
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.placed import seen_from
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.planning import arms_plan
 from tubeopt.planning.arms import TOLERANCE, at_rest
 from tubeopt.typing import Array
 
@@ -164,3 +167,35 @@ def test_what_makes_no_question_is_refused() -> None:
         plan_arms([arm] * 2, [REST] * 2, [REST] * 2, options=PlanOptions(max_force=0.01))
     with pytest.raises(SolveError, match=r"at their starts arm 1 \(CRL CTR\) and arm 2 \(CRL CTR\) are -1.5 mm apart"):
         plan_arms([arm] * 2, [REST] * 2, [REST] * 2)
+
+
+def test_withdrawn_arms_need_room_at_their_plates() -> None:
+    """All tubes end at the plate: nothing stands out, but 1.5 mm of tube fill each of two holes 0.2 mm apart."""
+    arms = [PlacedRobot(ROBOT, Frame(origin=np.array([x, 0.0, 0.0]))) for x in (0.0, 0.2e-3)]
+    flush = np.array([-0.041, -0.1, -0.1])
+    rest = SimpleNamespace(time=np.zeros(1), rotations=np.zeros((1, 3)), translations=flush[None])
+    proof = verify_arms(arms, [rest, rest])
+    assert not proof.holds
+    assert proof.least_clearance == pytest.approx(0.2e-3 - 1.5e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.array])
+def test_a_goal_of_the_tip_is_in_the_frame_that_arms_share(kind: Any) -> None:
+    arm = PlacedRobot(ROBOT, base_frame([0.01, 0.02, 0], [0.1, 0, 1]))
+    place = np.array([0.004, -0.01, 0.05])
+    assert arms_plan._in_frame(arm, kind(place.tolist())) == pytest.approx(arm.base.seen(place))
+    joints = [[0, 0, 0], [-0.02, -0.05, -0.06]]
+    assert arms_plan._in_frame(arm, joints) is joints
+
+
+def test_orders_begin_with_every_arm() -> None:
+    for n in (2, 3, 4, 7):
+        orders = arms_plan._orders(n)
+        assert {order[0] for order in orders} == set(range(n))
+        assert all(sorted(order) == list(range(n)) for order in orders)
+
+
+def test_a_base_is_a_right_handed_frame() -> None:
+    for axes in (2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.ones(3)):
+        with pytest.raises(InputError, match="axes of the base are no right-handed frame"):
+            PlacedRobot(ROBOT, Frame(axes, np.zeros(3)))

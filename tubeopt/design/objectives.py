@@ -85,6 +85,10 @@ class Objective:
                 raise InputError("tip_force of the objective is 0; it must push")
             object.__setattr__(self, "tip_force", tuple(force.tolist()))
         if self.translations is not None:
+            if self.kind not in ("tip_curvature", "turning_radius"):
+                raise InputError(
+                    "translations belong to the objectives tip_curvature and turning_radius, and to no other"
+                )
             object.__setattr__(self, "translations", row("translations of the objective", self.translations))
 
     @property

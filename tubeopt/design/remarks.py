@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from ..robots.concentric import ConcentricRobot
-from ..robots.tubes import mass_per_length
+from ..robots.tubes import Tube, mass_per_length
+from ..typing import Array
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -39,8 +40,8 @@ def _bounds(dimensions: Sequence[Held]) -> Iterator[str]:
 
 
 def _useless(robot: ConcentricRobot) -> Iterator[str]:
-    """Tubes whose bend moves the end of their curved part, in the bundle, by less than the weight of the stiffest tube
-    moves its own: as cantilevers, kb kappa L^2 / (2 sum kb) and w L^4 / (8 kb)."""
+    """Tubes whose bend moves the end of their curved part, at home, by less than the weight of the stiffest tube moves
+    its own: as cantilevers, the curvature kb kappa / sum kb of the tubes that are there, and w L^4 / (8 kb)."""
     stiff = np.array([float(tube.bending_stiffness) for tube in robot.tubes])
     stiffest = int(stiff.argmax())
     outer = robot.tubes[stiffest]
@@ -48,10 +49,21 @@ def _useless(robot: ConcentricRobot) -> Iterator[str]:
     if mass is None or robot.n_tubes == 1:
         return
     sag = mass * GRAVITY * outer.curved_length**4 / (8 * stiff[stiffest])
+    ends = np.array([tube.length for tube in robot.tubes]) + robot.home_translations
     for i, tube in enumerate(robot.tubes):
-        moved = stiff[i] * abs(tube.curvature) * tube.curved_length**2 / (2 * stiff.sum())
+        moved = _moved(tube, float(ends[i]), ends, stiff)
         if moved < sag:
             yield (
                 f"tube {i + 1} bends the arm by {moved * 1e3:.2g} mm, less than the {sag * 1e3:.2g} mm by which tube "
                 f"{stiffest + 1}, the stiffest, sags under its own weight: it may as well be straight"
             )
+
+
+def _moved(tube: Tube, end: float, ends: Array, stiff: Array) -> float:
+    """How far, m, the end (m from the plate) of a tube is moved by its bend, tubes of `stiff` lying up to `ends`."""
+    begin = end - tube.curved_length
+    cuts = np.unique(np.clip([begin, *ends, end], begin, end))
+    there = ends > 0.5 * (cuts[1:] + cuts[:-1])[:, None]
+    bend = float(tube.bending_stiffness) * abs(tube.curvature) / (there * stiff).sum(1)
+    lever = end - cuts
+    return float((bend * (lever[:-1] ** 2 - lever[1:] ** 2) / 2).sum())

@@ -181,9 +181,20 @@ def _given_poses(task: DesignTask, what: str) -> None:
 
 def _check_pieces(task: DesignTask) -> None:
     """What a design of pieces cannot ask for: what is about boxes or forces, or told by one curvature of a tube."""
+    if any(tube.general for tube in task.space.robot_tubes) and any(
+        isinstance(one, SnapFree) and one.growth > 1 for one in task.requirements
+    ):
+        raise InputError(
+            "snap_free names errors of curvature or stiffness; for tubes made of pieces nothing is proved of them: ask "
+            "for a larger margin, and look at tolerances"
+        )
     if not task.space.spots:
         return
     for one in task.requirements:
+        if isinstance(one, StrokeForce):
+            raise InputError(
+                "stroke_force is required; a design of pieces does not take it, nor anything under a force"
+            )
         if isinstance(one, Strain):
             _check_slots(task.space)
         if isinstance(one, Coverage):
@@ -254,8 +265,8 @@ def _check_objectives(task: DesignTask) -> None:
             _advanced(task, one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
-        if one.kind == "stroke_force":
-            _given_poses(task, "objective stroke_force")
+        if one.kind in ("stroke_force", "workspace_volume"):
+            _given_poses(task, f"objective {one.kind}")
         if one.kind in POSED and not task.has_poses:
             raise InputError(f"objective {one.kind} needs task poses (Reach, Coverage or Poses); the task has none")
     if len({key_of(one) for one in task.objectives}) < len(task.objectives):

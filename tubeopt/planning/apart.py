@@ -195,8 +195,8 @@ def _joined(parts: Sequence[PairCells]) -> PairCells:
 
 @dataclass(frozen=True)
 class Apart:
-    """What is known of two arms: lower bound of their distance at all times, -inf where none is shown; the least that
-    was measured, m; and when that was, s."""
+    """What is known of two arms: lower bound of their distance at all times, -inf where none is shown; the least
+    between equilibria that were looked at, taken as linear in time there, m; and when that was, s."""
 
     least: float
     measured: float

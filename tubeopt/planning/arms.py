@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Protocol
@@ -11,13 +12,13 @@ from typing import Protocol
 import numpy as np
 
 from ..bodies.frames import Frame
-from ..bodies.obstacles import Capsule, Obstacle
+from ..bodies.obstacles import Capsule, Obstacle, Sphere
 from ..bodies.placed import seen_from
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError
+from ..errors import InputError, vector
 from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
@@ -32,6 +33,9 @@ from .sections import Constants
 
 TOLERANCE = 5e-5
 """How far (m) the bound of the distance of two arms may lie below the least that was measured."""
+
+CLOSE = "come as close as about"
+"""How a fault of two arms begins that is one, not only nothing that is shown."""
 
 CHORD = 2e-3
 """Longest piece (m) of an arm at rest that is taken as straight."""
@@ -52,6 +56,10 @@ class PlacedRobot(Displayed):
     def __post_init__(self) -> None:
         check_robot(self.robot)
         kind_of("base", self.base, Frame)
+        vector("origin of the base", self.base.origin, 3, "x, y, z")
+        axes = np.asarray(self.base.axes, dtype=float)
+        if axes.shape != (3, 3) or not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0:
+            raise InputError("axes of the base are no right-handed frame; they must be three unit vectors as columns")
 
     @property
     def called(self) -> str:
@@ -75,7 +83,8 @@ class TimedMotion(Protocol):
 @dataclass(frozen=True)
 class PairProof(Displayed):
     """Two arms by their numbers, from 0, and lower bound of the distance between their surfaces at all times, m: -inf
-    where none is shown; the least that was measured, m, and when, s."""
+    where none is shown; the least between the equilibria that were looked at, m, and when, s, taken as linear in time
+    there. What an arm needs at its plate is a body to the others: `ArmsProof.proofs` tell of it."""
 
     arms: tuple[int, int]
     least_clearance: float
@@ -111,8 +120,10 @@ class ArmsProof(Displayed):
         """Whether all is proved."""
         if self.holds:
             return ProofStatus.PROVED
+        refuted = any(proof.faults and not proof.open for proof in self.proofs)
+        refuted |= any(CLOSE in fault for fault in self.faults)
         late = any(proof.open for proof in self.proofs)
-        return ProofStatus.OPEN if late else ProofStatus.FAULTY
+        return ProofStatus.OPEN if late and not refuted else ProofStatus.FAULTY
 
 
 def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
@@ -121,7 +132,10 @@ def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
     Raises:
         InputError: fewer, or what is none.
     """
-    found = tuple(arms)
+    try:
+        found = tuple(arms)
+    except TypeError:
+        raise InputError(f"arms is {arms!r}; it must be a list of PlacedRobot") from None
     for k, arm in enumerate(found):
         kind_of(f"arm {k + 1}", arm, PlacedRobot)
     if len(found) < 2:
@@ -133,6 +147,27 @@ def one_each(name: str, values: Sequence[object], arms: Sequence[PlacedRobot]) -
     """Raise InputError unless there is one for every arm."""
     if len(values) != len(arms):
         raise InputError(f"{name} has {len(values)} for {len(arms)} arms; it must have one for each")
+
+
+def plate_of(arm: PlacedRobot) -> Sphere:
+    """What all tubes need where they leave the plate, in the frame that arms share: they are there when withdrawn."""
+    x, y, z = np.asarray(arm.base.origin, dtype=float).tolist()
+    return Sphere((x, y, z), float(Constants.of(arm.robot).radius.max()))
+
+
+def between_plates(one: PlacedRobot, other: PlacedRobot) -> float:
+    """Distance of what two arms need at their plates, m."""
+    a, b = plate_of(one), plate_of(other)
+    return float(np.linalg.norm(np.subtract(a.centre, b.centre))) - a.radius - b.radius
+
+
+@contextmanager
+def of_arm(arms: Sequence[PlacedRobot], k: int) -> Iterator[None]:
+    """Name the arm in what is wrong with an argument."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{called(arms, k)}: {error}") from error
 
 
 def called(arms: Sequence[PlacedRobot], k: int) -> str:
@@ -179,31 +214,48 @@ def verify_arms(
     begins = [None] * len(known) if starts is None else list(starts)
     one_each("starts", begins, known)
     bodies = checked_obstacles(obstacles)
+    plates = [plate_of(arm) for arm in known]
     proofs, tracks = [], []
-    for arm, motion, begin in zip(known, motions, begins, strict=True):
-        first = begin or forward_kinematics(arm.robot, motion.rotations[0], motion.translations[0])
-        proofs.append(
-            verify_trajectory(
-                arm.robot,
-                motion.time,
-                motion.rotations,
-                motion.translations,
-                start=first,
-                obstacles=seen_from(arm.base, bodies),
-                min_margin=min_margin,
-                clearance=clearance,
-                rate_limits=rate_limits,
-                clock=clock,
+    for k, (arm, motion, begin) in enumerate(zip(known, motions, begins, strict=True)):
+        others = [plate for j, plate in enumerate(plates) if j != k]
+        with of_arm(known, k):
+            time, rotations, translations = _tables(motion)
+            first = begin or forward_kinematics(arm.robot, rotations[0], translations[0])
+            proofs.append(
+                verify_trajectory(
+                    arm.robot,
+                    time,
+                    rotations,
+                    translations,
+                    start=first,
+                    obstacles=seen_from(arm.base, [*bodies, *others]),
+                    min_margin=min_margin,
+                    clearance=clearance,
+                    rate_limits=rate_limits,
+                    clock=clock,
+                )
             )
-        )
         tracks.append(_track(arm, motion, first, clock))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
         found = apart(tracks[i], tracks[j], Wanted(clearance, TOLERANCE))
+        plates_apart = between_plates(known[i], known[j])
+        found = Apart(min(found.least, plates_apart), min(found.measured, plates_apart), found.when)
         pairs.append(PairProof((i, j), found.least, found.measured, found.when))
         faults += _between(known, (i, j), found, clearance)
     return ArmsProof(tuple(proofs), tuple(pairs), tuple(faults))
+
+
+def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
+    """Times, rotations and translations of a motion; InputError where it has none, or no row."""
+    try:
+        found = [np.asarray(getattr(motion, name), dtype=float) for name in ("time", "rotations", "translations")]
+    except (AttributeError, TypeError, ValueError):
+        raise InputError("motion is none; it must have time, rotations and translations, a row for each time") from None
+    if any(part.ndim < 1 or not len(part) for part in found):
+        raise InputError("motion has no rows; it must have one for each time, one time at least")
+    return found[0], found[1], found[2]
 
 
 def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None) -> Track:
@@ -219,7 +271,7 @@ def _between(arms: Sequence[PlacedRobot], pair: tuple[int, int], found: Apart, c
     words = " and ".join(called(arms, k) for k in pair)
     if found.measured < clearance:
         return [
-            f"{words} come as close as {found.measured * 1e3:.4g} mm at {found.when:.4g} s; they must keep "
+            f"{words} {CLOSE} {found.measured * 1e3:.4g} mm at {found.when:.4g} s; they must keep "
             f"{clearance * 1e3:.6g} mm"
         ]
     if found.least == -math.inf:

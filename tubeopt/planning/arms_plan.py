@@ -27,7 +27,18 @@ from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index
-from .arms import ArmsProof, PlacedRobot, at_rest, called, checked_arms, one_each, verify_arms
+from .arms import (
+    ArmsProof,
+    PlacedRobot,
+    at_rest,
+    between_plates,
+    called,
+    checked_arms,
+    of_arm,
+    one_each,
+    plate_of,
+    verify_arms,
+)
 from .goals import TipGoal
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
@@ -35,7 +46,7 @@ from .plan import plan_trajectory
 from .trajectory import Trajectory
 
 ORDERS = 6
-"""Orders in which robots are planned for, at most."""
+"""Orders in which robots are planned for, at most, or as many as there are arms."""
 
 DELAYS = 41
 """Delays that are tried for a robot, from none to when all before it have come to rest."""
@@ -100,7 +111,8 @@ class ArmsPlan(Displayed):
         return tuple(int(np.abs(each.time - t).argmin()) for each in self.trajectories)
 
     def clearance(self, times: ArrayLike) -> Array:
-        """(T, pairs) distances between arms at times (T,), s, as measured, m."""
+        """(T, pairs) distances between arms at times (T,), s, of ALONG points of either, m: the proof bounds what lies
+        between them."""
         t = np.asarray(times, dtype=float)
         lines = [_Lines.of(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
         every, pairs = np.arange(len(t)), combinations(range(len(self.arms)), 2)
@@ -149,18 +161,27 @@ def plan_arms(
     if options.roadmap is not None or options.max_force:
         raise InputError("roadmap and max_force are of one robot; a plan of several arms has none")
     clock, bodies = Clock(options.time_limit), checked_obstacles(obstacles)
-    first = [_start(arm, start) for arm, start in zip(known, starts, strict=True)]
+    first = []
+    for k, start in enumerate(starts):
+        with of_arm(known, k):
+            first.append(_start(known[k], start))
     _check_starts(known, first, options.clearance)
     goals = [_in_frame(arm, goal) for arm, goal in zip(known, goals, strict=True)]
 
     def planned(k: int, ends: Sequence[Equilibrium], limit: float) -> Trajectory:
         arm = known[k]
-        others = [body for j, e in enumerate(ends) if j != k for body in at_rest(e, known[j].base)]
-        around = seen_from(arm.base, [*bodies, *others])
-        own = replace(options, time_limit=limit)
-        return plan_trajectory(
-            arm.robot, first[k], goals[k], obstacles=around, min_margin=min_margin, rate_limits=rate_limits, options=own
-        )
+        others: list[Obstacle] = []
+        for j, end in enumerate(ends):
+            if j != k:
+                others += [plate_of(known[j]), *at_rest(end, known[j].base)]
+        asked: dict[str, Any] = {
+            "obstacles": seen_from(arm.base, [*bodies, *others]),
+            "min_margin": min_margin,
+            "rate_limits": rate_limits,
+            "options": replace(options, time_limit=limit),
+        }
+        with of_arm(known, k):
+            return plan_trajectory(arm.robot, first[k], goals[k], **asked)
 
     order, motions = _one_by_one(known, first, planned, clock)
     proof = None
@@ -201,7 +222,8 @@ def _in_frame(arm: PlacedRobot, goal: Any) -> Any:
         if towards is not None:
             towards = vector("direction of the goal", towards, 3, "x, y, z") @ arm.base.axes
         return TipGoal(arm.base.seen(goal.position), towards)
-    if isinstance(goal, tuple) or hasattr(goal, "robot") or hasattr(goal, "equilibrium"):
+    joints = isinstance(goal, (tuple, list)) and len(goal) == 2
+    if joints or hasattr(goal, "robot") or hasattr(goal, "equilibrium"):
         return goal
     return arm.base.seen(vector("goal", goal, 3, "x, y, z"))
 
@@ -210,12 +232,18 @@ def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], cle
     """Raise SolveError where two arms are too close before they move."""
     lines = [_Lines.at(arm, [e]) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
-        gap = float(lines[i].gaps(lines[j], np.array([0]), np.array([0]))[0])
+        gap = min(float(lines[i].gaps(lines[j], np.array([0]), np.array([0]))[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:
             raise SolveError(
                 f"no plan exists: at their starts {called(arms, i)} and {called(arms, j)} are {gap * 1e3:.3g} mm "
                 f"apart; they must keep {clearance * 1e3:g} mm"
             )
+
+
+def _orders(n: int) -> list[tuple[int, ...]]:
+    """Orders of n arms: first those in which each comes first, then others, `ORDERS` at least where there are."""
+    turned = [tuple((k + j) % n for j in range(n)) for k in range(n)]
+    return list(dict.fromkeys([*turned, *islice(permutations(range(n)), ORDERS)]))[: max(n, ORDERS)]
 
 
 def _one_by_one(
@@ -226,7 +254,7 @@ def _one_by_one(
 ) -> tuple[tuple[int, ...], tuple[Trajectory, ...]]:
     """An order in which each arm gets past the others at rest, and the motions, each from time 0."""
     reasons: dict[str, None] = {}
-    for order in islice(permutations(range(len(arms))), ORDERS):
+    for order in _orders(len(arms)):
         limit = clock.part(SHARE_OF_ORDER)
         ends, found = list(first), dict[int, Trajectory]()
         for done, k in enumerate(order):

@@ -216,7 +216,8 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
         parts = np.arange(1, count + 1) / count
         for x in np.union1d(parts, meetings[k]) if k in meetings else parts:
             there = b if x == 1 else a + (b - a) * x
-            at = float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
+            last = k == len(joints) - 2 and x == 1  # whole, however times are rounded
+            at = 1.0 if last else float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
             try:
                 steps.append(follower.onwards(steps[-1], at, there))
             except BranchEndsError as error:

@@ -87,6 +87,9 @@ class ArmsStudy(Study):
 
     @model_validator(mode="after")
     def _landmarks(self) -> Self:
+        frame = self._around.base
+        if not (np.array_equal(frame.axes, np.eye(3)) and np.array_equal(frame.origin, np.zeros(3))):
+            raise ValueError("anatomy has a base or a registration, of one robot; here every arm has a base")
         for arm in self.arms:
             arm.placed(self._around)
             arm.ends(self._around)

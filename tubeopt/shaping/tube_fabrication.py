@@ -298,7 +298,7 @@ def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
     ohm = rig.battery.voltage / now - rig.battery.internal_resistance - rig.circuit.resistance
     needed = whole * (1 + rig.battery.voltage * (1 / most - 1 / now) / ohm)
     each = 0.5 * (needed - tube.curved_length)
-    return each if each <= spec.lead_range[1] else 0.0
+    return each if each - rig.clamps.clearance <= spec.lead_range[1] else 0.0
 
 
 def _lead_and_gap(groove: Groove) -> float:

@@ -186,15 +186,17 @@ def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) 
     if last.max() < low:
         return _for_power(rig, spec)
     # A mold that had no time to get warm is told by a heating as long as it may be.
-    soon = [_more_time(rig, spec)] if ideal.heating > (1 - WORTH) * spec.longest_heating else []
+    soon = _more_time(rig, spec) if ideal.heating > (1 - WORTH) * spec.longest_heating else []
     if last.max() - last.min() > 0.5 * (high - low):
         return soon + _for_ends(rig, spec)
     return soon + _for_narrow_window(rig, spec)
 
 
-def _more_time(rig: Rig, spec: HeatingSpec) -> Change:
+def _more_time(rig: Rig, spec: HeatingSpec) -> list[Change]:
     longer = replace(spec, longest_heating=min(MORE_TIME * spec.longest_heating, LONGEST))
-    return f"a heating of up to {longer.longest_heating:g} s", rig, longer
+    if longer == spec:
+        return []
+    return [(f"a heating of up to {longer.longest_heating:g} s", rig, longer)]
 
 
 def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
@@ -208,7 +210,7 @@ def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
     found.append((words, replace(rig, circuit=circuit), spec))
     if rig.battery.state_of_charge < 0.95:
         found.append(("a full battery", rig.with_charge(1.0), spec))
-    return [*found, _more_time(rig, spec)]
+    return found + _more_time(rig, spec)
 
 
 def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:

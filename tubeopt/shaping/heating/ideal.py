@@ -140,6 +140,7 @@ def solve_ideal(
     room: float = 0.75,
     shift: Shift | None = None,
     guess: Ideal | None = None,
+    below: bool = True,
 ) -> Ideal:
     """The schedule that is best with a duty of any value.
 
@@ -148,6 +149,8 @@ def solve_ideal(
         room: counts of the duty for whose warming room is left below the ramp.
         shift: what a finer model adds to the temperatures.
         guess: an earlier answer to a similar question.
+        below: whether objective "margin" keeps off the limit as off the window's ends; where the window is missed it
+            does not, since the limit would give way as well.
 
     Raises:
         SolveError: IPOPT did not converge; the message says at what the worst constraint is.
@@ -158,6 +161,7 @@ def solve_ideal(
     lower, upper = _unknown_bounds(made, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
     p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, tube, rig, reserve, room)])
+    p[-len(WISHES) + WISHES.index("below")] *= below
     x = np.clip(x, lower, upper)
     bounds = {"p": p, "lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     found, stats = _solved(made, spec, x, bounds, guess)
@@ -168,6 +172,9 @@ def solve_ideal(
                          f"{_worst(made, violation)}")  # fmt: skip
     multipliers = found["lam_x"].full().ravel(), found["lam_g"].full().ravel()
     answer = _read(made, tube, rig, spec, found["x"].full().ravel(), int(stats["iter_count"]))
+    if spec.objective == "margin" and below and answer.miss > 0:
+        asked: dict[str, Any] = {"reserve": reserve, "room": room, "shift": shift}
+        return solve_ideal(tube, rig, spec, **asked, guess=guess, below=False)
     return replace(answer, multipliers=multipliers)
 
 
