@@ -32,6 +32,7 @@ from tubeopt.equilibrium.loaded import loaded_point
 from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.robots.load import between
 from tubeopt.robots.tubes import mass_per_length
+from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.solvers.loaded import loaded_margin
 from tubeopt.typing import Array
 
@@ -415,6 +416,8 @@ def test_far_ways_from_a_guess_are_those_of_the_general_solver(monkeypatch: pyte
             general = forward_kinematics(robot, a, shift, load=q, guess=g)
             assert np.allclose(end.tip_position, general.tip_position, rtol=0, atol=1e-12)
             assert end.margin == pytest.approx(general.margin, abs=1e-9)
+    if kernel_of(robot) is None:
+        return
     monkeypatch.setattr("tubeopt.equilibrium.loaded.to_tolerance", None)  # the kernel goes all of the way
     for a, q, g in ways:
         forward_kinematics(robot, a, shift, load=q, guess=g)
