@@ -27,7 +27,8 @@ def surface_strain(radius: Any, bend: Any, natural: Any) -> Any:
 
 
 def slotted_strain_ratio(bending_factor: Any, share: Any, *, symmetric: bool = True) -> Any:
-    """How many times as much as the whole tube, at the same bend, what slots leave of it is strained at most.
+    """How many times as much as the whole tube, at the same bend, what slots leave of it is strained at most, to first
+    order in radius times curvature.
 
     With the strain r Delta kappa a bound for pieces in which stretches with slots, all alike, and whole rings follow
     one another and bend as beams under one moment: with the factor b of the whole piece and slots along the share f of

@@ -12,7 +12,8 @@ with the whole moment m and the force nu in the frame. Its Euler equations are t
 with kt and K softened by the fraction mu, as the margin has it: kt (1 - mu) y'' and g = (1 - mu) K d. From y, phi = 1
 and y' = g = 0 at the tip, Q less mu times its elastic part is positive as long as det (y, phi) > 0 along the arm and
 det (y - |beta| y', phi) > 0 at the plate, where the frame is held; where mu is the margin the latter is 0. A double
-zero, where two ways to buckle are equally easy, the sign of a determinant does not show.
+zero, where two ways to buckle are equally easy, the sign of a determinant does not show, nor two zeros between places
+where it is asked for: the margin of the equilibrium that a block gives back tells of either.
 """
 
 from __future__ import annotations
