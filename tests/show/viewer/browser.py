@@ -83,11 +83,11 @@ class Tab:
         return self.read(name)
 
     def wait_for_tip(self, tip: Array) -> None:
-        """Wait until the tip reads so, to a tenth of a micrometre."""
-        words = ", ".join(f"{x + 0.0:.4f}" for x in np.round(tip * 1e3, 4))
+        """Wait until the tip reads so, to the last digit that is written."""
         self.page.wait_for_function(
-            "words => document.querySelector('[data-testid=tip]').innerText === words",
-            arg=words,
+            "tip => document.querySelector('[data-testid=tip]').innerText.split(',')"
+            ".every((x, k) => Math.abs(parseFloat(x) - tip[k]) < 1.01e-4)",
+            arg=[float(x) * 1e3 for x in tip],
             polling=100,
         )
 
