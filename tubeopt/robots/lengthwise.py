@@ -101,15 +101,17 @@ class Lengthwise:
         return np.asarray(((table @ basis[..., None])[..., 0] * (2 / (high - low))[..., None]).transpose(2, 0, 1))
 
     def compliant(self, place: Array) -> Array:
-        """(n,) int ds / GJ of each tube from its held end to an arc length (n,), 1/(N m)."""
-        tube = np.arange(self.n_tubes)
-        panel = self.panel(place[None])[0]
+        """(..., n) int ds / GJ of each tube from its held end to arc lengths (..., n), 1/(N m)."""
+        tube, at = np.arange(self.n_tubes), place.reshape(-1, self.n_tubes)
+        panel = self.panel(at)
         low = self.breaks[tube, panel]
-        high = np.clip(place, low, self.breaks[tube, panel + 1])
+        high = np.clip(at, low, self.breaks[tube, panel + 1])
         nodes, weights = gauss_rule()
-        s = low + (high - low) * nodes[:, None]
-        rate = 1 / self.values(s, np.broadcast_to((low + high) / 2, s.shape))[1]
-        return np.asarray(self.compliance[tube, panel] + (high - low) * (weights @ rate))
+        s = low + (high - low) * nodes[:, None, None]
+        inside = np.broadcast_to((low + high) / 2, s.shape)
+        rate = 1 / self.values(s.reshape(-1, self.n_tubes), inside.reshape(-1, self.n_tubes))[1].reshape(s.shape)
+        whole = self.compliance[tube, panel] + (high - low) * np.tensordot(weights, rate, 1)
+        return np.asarray(whole.reshape(place.shape))
 
     def at(self, place: Array, inside: Array, present: Mask) -> CrossSections:
         """The tubes at arc lengths (X, n) from their held ends; `inside` as in `values`; (X, n) which are there."""
