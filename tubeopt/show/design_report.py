@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Group
@@ -27,9 +27,6 @@ from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
 from .quantities import Quantity, within
 from .report import Drawing, Report, drawing, file_name, grid, report, two_columns
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
@@ -279,7 +276,7 @@ class DesignReport(Report[DesignAnswer]):
         return "\n".join(lines) + "\n"
 
 
-def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Figure:
+def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
     """The maps of margins before and after, which take longer than all else to compute."""
     from ..stability import stability_map
     from .plots.design import plot_before_after

@@ -36,6 +36,7 @@ MODULES = {
     "plan_report": ("Trajectory", "Checked"),
     "rig_page": ("HeatingRun",),
     "robot_report": ("ConcentricRobot", "EccentricRobot", "SegmentedEccentricRobot"),
+    "served_report": ("Viewed", "Served"),
     "snap_report": ("Equilibria", "Way", "Motion"),
     "sweep_report": ("Sweep",),
     "validation_report": ("Comparison", "Validation", "Fit"),
