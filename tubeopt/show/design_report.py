@@ -26,7 +26,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
 from .quantities import Quantity, within
-from .report import Drawing, Report, drawing, file_name, grid, report, two_columns
+from .report import Drawing, Report, drawing, file_name, grid, two_columns
 
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
@@ -293,6 +293,3 @@ def _key(one: AnyObjective) -> str:
 def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     return lines + [f"| {' | '.join(row)} |" for row in rows]
-
-
-report.register(DesignAnswer, DesignReport)

@@ -42,7 +42,7 @@ MODULES = {
     "validation_report": ("Comparison", "Validation", "Fit"),
     "workspace_report": ("Findings",),
 }
-"""Modules that register reports -> the classes of their answers: each is imported when there is such an answer."""
+"""Modules with reports -> the classes of their answers: each is imported when there is such an answer."""
 
 PAGE = "docs/json.md"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..display import Displayed
 from ..robots.robot import Robot
 from .quantities import Quantity
-from .report import Report, report
+from .report import Report
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,3 @@ class ServedReport(Report[Served]):
         """One line."""
         answer = self.answer
         return f"serving {answer.name} at {answer.url}, token {answer.token}   (Ctrl-C to stop)"
-
-
-report.register(Viewed, ViewedReport)
-report.register(Served, ServedReport)
