@@ -121,8 +121,10 @@ class Centreline:
     """
 
     lead_in: Line
+    """Before the bend."""
     bend: tuple[Piece, ...]
     lead_out: Line
+    """Behind the bend."""
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
