@@ -78,6 +78,8 @@ class _Bounds:
     def _transmission(self) -> Jet:
         """(B, n) of int ds / kt where tubes are held, 1/(N m): its rate is 1 / kt at the plate, in section 0."""
         plain = linear(*self.intervals.transmission)
+        if self.drift.still:
+            return plain
         moved = self.drift.eased.v[:, 0] * self.intervals.moved[:, 0] ** 2
         return Jet(plain.v, plain.d + moved / 2, moved)
 
@@ -104,8 +106,7 @@ class _Bounds:
 
     def moment(self, turn: Turn) -> Jet:
         """(B, K, n) of the moment M along theta~."""
-        bow = self.drift.bow[..., :, None] + self.drift.bow[..., None, :]
-        first, second = self.drift.moment(turn[1], bow)
+        first, second = self.drift.moment(turn[1], _both(self.drift.bow)[1])
         return Jet(self.torque, self.torque_change(turn) + first, self.torque_second(turn, turn) + second)
 
     def bent(self, turn: Turn) -> Jet:
@@ -160,10 +161,10 @@ class _Bounds:
         its chord by at most an eighth of the square of their distance times its second derivative."""
         own, pair = self.intervals.changes
         # Samples are interpolated; and the natural turn is not quite linear in time.
-        least = self.intervals.interpolated[:, None] + self.drift.bow / 2
-        own, pair = own + least, pair + least[..., :, None] + least[..., None, :]
+        least = _both(self.intervals.interpolated[:, None] + self.drift.bow / 2)
+        own, pair = own + least[0], pair + least[1]
         more = self._between((own, pair))
-        wide = own + 2 * more, pair + 2 * (more[..., :, None] + more[..., None, :])
+        wide = own + 2 * more, pair + 2 * _both(more)[1]
         # The bound is linear in what it bounds: if it holds for more than it gives, it holds.
         sure = (self._between(wide) <= 2 * more + 1e-15).all((1, 2))
         return wide, np.asarray(sure)
@@ -173,10 +174,11 @@ class _Bounds:
         h, moment = self.steps(), self.moment(turn)
         u, du = self.bending.most, self.bending.change(turn[0])
         g = Jet(1 + self._stretch(u), self._stretch(du), self.zero)
-        bear = self.torques(moment)[0]
-        second = h * h * (g * moment * self.ease + bear * self.drift.eased + self.drift.wound)
+        second = h * h * g * moment * self.ease
+        if not self.drift.still:
+            second = second + h * h * (self.torques(moment)[0] * self.drift.eased + self.drift.wound)
         if self.offset.any():
-            w = bear * self.ease
+            w = self.torques(moment)[0] * self.ease
             speed = h * g * w
             bent = Jet(self.bending.change(speed.v), self.bending.second(turn[0], speed.v), np.zeros_like(u))
             bent = Jet(bent.v, bent.d + self.bending.change(speed.d), bent.dd)
@@ -247,4 +249,4 @@ class _Still(_Bounds):
 
 def _both(own: Array) -> Turn:
     """Bounds of theta_i as those of their differences."""
-    return own, own[..., :, None] + own[..., None, :]
+    return own, own[..., :, None] + own[..., None, :] if own.ndim else own

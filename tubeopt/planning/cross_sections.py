@@ -135,12 +135,14 @@ class Drift:
     add to the derivatives by time of curvature and moments. Tubes on the centreline, else there is none.
 
     Attributes:
+        still: whether nothing varies; all but 1 / kt is then a 0 of no shape.
         pulls: (..., n) of a_i / k, a_i = kb_i u*_xy in the tube's own frame.   pairs: (..., n, n) of a_i a_j / k, i
             unlike j.   ease: (..., n) of 1 / kt.   eased: (..., n) of its derivative by arc length.   wound: (..., n)
             of that of u*_z, with one derivative by time.   bow: (..., n) second derivative by time of the natural turn,
             less than which it is off a straight line in time.
     """
 
+    still: bool
     pulls: Jet
     pairs: Jet
     ease: Jet
@@ -151,7 +153,11 @@ class Drift:
     @staticmethod
     def of(c: Constants, move: Array, *stretches: Index) -> Drift:
         """Of cross-sections in any of these stretches (..., n), that move by `move` (..., n), m, in the time."""
-        b = c.bounds
+        b, none = c.bounds, np.zeros(())
+        if c.still:
+            nothing = Jet(none, none, none)
+            ease = Jet(1 / c.least(b.torsional, *stretches), none, none)
+            return Drift(True, nothing, nothing, ease, nothing, nothing, none)
 
         def jet(value: Array, *rates: Array) -> Jet:
             rows = [c.most(rate, *stretches) * move ** (k + 1) for k, rate in enumerate(rates)]
@@ -168,18 +174,18 @@ class Drift:
         ease = jet(1 / c.least(b.torsional, *stretches), *b.ease)
         slope, bend = (c.most(rate, *stretches) for rate in b.ease)
         wound = jet(c.most(b.twist[1], *stretches), b.twist[2])
-        return Drift(pulls, pairs, ease, Jet(slope, bend * move, np.zeros_like(slope)), wound, wound.v * move**2)
+        return Drift(False, pulls, pairs, ease, Jet(slope, bend * move, np.zeros_like(slope)), wound, wound.v * move**2)
 
     def bend(self, turn: Array, bow: Array) -> tuple[Array, Array]:
         """(...) what it adds to the first and second derivative of u, theta' by time being `turn` and theta'' `bow`."""
         a = self.pulls
-        return a.d.sum(-1), np.asarray((2 * a.d * turn + a.dd + a.v * bow).sum(-1))
+        return (a.d, a.dd) if self.still else (a.d.sum(-1), np.asarray((2 * a.d * turn + a.dd + a.v * bow).sum(-1)))
 
     def moment(self, pair: Array, bow: Array) -> tuple[Array, Array]:
         """(..., n) what it adds to those of the moments, those of theta_i - theta_j being `pair` and `bow`."""
         a = self.pairs
-        return a.d.sum(-1), np.asarray((2 * a.d * pair + a.dd + a.v * bow).sum(-1))
+        return (a.d, a.dd) if self.still else (a.d.sum(-1), np.asarray((2 * a.d * pair + a.dd + a.v * bow).sum(-1)))
 
     def gain(self, pair: Array) -> Array:
         """(..., n) first derivative by time of what theta_i - theta_j, unlike by `pair`, makes of the moments."""
-        return np.asarray((self.pairs.d * pair).sum(-1))
+        return self.pairs.d if self.still else np.asarray((self.pairs.d * pair).sum(-1))

@@ -141,18 +141,20 @@ class Arms:
             return out, turned
         h, owner = np.diff(self.arc_length)[self.inner], self.owner[self.inner]
         bend, drift = Bending.of(c, *self.crossed), Drift.of(c, np.array(1.0), *self.crossed)
-        kt, torque = c.least(c.bounds.torsional, *self.crossed), self._torque(h, bend)
-        gain = bend.pairs.sum(2) / kt + torque * drift.ease.d + drift.wound.v
+        most, kt = bend.pairs.sum(2), c.least(c.bounds.torsional, *self.crossed)
+        torque = self._torque(h[:, None] * most)
+        gain = most / kt + torque * drift.ease.d + drift.wound.v
         speed = np.maximum(np.abs(self._onwards[self.inner]), np.abs(self.torsion[self.inner + 1])) + h[:, None] * gain
         pair = speed[:, :, None] + speed[:, None, :]
-        faster = ((bend.pairs * pair).sum(2) + drift.moment(pair, np.zeros_like(pair))[0]) / kt
-        faster += 2 * bend.pairs.sum(2) * drift.ease.d + torque * drift.ease.dd + drift.wound.d
+        faster = ((bend.pairs * pair).sum(2) + drift.moment(pair, np.zeros(()))[0]) / kt
+        if not c.still:
+            faster += 2 * most * drift.ease.d + torque * drift.ease.dd + drift.wound.d
         # Tubes off the centreline: theta' = g w, whose change along the arm has that of g as well.
         gain = gain * (1 + c.offset * bend.most[:, None])
-        u, (more, most) = bend.most, drift.bend(speed, np.zeros_like(speed))
-        du = bend.change(speed) + more
+        u, (first, second) = bend.most, drift.bend(speed, np.zeros(()))
+        du = bend.change(speed) + first
         gain += speed * c.offset * du[:, None] / (1 - c.offset * u[:, None])
-        ddu = bend.second(speed, speed) + bend.change(gain) + most
+        ddu = bend.second(speed, speed) + bend.change(gain) + second
         third, fourth = u**2 + du, u**3 + 3 * u * du + ddu
         wide = np.asarray((self.crossed[-1] - self.crossed[0] >= len(self.crossed)).any(1))
         error = np.minimum(SHAPE_ERROR[0] * h**3 * third, SHAPE_ERROR[1] * h**4 * fourth)
@@ -160,15 +162,16 @@ class Arms:
         np.maximum.at(turned, owner, np.where(wide[:, None], np.inf, SHAPE_ERROR[0] * h[:, None] ** 3 * faster))
         return out, turned
 
-    def _torque(self, h: Array, bend: Bending) -> Array:
-        """(S, n) the most along what follows the `inner` points, N m; 0 where nothing varies and none is asked for."""
+    def _torque(self, gain: Array) -> Array:
+        """(S, n) the most along what follows the `inner` points, N m, on which it gains at most `gain`; 0 where nothing
+        varies and none is asked for."""
         if self.constants.still:
-            return np.zeros((len(h), 1))
+            return np.zeros(())
         torque = []
         for side, slope, rows in ((1, self._onwards, self.inner), (-1, self.torsion, self.inner + 1)):
             _, kt, _, _, twist, _ = self.along(side, rows)
             torque.append(np.abs(slope[rows] - twist) * kt)
-        return np.asarray(np.maximum(*torque) + h[:, None] * bend.pairs.sum(2))
+        return np.asarray(np.maximum(*torque) + gain)
 
     @property
     def shape_error(self) -> Array:
