@@ -81,7 +81,7 @@ class Posture:
     def _slopes(self, side: int) -> _Slopes:
         """Those that are asked for all the time, by the compiled kernel where it has them."""
         found, spread = compiled_slopes(self.equilibrium, side), self.space.spread
-        if found is not None:
+        if found is not None and found.along is not None:
             return (found.position @ spread, found.turn @ spread, found.margin @ spread), found.along
         of = self.derivatives if side > 0 else self._derivatives(side)
         return (of.tip_position @ spread, of.tip_rotation @ spread, of.margin @ spread), of.position

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...block.transcription.collocated import STEPS
+from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise
 from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
@@ -203,14 +204,14 @@ def solve_compiled(
 class Slopes:
     """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
     2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load; and derivatives of the
-    shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip."""
+    shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm with another mesh."""
 
     position: Array
     turn: Array
     tip_rotations: Array
     margin: Array
     compliance: Array
-    along: Array
+    along: Array | None
 
 
 def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: Start, side: int = 1) -> Slopes | None:
@@ -226,12 +227,14 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
         return None
     n = robot.n_tubes
     room = _room(kernel)
-    points = int(room.fields["pieces"]) * STEPS + 1
-    out, along = np.zeros(14 * n + 2 * n * n + 36), np.zeros((points, 3, 2 * n))
+    places = room.fields["arc_length"][: int(room.fields["pieces"]) * STEPS + 1]
+    out, along = np.zeros(14 * n + 2 * n * n + 36), np.zeros((len(places), 3, 2 * n))
     if not kernel.differentiate(_at(_carriages(robot)), side, *room.at, _at(out), _at(along)):
         return None
+    same = len(places) == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF)
     tip, turn, ends, margin, compliance = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
-    return Slopes(tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, compliance.reshape(6, 6), along)
+    parts = tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, compliance.reshape(6, 6)
+    return Slopes(*parts, along if same else None)
 
 
 @lru_cache(maxsize=64)
