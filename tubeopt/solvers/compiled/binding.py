@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +42,23 @@ class Start:
     translations: Array
 
 
+class Kernel(Protocol):
+    """A compiled function that needs memory: how much, and what it answers."""
+
+    @property
+    def answer(self) -> np.dtype[np.void]:
+        """Fields of its answer."""
+
+    @property
+    def workspace_size(self) -> int:
+        """Bytes that it works in."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, what it answers, whole and by field; where both are."""
+    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are."""
 
     workspace: Array
-    answer: Any
     fields: dict[str, Any]
     at: tuple[int, int]
 
@@ -55,13 +66,13 @@ class _Room:
 _rooms = threading.local()
 
 
-def _room(kernel: Library) -> _Room:
+def room_of(kernel: Kernel) -> _Room:
     rooms: dict[Any, _Room] = _rooms.__dict__
     if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
         workspace = np.zeros(kernel.workspace_size // 8 + 1)
-        rooms[kernel] = _Room(workspace, answer, fields, (_at(workspace), _at(answer)))
+        rooms[kernel] = _Room(workspace, fields, (_at(workspace), _at(answer)))
     return rooms[kernel]
 
 
@@ -192,7 +203,7 @@ def solve_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room = _room(kernel)
+    room = room_of(kernel)
     _memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
     return room.fields if status == SOLVED else None
@@ -223,7 +234,7 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
         return None
     n = robot.n_tubes
     out = np.zeros(14 * n + 2 * n * n + 36)
-    if not kernel.differentiate(_at(_carriages(robot)), side, *_room(kernel).at, _at(out)):
+    if not kernel.differentiate(_at(_carriages(robot)), side, *room_of(kernel).at, _at(out)):
         return None
     parts = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
     shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
@@ -253,7 +264,7 @@ def solve_many_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room, count = _room(kernel), len(rotations)
+    room, count = room_of(kernel), len(rotations)
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (_at(a) for a in (alpha, shift, table, declined))
