@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +44,23 @@ class Start:
     translations: Array
 
 
+class Kernel(Protocol):
+    """A compiled function that needs memory: how much, and what it answers."""
+
+    @property
+    def answer(self) -> np.dtype[np.void]:
+        """Fields of its answer."""
+
+    @property
+    def workspace_size(self) -> int:
+        """Bytes that it works in."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, what it answers, whole and by field; where both are."""
+    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are."""
 
     workspace: Array
-    answer: Any
     fields: dict[str, Any]
     at: tuple[int, int]
 
@@ -57,13 +68,13 @@ class _Room:
 _rooms = threading.local()
 
 
-def _room(kernel: Library) -> _Room:
+def room_of(kernel: Kernel) -> _Room:
     rooms: dict[Any, _Room] = _rooms.__dict__
     if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
         workspace = np.zeros(kernel.workspace_size // 8 + 1)
-        rooms[kernel] = _Room(workspace, answer, fields, (_at(workspace), _at(answer)))
+        rooms[kernel] = _Room(workspace, fields, (_at(workspace), _at(answer)))
     return rooms[kernel]
 
 
@@ -194,7 +205,7 @@ def solve_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room = _room(kernel)
+    room = room_of(kernel)
     _memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
     return room.fields if status == SOLVED else None
@@ -226,7 +237,7 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
     if solve_compiled(robot, rotations, translations, start) is None:
         return None
     n = robot.n_tubes
-    room = _room(kernel)
+    room = room_of(kernel)
     places = room.fields["arc_length"][: int(room.fields["pieces"]) * STEPS + 1]
     out, along = np.zeros(14 * n + 2 * n * n + 36), np.zeros((len(places), 3, 2 * n))
     if not kernel.differentiate(_at(_carriages(robot)), side, *room.at, _at(out), _at(along)):
@@ -260,7 +271,7 @@ def solve_many_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room, count = _room(kernel), len(rotations)
+    room, count = room_of(kernel), len(rotations)
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (_at(a) for a in (alpha, shift, table, declined))
