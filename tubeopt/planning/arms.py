@@ -26,10 +26,10 @@ from ..robots.robot import Robot
 from ..typing import Array
 from .apart import Apart, Track, apart, tracked
 from .clearing import Wanted
+from .cross_sections import Constants
 from .motion import RateLimits
 from .passage import Follower
 from .proof import Proof, ProofStatus, verify_trajectory
-from .sections import Constants
 
 TOLERANCE = 5e-5
 """How far (m) the bound of the distance of two arms may lie below the least that was measured."""

@@ -25,7 +25,8 @@ from ..stability.following import Event, motion_along
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared
-from .sections import SWAPPED, Arms, Constants, Intervals
+from .cross_sections import Constants
+from .sections import SWAPPED, Arms, Intervals
 
 TURN = 0.04
 """Largest turn (rad) of a joint between two equilibria, to begin with."""

@@ -12,6 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...block.transcription.collocated import STEPS
+from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise
 from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
@@ -212,13 +214,15 @@ def solve_compiled(
 @dataclass(frozen=True, eq=False)
 class Slopes:
     """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
-    2n), tip rotations (n, 2n) and margin (2n,); and the compliance (6, 6) of the tip at no load."""
+    2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load; and derivatives of the
+    shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm with another mesh."""
 
     position: Array
     turn: Array
     tip_rotations: Array
     margin: Array
     compliance: Array
+    along: Array | None
 
 
 def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: Start, side: int = 1) -> Slopes | None:
@@ -233,12 +237,15 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
     if solve_compiled(robot, rotations, translations, start) is None:
         return None
     n = robot.n_tubes
-    out = np.zeros(14 * n + 2 * n * n + 36)
-    if not kernel.differentiate(_at(_carriages(robot)), side, *room_of(kernel).at, _at(out)):
+    room = room_of(kernel)
+    places = room.fields["arc_length"][: int(room.fields["pieces"]) * STEPS + 1]
+    out, along = np.zeros(14 * n + 2 * n * n + 36), np.zeros((len(places), 3, 2 * n))
+    if not kernel.differentiate(_at(_carriages(robot)), side, *room.at, _at(out), _at(along)):
         return None
-    parts = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
-    shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
-    return Slopes(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+    same = len(places) == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF)
+    tip, turn, ends, margin, compliance = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
+    parts = tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, compliance.reshape(6, 6)
+    return Slopes(*parts, along if same else None)
 
 
 @lru_cache(maxsize=64)
