@@ -229,7 +229,8 @@ class State:
 
         def here(state: State) -> Array:
             pose = state.pose(index)
-            return np.concatenate([s[:, : 2 * state.layout.n].ravel(order="F") for s in (pose.tip_slope, pose.tip_turn)])
+            slopes = pose.tip_slope, pose.tip_turn
+            return np.concatenate([each[:, : 2 * state.layout.n].ravel(order="F") for each in slopes])
 
         size = np.ones(self.layout.size)
         size[: self.layout.designs] = self.layout.space.scale
