@@ -94,7 +94,9 @@ class Proof(Displayed):
     largest_rotation_rate: float
     largest_translation_rate: float
     largest_rotation_acceleration: float
+    """rad/s^2"""
     largest_translation_acceleration: float
+    """m/s^2"""
     largest_tip_step: float
     tip_length: float
     largest_tip_rate: float
