@@ -29,6 +29,7 @@ def test_a_function_becomes_a_series_of_the_same_values() -> None:
     x, y, z = piece.precurvature
     s = np.linspace(0, 0.1, 301)
     assert np.abs(x(s) - 18 * np.cos(20 * s)).max() < 2e-12
+    assert np.abs(x([-0.01, *s, 0.11]) - [x.value(t) for t in (-0.01, *s.tolist(), 0.11)]).max() < 1e-13
     assert np.abs(y(s) - 4 * np.sin(30 * s)).max() < 2e-12
     assert z == 12.0
     assert np.abs(piece.bending_stiffness(s) / 8e-4 - 1 - 0.3 * np.sin(40 * s)).max() < 1e-12

@@ -142,7 +142,7 @@ def _rate(twist: Quantity, stiffness: Quantity, torque: float, x: float) -> floa
 
 def _value(quantity: Quantity, x: float) -> float:
     """A quantity at an arc length of its piece."""
-    return float(quantity(x)) if isinstance(quantity, Series) else quantity
+    return quantity.value(x) if isinstance(quantity, Series) else quantity
 
 
 def _base(equilibrium: Equilibrium, assembly: Assembly) -> Array:

@@ -14,7 +14,8 @@ of radius r around the chord,
     (mu - q0)^2 > 2 q1 |g|
 
 makes the energy strictly convex in a ball around the chord at all times, with exactly one equilibrium in it, a stable
-one (Newton and Kantorovich). All bounds are in closed form, of what is known of both equilibria.
+one (Newton and Kantorovich). All bounds are in closed form, of what is known of both equilibria. Where tubes vary,
+places at fixed fractions of sections move along them, which changes |a_i|, K and kt: by `Drift`, as in `branch`.
 """
 
 from __future__ import annotations
