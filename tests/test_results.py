@@ -22,12 +22,14 @@ from tubeopt import (
     Mold,
     Newton,
     Path,
+    Piece,
     Problem,
     ProblemSolution,
     Proof,
     Snap,
     StabilityMap,
     Trajectory,
+    Tube,
     Verdict,
     Workspace,
     certify,
@@ -46,8 +48,11 @@ from tubeopt.equilibrium.result import Status
 from tubeopt.errors import InputError
 from tubeopt.inverse.answer import InverseStatus
 from tubeopt.planning.proof import ProofStatus
+from tubeopt.shaping import Mandrel, PegBoard, plan_mandrel, plan_pegs
 from tubeopt.shaping.heating.plan import HeatingStatus
+from tubeopt.shaping.mold.mandrel import MandrelStatus
 from tubeopt.shaping.mold.mold import MoldStatus
+from tubeopt.shaping.mold.pegs import PegStatus
 from tubeopt.solvers.problem_status import ProblemStatus
 from tubeopt.stability.certificate import CertificateStatus
 from tubeopt.stability.following import PathStatus, SnapStatus
@@ -68,8 +73,10 @@ ANSWERS = (
     HeatingPlan,
     InverseSolution,
     LoadLimit,
+    Mandrel,
     Mold,
     Path,
+    PegBoard,
     ProblemSolution,
     Proof,
     Snap,
@@ -88,9 +95,11 @@ STATUSES = (
     HeatingStatus,
     InverseStatus,
     LoadLimitStatus,
+    MandrelStatus,
     MapStatus,
     MoldStatus,
     PathStatus,
+    PegStatus,
     ProblemStatus,
     ProofStatus,
     SnapStatus,
@@ -167,12 +176,18 @@ def test_answers_about_stability() -> None:
 
 def test_answers_for_many_joint_values_and_of_molds() -> None:
     many = forward_kinematics_batch(TWO_TUBE, [[0.0, 0.0], [0.0, 1.0]])
-    mold = plan_mold(THESIS.tubes[0])
-    answers: tuple[Result, ...] = (many, mold)
+    mold, board = plan_mold(THESIS.tubes[0]), plan_pegs(THESIS.tubes[2])
+    mandrel = plan_mandrel(Tube.of_pieces(1.2e-3, 1.05e-3, [Piece.helix(0.16, 14e-3, 24e-3)]))
+    answers: tuple[Result, ...] = (many, mold, board, mandrel)
     assert all(isinstance(each, Result) for each in answers)
     assert str(many.status) == "a stable equilibrium was found at all joint values"
     assert (many.statistics.samples, many.statistics.failures) == (2, 0)
     assert mold.value == mold.grooves
+    assert str(mandrel.status) == "the mandrel is turned, and passes all checks"
+    assert mandrel.value.arc_length.shape == mandrel.value.points.shape[:1]
+    held = "the pegs hold the tube as near to its curve as was asked for"
+    assert (str(board.status) == held) == (board.deviation <= board.spec.pegs.most_deviation)
+    assert board.statistics.pegs == len(board.value) > 2
     assert mold.statistics.grooves == 1
 
 

@@ -5,11 +5,12 @@ from .mold.checks import Check
 from .mold.files import write_mold
 from .mold.heat import ColdEnd, HeatSpec, cold_end, heat_drawn, heat_flow, thermal_growth
 from .mold.holes import Hole
+from .mold.lattice import Peg
 from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube
 from .mold.mandrel_files import write_mandrel
 from .mold.mold import Clamp, Groove, Mold, plan_mold
 from .mold.peg_files import write_pegs
-from .mold.pegs import Peg, PegBoard, plan_pegs
+from .mold.pegs import PegBoard, plan_pegs
 from .mold.prediction import predict_tube, predict_tubes
 from .mold.ranking import MaterialRating, rank_mold_materials
 from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PegSpec, PlateSpec, VentSpec

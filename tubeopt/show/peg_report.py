@@ -7,8 +7,9 @@ from pathlib import Path
 
 from rich.console import Group
 
+from ..shaping.mold.lattice import Peg
 from ..shaping.mold.peg_files import write_pegs
-from ..shaping.mold.pegs import Peg, PegBoard
+from ..shaping.mold.pegs import PegBoard
 from .quantities import Quantity
 from .report import Drawing, Report, drawing, grid, remarks, two_columns
 

@@ -14,7 +14,7 @@ import numpy as np
 from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
-from ...typing import Array
+from ...typing import Array, Sentence
 from .checks import Check, choose_mill, material_remarks, pressing_strain, refuse_failed
 from .heat import ColdEnd, cold_end
 from .setting import bend_direction, tube_from_mold, tube_in_mold
@@ -49,6 +49,21 @@ class Block:
     size: tuple[float, float, float]
 
 
+class MandrelStatus(Sentence):
+    """How a mandrel was planned; every value reads as a sentence. One that fails a check is refused."""
+
+    TURNED = "the mandrel is turned, and passes all checks"
+    PRINTED = "the mandrel is a block to be printed, and passes all checks"
+
+
+@dataclass(frozen=True)
+class MandrelStatistics:
+    """Checks that were made, and remarks."""
+
+    checks: int
+    remarks: int
+
+
 @dataclass(frozen=True, eq=False)
 class Mandrel(Displayed):
     """A mandrel for one tube.
@@ -73,6 +88,21 @@ class Mandrel(Displayed):
     free_length: float
     checks: tuple[Check, ...]
     remarks: tuple[str, ...]
+
+    @property
+    def value(self) -> Winding:
+        """The centreline of its groove."""
+        return self.winding
+
+    @property
+    def status(self) -> MandrelStatus:
+        """How it was planned."""
+        return MandrelStatus.TURNED if isinstance(self.body, Cylinder) else MandrelStatus.PRINTED
+
+    @property
+    def statistics(self) -> MandrelStatistics:
+        """What it has."""
+        return MandrelStatistics(len(self.checks), len(self.remarks))
 
     @property
     def stock_length(self) -> float:

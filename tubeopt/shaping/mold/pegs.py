@@ -15,18 +15,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
-from numpy.typing import NDArray
 
 from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
-from ...typing import Array
+from ...typing import Array, Sentence
 from .arcs import bend_of
 from .checks import pressing_strain
 from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd
 from .held import Held, held_between
+from .lattice import SAMPLE, Lattice, Peg, Sampled
 from .peg_heat import PegHeat, peg_heat, pin_conductance, tube_in_air
 from .setting import bend_direction, tube_in_mold
 from .spec import MoldSpec, PegSpec
@@ -44,38 +43,24 @@ once."""
 SHIFTS = 6
 """Places of the curve on the lattice that are tried, in x and in y."""
 
-REACH = 0.97
-"""Part of a pin's circle within which it is set: near its ends an angle decides little."""
-
 ROOM = 50e-6
 """Room between a peg and the tube, m, that is as bad as a whole spacing along it."""
 
-SAMPLE = 0.1e-3
-"""Distance of the places on the curve at which it is looked at, m."""
 
-LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+class PegStatus(Sentence):
+    """Whether pegs hold a tube on its curve; every value reads as a sentence."""
+
+    HELD = "the pegs hold the tube as near to its curve as was asked for"
+    LEFT = "between its pegs the tube leaves its curve by more than was asked for"
 
 
 @dataclass(frozen=True)
-class Peg:
-    """One peg.
+class PegStatistics:
+    """Holes of the board, pegs that touch the tube, and remarks."""
 
-    Args:
-        hole: its name: letters for the row from below, number in the row from the left.
-        place: of the hole, m. pin: where its pin stands, m. angle: at which it is set, rad, from x.
-        left: whether it stands to the left of the tube, seen from its proximal end.
-        arc_length: of the tube beside it, m, from the proximal clamp. room: between it and the tube on its curve, m.
-        force: with which it pushes against the tube while that is cold and straight by itself, N.
-    """
-
-    hole: str
-    place: Point
-    pin: Point
-    angle: float
-    left: bool
-    arc_length: float
-    room: float
-    force: float = 0.0
+    holes: int
+    pegs: int
+    remarks: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +88,21 @@ class PegBoard(Displayed):
     cold: ColdEnd
     heat: PegHeat
     remarks: tuple[str, ...]
+
+    @property
+    def value(self) -> tuple[Peg, ...]:
+        """The pegs."""
+        return self.pegs
+
+    @property
+    def status(self) -> PegStatus:
+        """Whether they hold the tube."""
+        return PegStatus.LEFT if self.deviation > self.spec.pegs.most_deviation else PegStatus.HELD
+
+    @property
+    def statistics(self) -> PegStatistics:
+        """What it has."""
+        return PegStatistics(len(self.holes), len(self.pegs), len(self.remarks))
 
     @property
     def deviation(self) -> float:
@@ -146,7 +146,7 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
     if crosses_itself(curve, tube.outer_diameter + 2 * spec.pegs.pin):
         raise InputError(f"tube {number} comes back to itself: pegs find no room between")
     size, curve = _on_board(curve, spec, number)
-    lattice = _Lattice.of(size, spec.pegs)
+    lattice = Lattice.of(size, spec.pegs)
     worst, placed, pegs, lying = _pegged(curve, lattice, tube, spec.pegs, kept)
     conductance = pin_conductance(tube, spec.heat, spec.pegs.pin, spec.pegs.height, spec.pegs.conductivity)
     heat = peg_heat(tube, spec.heat, np.array([peg.arc_length for peg in pegs]), conductance)
@@ -156,13 +156,13 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
 
 
 def _pegged(
-    curve: Centreline, lattice: _Lattice, tube: Tube, spec: PegSpec, kept: tuple[float, float]
+    curve: Centreline, lattice: Lattice, tube: Tube, spec: PegSpec, kept: tuple[float, float]
 ) -> tuple[float, Centreline, tuple[Peg, ...], Held]:
     """Greatest deviation (m), the curve where it lies, the pegs that touch the tube, and how it lies."""
     places = sorted(_shifts(curve, spec), key=lambda c: _unevenness(c, lattice, tube, spec))[:PLACES_TRIED]
     found: list[tuple[float, Centreline, tuple[Peg, ...], Held]] = []
     for placed in places:
-        every = lattice.all_pegs(_Sampled.of(placed), tube, spec)
+        every = lattice.all_pegs(Sampled.of(placed), tube, spec)
         for spacing in SPACINGS:
             pegs = _chosen(every, placed.length, spec.pitch, spacing * spec.pitch)
             lying = _held(placed, pegs)
@@ -248,98 +248,14 @@ def _shifts(curve: Centreline, spec: PegSpec) -> list[Centreline]:
     return [_moved(curve, (x * math.sqrt(2) * spec.pitch, y * spec.pitch / math.sqrt(2))) for x in steps for y in steps]
 
 
-def _unevenness(curve: Centreline, lattice: _Lattice, tube: Tube, spec: PegSpec) -> float:
+def _unevenness(curve: Centreline, lattice: Lattice, tube: Tube, spec: PegSpec) -> float:
     """The longest stretch (m) without a hole that serves, on either side."""
-    sampled = _Sampled.of(curve, 5 * SAMPLE)
+    sampled = Sampled.of(curve, 5 * SAMPLE)
     gaps = []
     for side in (1, -1):
         s = np.sort(lattice.serving(sampled, tube, spec, side)[1])
         gaps.append(np.diff(np.concatenate([[0.0], s, [curve.length]])).max())
     return float(max(gaps))
-
-
-@dataclass(frozen=True, eq=False)
-class _Sampled:
-    """The curve at many places: arc length (N,), points and unit normals to the left (N, 2)."""
-
-    s: Array
-    points: Array
-    normals: Array
-    tree: scipy.spatial.cKDTree
-
-    @classmethod
-    def of(cls, curve: Centreline, step: float = SAMPLE) -> _Sampled:
-        lengths, points, normals, begin = [], [], [], 0.0
-        for piece in curve.pieces:
-            s = np.linspace(0.0, piece.length, max(2, math.ceil(piece.length / step) + 1))
-            t = piece.tangent(s)
-            lengths.append(begin + s)
-            points.append(piece.point(s))
-            normals.append(np.column_stack([-t[:, 1], t[:, 0]]))
-            begin += piece.length
-        at = np.vstack(points)
-        return cls(np.concatenate(lengths), at, np.vstack(normals), scipy.spatial.cKDTree(at))
-
-    def seen(self, places: Array) -> tuple[Array, Array]:
-        """Arc lengths of the feet of places (..., 2), and how far to the left of the curve they lie."""
-        near = self.tree.query(places)[1]
-        away, normal = places - self.points[near], self.normals[near]
-        along = away[..., 0] * normal[..., 1] - away[..., 1] * normal[..., 0]
-        return self.s[near] + along, (away * normal).sum(-1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Lattice:
-    """The holes of a board.   places: (N, 2), m. names: in this order."""
-
-    places: Array
-    names: tuple[str, ...]
-
-    @classmethod
-    def of(cls, size: Point, spec: PegSpec) -> _Lattice:
-        """Rows half a diagonal of the lattice apart, every other one shifted by as much; as far as the margin."""
-        half, margin = spec.pitch / math.sqrt(2), 0.5 * spec.pitch + 0.5 * spec.shank
-        rows = int((size[1] - 2 * margin) / half + 1e-9) + 1
-        found, names = [], []
-        for row in range(rows):
-            first = margin + (row % 2) * half
-            count = int((size[0] - margin - first) / (2 * half) + 1e-9) + 1
-            letter = LETTERS[row % 26] if row < 26 else LETTERS[row // 26 - 1] + LETTERS[row % 26]
-            for column in range(count):
-                found.append((first + 2 * half * column, margin + half * row))
-                names.append(f"{letter}{column + 1}")
-        return cls(np.array(found), tuple(names))
-
-    @property
-    def named(self) -> dict[str, Point]:
-        """Places by names."""
-        return {name: (float(x), float(y)) for name, (x, y) in zip(self.names, self.places, strict=True)}
-
-    def serving(self, curve: _Sampled, tube: Tube, spec: PegSpec, side: int) -> tuple[NDArray[np.intp], Array]:
-        """Holes from which a pin reaches the tube from one side, and the arc lengths (m) where it does."""
-        s, left = curve.seen(self.places)
-        near = np.abs(side * left - spec.reach(tube.outer_diameter)) <= REACH * spec.eccentricity
-        inside = (s > spec.pitch) & (s < curve.s[-1] - spec.pitch)
-        chosen = np.flatnonzero(near & inside)
-        return chosen, s[chosen]
-
-    def all_pegs(self, curve: _Sampled, tube: Tube, spec: PegSpec) -> list[Peg]:
-        """One in every hole that serves, for either side."""
-        sides = {side: self.serving(curve, tube, spec, side)[0] for side in (1, -1)}
-        return [self._set(int(hole), curve, tube, spec, side) for side, holes in sides.items() for hole in holes]
-
-    def _set(self, hole: int, curve: _Sampled, tube: Tube, spec: PegSpec, side: int) -> Peg:
-        """The peg of a hole, turned in its steps to where its pin is nearest to touching the tube from outside."""
-        angles = np.arange(0.0, 2 * math.pi - 1e-9, spec.angle_step)
-        pins = self.places[hole] + spec.eccentricity * np.column_stack([np.cos(angles), np.sin(angles)])
-        s, left = curve.seen(pins)
-        room = side * left - 0.5 * (tube.outer_diameter + spec.pin)
-        best = int(np.argmin(np.where(room >= 0, room, np.inf)))
-        place, pin = (tuple(float(x) for x in p) for p in (self.places[hole], pins[best]))
-        return Peg(
-            hole=self.names[hole], place=(place[0], place[1]), pin=(pin[0], pin[1]), angle=float(angles[best]),
-            left=side > 0, arc_length=float(s[best]), room=float(room[best]),
-        )  # fmt: skip
 
 
 def _chosen(pegs: Sequence[Peg], length: float, margin: float, spacing: float) -> tuple[Peg, ...]:
