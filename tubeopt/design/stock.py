@@ -9,10 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError, SolveError, positive
+from ..errors import InputError, SolveError, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
-from .checks import whole
 from .exchange import robot_at
 from .multistart import multistart
 from .objectives import key_of
