@@ -221,6 +221,7 @@ class Correction:
     posture: Posture | None
     slope: Array
     solves: int
+    """Equilibria."""
 
 
 def correct(
