@@ -21,7 +21,7 @@ from . import (
     workspaces,
 )
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
-from .design import DesignSolution, DesignTask, optimize_design
+from .design import DesignSolution, DesignSolver, DesignTask, optimize_design
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.clearance import ClearanceCorrection, clearance_correction
 from .equilibrium.file import load_equilibrium
@@ -29,7 +29,15 @@ from .equilibrium.kinematics import forward_kinematics
 from .equilibrium.result import Equilibrium, Jacobian, Statistics, Status, Verification
 from .equilibrium.solving import Discretisation
 from .errors import InputError, SolveError
-from .inverse import IkSession, InverseOptions, InverseSolution, InverseStatus, inverse_kinematics
+from .inverse import (
+    IkSession,
+    InverseOptions,
+    InverseSolution,
+    InverseSolver,
+    InverseStatus,
+    WaySearch,
+    inverse_kinematics,
+)
 from .planning import (
     ArmsPlan,
     ArmsProof,
@@ -123,6 +131,7 @@ __all__ = [
     "ClearanceCorrection",
     "ConcentricRobot",
     "DesignSolution",
+    "DesignSolver",
     "DesignTask",
     "Discretisation",
     "EccentricRobot",
@@ -142,6 +151,7 @@ __all__ = [
     "InputError",
     "InverseOptions",
     "InverseSolution",
+    "InverseSolver",
     "InverseStatus",
     "Ipopt",
     "Jacobian",
@@ -182,6 +192,7 @@ __all__ = [
     "Uncertainty",
     "Verdict",
     "Verification",
+    "WaySearch",
     "Workspace",
     "WorstCertificate",
     "WorstMargin",

@@ -6,6 +6,7 @@ import difflib
 import importlib
 import math
 from collections.abc import Iterable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,26 @@ def finite(name: str, value: Any) -> float:
     if not math.isfinite(number):
         raise InputError(f"{name} is {number}; it must be a finite number")
     return number
+
+
+def whole(name: str, value: Any, least: int | None = None) -> int:
+    """The value as a whole number, of at least `least` if given; raises InputError where it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise InputError(f"{name} is {value!r}; it must be a whole number")
+    if least is not None and value < least:
+        raise InputError(f"{name} is {value}; it must be at least {least}")
+    return int(value)
+
+
+def check_settings(settings: Any, none: tuple[str, ...] = ()) -> None:
+    """Raise InputError where a field of a dataclass that counts is no whole number of at least 1, of at least 0 by the
+    names `none`, or another one is no positive number."""
+    for each in fields(settings):
+        value = getattr(settings, each.name)
+        if isinstance(each.default, float):
+            positive(each.name, value)
+        else:
+            whole(each.name, value, int(each.name not in none))
 
 
 def instance(name: str, value: Any, wanted: type) -> None:

@@ -9,7 +9,16 @@ import pytest
 
 from tests.design.tasks import equal_pair, tightest, two_tubes
 from tests.examples import MM
-from tubeopt import ConcentricRobot, DesignTask, SolveError, Tube, optimize_design, snap_free_certificate
+from tubeopt import (
+    ConcentricRobot,
+    DesignSolver,
+    DesignTask,
+    InputError,
+    SolveError,
+    Tube,
+    optimize_design,
+    snap_free_certificate,
+)
 from tubeopt.design import Free, InfeasibleDesignError, Length, Objective, Reach, SnapFree, Strain, Target
 from tubeopt.design.multistart import multistart
 from tubeopt.design.program import compile_task
@@ -54,6 +63,10 @@ def test_failures_are_counted_by_what_failed() -> None:
     )
     error = refused(task)
     assert "of 4 starts, 4 failed most at the certified margin" in str(error)
+    error = refused(replace(task, solver=DesignSolver(retries=1)))
+    assert "of 1 starts, 1 failed most at the certified margin" in str(error)
+    with pytest.raises(InputError, match="retries is 0; it must be at least 1"):
+        DesignSolver(retries=0)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, 45.0], ids=["across", "between", "diagonal"])

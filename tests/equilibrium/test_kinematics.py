@@ -27,7 +27,8 @@ from tests.examples import (
     unstable_home,
 )
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, InputError, SolveError, Status, Tube
-from tubeopt.equilibrium.kinematics import METHODS, forward_kinematics
+from tubeopt.equilibrium.kinematics import forward_kinematics
+from tubeopt.equilibrium.method import METHODS
 from tubeopt.equilibrium.result import ARRAYS
 from tubeopt.equilibrium.solving import to_equilibrium
 from tubeopt.typing import Array

@@ -44,5 +44,13 @@ def test_as_a_method_of_forward_kinematics() -> None:
 def test_what_it_cannot_do_is_said() -> None:
     with pytest.raises(InputError, match="no energy to be made least, it must be 'newton'"):
         forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(moment=(0, 0, 1e-3)), method="ipopt")
-    with pytest.raises(InputError, match="settings of Newton's method"):
-        forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=PUSHED, method=tubeopt.Newton())
+    with pytest.raises(InputError, match="settings of Newton's method other than loaded_refinements and margin_tol"):
+        forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=PUSHED, method=tubeopt.Newton(iterations=5))
+
+
+def test_margins_close_to_1_are_checked_to_what_is_wanted() -> None:
+    load = Load((-3e-5, 8e-5, 3e-5))
+    usual = forward_kinematics(THESIS, [0.0, 0.0, 0.0], load=load)
+    rough = forward_kinematics(THESIS, [0.0, 0.0, 0.0], load=load, method=tubeopt.Newton(margin_tolerance=1e-4))
+    assert (usual.statistics.refinement, rough.statistics.refinement) == (1, 0)
+    assert 0 < abs(usual.margin - rough.margin) < 1e-4

@@ -17,6 +17,7 @@ from tubeopt import (
     ConcentricRobot,
     InputError,
     InverseOptions,
+    InverseSolver,
     InverseStatus,
     SolveError,
     Tube,
@@ -455,6 +456,13 @@ class TestJoints:
         assert (-np.diff(ends) >= 8 * MM - 1e-9).all()
 
 
+def test_settings_bound_the_search() -> None:
+    options = InverseOptions(solver=InverseSolver(far_starts=3))
+    with pytest.raises(SolveError) as caught:
+        inverse_kinematics(TWO_TUBE, [0.5, 0.0, 0.05], options=options)
+    assert caught.value.solution.statistics.tries == 3
+
+
 class TestInput:
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -490,15 +498,22 @@ class TestInput:
             ({"objective": "best"}, "objective is 'best'; it must be one of nearest, margin, curvature"),
             ({"method": "guess"}, "method is 'guess'"),
             ({"clearance": -1.0}, "clearance is -1; it must be at least 0"),
-            ({"starts": 0}, "starts is 0; it must be a whole number of at least 1"),
-            ({"starts": "many"}, "starts is 'many'; it must be a number"),
-            ({"starts": np.nan}, "starts is nan; it must be a finite number"),
+            ({"starts": 0}, "starts is 0; it must be at least 1"),
+            ({"starts": "many"}, "starts is 'many'; it must be a whole number"),
+            ({"starts": np.nan}, "starts is nan; it must be a whole number"),
+            ({"solver": InverseSolver}, "solver is"),
             ({"distinct": 0.0}, "distinct is 0; it must be greater than 0"),
         ],
     )
     def test_options_too(self, options: dict[str, object], message: str) -> None:
         with pytest.raises(InputError, match=message):
             InverseOptions(**options)  # type: ignore[arg-type]
+
+    def test_settings_are_whole_and_positive(self) -> None:
+        with pytest.raises(InputError, match="shots is 0; it must be at least 1"):
+            InverseSolver(shots=0)
+        with pytest.raises(InputError, match="first_step is 0; it must be greater than 0"):
+            InverseSolver(first_step=0.0)
 
     @pytest.mark.parametrize("size", [1e-200, 1e200])
     def test_directions_have_any_length(self, size: float) -> None:

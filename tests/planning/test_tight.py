@@ -41,7 +41,7 @@ from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
 from tubeopt.planning import building
-from tubeopt.planning.goals import _way_around
+from tubeopt.planning.tip_place import way_around
 from tubeopt.robots.robot import Robot
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
@@ -344,11 +344,11 @@ def test_the_way_around_a_box_is_never_longer_than_one_that_is_found() -> None:
         via = np.column_stack([random.uniform(-0.1, 0.1, (20000, 2)), np.full(20000, 0.045)])
         via = via[((via < low) | (via > high))[:, :2].any(1)]
         found = (np.linalg.norm(via, axis=1) + np.linalg.norm(goal - via, axis=1)).min()
-        told = _way_around(Box(tuple(low.tolist()), tuple(high.tolist())), goal)
+        told = way_around(Box(tuple(low.tolist()), tuple(high.tolist())), goal)
         assert told <= found
         if ((goal > low) & (goal < high))[:2].all():
             assert told == pytest.approx(found, abs=3e-3)
-    assert _way_around(Box((-0.1, -0.1, 0.2), (0.1, 0.1, 0.3)), np.array([0.0, 0.0, 0.1])) == 0.0
+    assert way_around(Box((-0.1, -0.1, 0.2), (0.1, 0.1, 0.3)), np.array([0.0, 0.0, 0.1])) == 0.0
 
 
 def test_a_closed_pocket_is_told_from_an_open_place() -> None:

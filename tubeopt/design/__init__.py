@@ -25,6 +25,7 @@ from .requirements import (
     Wall,
 )
 from .sensitivities import Sensitivity
+from .settings import DesignSolver
 from .stock import Candidate, StockChoice, StockTube, choose_from_stock
 from .task import DesignTask
 from .tolerance import ToleranceAnalysis, Tolerances, tolerance_analysis
@@ -39,6 +40,7 @@ __all__ = [
     "Coverage",
     "Deployment",
     "DesignSolution",
+    "DesignSolver",
     "DesignTask",
     "Dimension",
     "Free",

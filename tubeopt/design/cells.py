@@ -23,9 +23,6 @@ CLOSED = 1e-5
 NUDGE = 2e-6
 """Length (m) by which a section is opened on the other side of a kink."""
 
-SWAPS = 6
-"""Most optima that are computed in search of the order that holds the best one."""
-
 GAIN = 1e-7
 """Relative gain of the objective below which another order is no better."""
 
@@ -105,7 +102,7 @@ def improve_by_cells(program: Program, start: Array, report: Report | None = Non
     cell = cell_at(program, start)
     best = _in_cell(program, start, cell, report)
     tried = {cell}
-    for _ in range(SWAPS):
+    for _ in range(program.task.solver.orders):
         values, slopes, what = cell_rows(program, state_at(program, best.x), cell)
         if not best.feasible or not what:
             break

@@ -23,15 +23,6 @@ def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
     return found
 
 
-def whole(name: str, value: Any, least: int | None = None) -> int:
-    """`value` as a whole number, of at least `least` if given, or InputError naming it."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise InputError(f"{name} is {value!r}; it must be a whole number")
-    if least is not None and value < least:
-        raise InputError(f"{name} is {value}; it must be at least {least}")
-    return int(value)
-
-
 def table(name: str, values: Any, columns: int) -> Rows:
     """`values` as a tuple of rows of finite numbers, or InputError naming it; `columns` 0 allows any number."""
     try:

@@ -24,17 +24,8 @@ from .starts import with_joints
 from .state import FreePose
 from .task import DesignTask
 
-ROUNDS = 12
-"""Most times that worst cases are added."""
-
-WAYPOINTS = 16
-"""Points of a joint path at which its margin is looked at."""
-
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 """Least and greatest translations."""
-
-POINTS_PER_ROUND = 3
-"""Points of a workspace box that are added at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +57,14 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     """The robot moved through its task poses in order, slowly; after a snap it goes on from the next pose anew."""
     state = state_at(program, x)
     joints = [state.joint_values(k) for k in program.task_poses]
-    share = np.linspace(0.0, 1.0, WAYPOINTS + 1)
+    count = program.task.solver.path_points
+    share = np.linspace(0.0, 1.0, count + 1)
     out = []
     start: Equilibrium | None = None
     for a in range(len(joints) - 1):
         rows = [np.outer(1 - share, joints[a][j]) + np.outer(share, joints[a + 1][j]) for j in range(2)]
         path = follow(robot, rows[0], rows[1], start=start)
-        snap = (path.snaps[0].index + path.snaps[0].fraction) / WAYPOINTS if path.snaps else None
+        snap = (path.snaps[0].index + path.snaps[0].fraction) / count if path.snaps else None
         margin = np.array([e.margin for e in path.equilibria])
         numbers = program.task_poses[a], program.task_poses[a + 1]
         out.append(Motion(*numbers, share, margin, path.equilibria, snap))
@@ -120,7 +112,7 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
         tables = list(added.points) or [corners(box) for box in boxes]
         for k, box in enumerate(boxes):
             missed = _missed(program, x, box)
-            new = [point for point in missed if point not in tables[k]][:POINTS_PER_ROUND]
+            new = [point for point in missed if point not in tables[k]][: program.task.solver.points_per_round]
             tables[k] = (*tables[k], *new)
             why += [f"{len(missed)} points of the workspace box"] if new else []
         added = replace(added, points=tuple(tables))
@@ -247,7 +239,7 @@ def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program,
     return new, np.clip(out, new.lower, new.upper)
 
 
-def check_rounds(count: int, why: str) -> None:
+def check_rounds(task: DesignTask, count: int, why: str) -> None:
     """Raises SolveError where exchange has not ended."""
-    if count >= ROUNDS:
-        raise SolveError(f"after {ROUNDS} rounds of adding worst cases there are still some: {why}")
+    if count >= task.solver.exchange_rounds:
+        raise SolveError(f"after {count} rounds of adding worst cases there are still some: {why}")

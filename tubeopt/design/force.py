@@ -16,14 +16,10 @@ from ..errors import SolveError
 from ..stability import snap_free_certificate
 from .exchange import certified_at
 from .requirements import SnapFree, of_kind
+from .settings import DesignSolver
 from .solve import Attempt
 from .task import DesignTask
 from .verify import Check
-
-MOST_ROUNDS = 16
-
-NEAR = 2e-3
-"""The floor is raised no farther than so much beyond what is needed."""
 
 
 @dataclass(frozen=True)
@@ -53,25 +49,25 @@ def under_force(attempt: Attempt, robot: object, one: SnapFree) -> Loaded:
     return Loaded(value, Check(words, f"{value:.5f}", value >= one.margin))
 
 
-def raised(one: SnapFree, bears: Callable[[float], float]) -> float:
-    """The least floor, within NEAR, whose design bears the force; `bears` tells the certificate under it.
+def raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver) -> float:
+    """The least floor, within `force_accuracy`, whose design bears the force; `bears` tells the certificate under it.
 
     Raises:
         SolveError: no floor below 1 does.
     """
     low, high = one.margin, None
     floor = one.margin
-    for _ in range(MOST_ROUNDS):
+    for _ in range(solver.force_rounds):
         short = one.margin - bears(floor)
         if short <= 0:
             high = floor
-            if high - low <= NEAR:
+            if high - low <= solver.force_accuracy:
                 return high
             # What is in hand, but not all of it: the two certificates do not fall alike.
             floor = max((low + high) / 2, high + 0.9 * short)
             continue
         low = floor
-        floor = min(floor + 1.1 * short + NEAR / 2, (low + (1.0 if high is None else high)) / 2)
+        floor = min(floor + 1.1 * short + solver.force_accuracy / 2, (low + (1.0 if high is None else high)) / 2)
     if high is None:
         raise SolveError(f"no design was found that bears {one.max_force * 1e3:g} mN: the floor reached {low:.4f}")
     return high

@@ -9,12 +9,11 @@ from functools import partial
 
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, choice
+from ..errors import InputError, SolveError, choice, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
 from ..typing import Array, Sentence
-from .checks import whole
 from .collocation import check_collocation
 from .exchange import carry, certified_at, check_rounds, robot_at, violations
 from .force import Loaded, forced, raised, under_force, without_force
@@ -30,9 +29,6 @@ from .sensitivities import Sensitivity, sensitivities
 from .solve import METHODS, Attempt, Report, solve
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
-
-RETRIES = 4
-"""Starts that are tried before a task counts as infeasible, where fewer were asked for."""
 
 
 @dataclass(frozen=True)
@@ -213,8 +209,9 @@ def _searched(
         ranking = search(compile_task(task), starts=starts)
     else:
         ranking = rank([solve(_recompiled(task, begin), begin.x, report, method)])
-    if not ranking.designs and starts < RETRIES:
-        ranking = search(compile_task(task, added), starts=RETRIES)
+    retries = task.solver.retries
+    if not ranking.designs and starts < retries:
+        ranking = search(compile_task(task, added), starts=retries)
     if not ranking.designs:
         raise infeasible(ranking)
     best, rounds = settle(ranking.designs[0], report, method)
@@ -237,7 +234,7 @@ def _bearing(
         known[floor] = found, under_force(found.best, robot_at(found.best.program, found.best.x), one)
         return known[floor][1].value
 
-    floor = raised(one, bears)
+    floor = raised(one, bears, task.solver)
     found, loaded = known[floor]
     solution = _solution(without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, loaded.check))
@@ -262,7 +259,7 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
         added, why = violations(found.program, found.x)
         if not why:
             return found, rounds
-        check_rounds(rounds, why)
+        check_rounds(found.program.task, rounds, why)
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
         following = solve(program, start, report, method)

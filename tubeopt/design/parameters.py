@@ -9,11 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError, choice, finite
+from ..errors import InputError, choice, finite, whole
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube, second_moment
 from ..typing import Array
-from .checks import items, whole
+from .checks import items
 from .pieces import (
     PIECE_FIELDS,
     Place,

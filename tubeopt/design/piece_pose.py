@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ..block.transcription.reduced import to_unknowns
-from ..equilibrium.general_derivatives import Change, Linearised, together
+from ..equilibrium.general_change import Change, together
+from ..equilibrium.general_derivatives import Linearised
 from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, to_equilibrium

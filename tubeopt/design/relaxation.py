@@ -25,9 +25,6 @@ LEAST = 1e-5
 ENOUGH = 1e-5
 """Violation (steps) at which slacks count as sufficient."""
 
-STARTS = 2
-"""Failed starts near which the least sum of moves is looked for."""
-
 TRIES = ((1.0, 0.01), (1.0, 0.0), (1.02, 0.0), (1.04, 0.0), (1.06, 0.0))
 """Factors by which a relaxation is enlarged, one after the other until the relaxed task is found feasible; and part of
 the last digit by which the limit may be rounded to the demanding side: a limit of 160 mm is told as such."""
@@ -80,7 +77,7 @@ def smallest_relaxations(failed: Sequence[Attempt], most: int = 3) -> list[Relax
     """The relaxation with the least sum of moves that is found near where starts failed, and up to `most` in which a
     single limit moves."""
     sums: list[tuple[float, Program, Array, Array]] = []
-    for one in failed[:STARTS]:
+    for one in failed[: failed[0].program.task.solver.relaxed_starts]:
         if evaluate(one.program, one.x) is not None:
             movable = np.array([group.limit.movable for group in rows_at(one.program, one.x)[0]], dtype=bool)
             eased = _elastic(one.program, one.x, movable)

@@ -13,10 +13,10 @@ from ..block.own import OwnRequirement
 from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle
-from ..errors import InputError, finite, positive
+from ..errors import InputError, finite, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
 from ..typing import Array
-from .checks import Rows, items, table, triple, whole
+from .checks import Rows, items, table, triple
 from .drawn import ALONG, SHARES
 
 

@@ -14,22 +14,12 @@ from .starts import with_joints
 NEAR = 0.5
 """Violation, in steps of its limit, from which IPOPT is trusted to get inside."""
 
-KICKS = 2
-"""Times that other joint values are tried for dimensions from which least squares do not get near."""
-
 RIM = 1e-3
 """Part of a target's tolerance from a side of its cube within which that side binds, and of the objective that it may
 cost to stay inside the cubes."""
 
 EASED = 1e-5
 """Slack (steps) above which a tolerance counts as eased."""
-
-RIM_ITERATIONS = 60
-"""Iterations of IPOPT from the optimum in the cubes to that in the balls."""
-
-FREE_ITERATIONS = 150
-"""Iterations of IPOPT before it counts as stuck on a kink."""
-
 
 METHODS = ("reduced", "collocation")
 """Ways to the optimum: with the equilibria solved inside, or as unknowns of one program of blocks."""
@@ -39,7 +29,8 @@ def solve(program: Program, start: Array, report: Report | None = None, method: 
     """The best design from a start (X,), SI, by one of METHODS."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
     missed = violation(program, x)[0]
-    for kick in range(KICKS if program.layout.free_poses else 0):
+    restarts = program.task.solver.joint_restarts if program.layout.free_poses else 0
+    for kick in range(restarts):
         if missed <= NEAR:
             break
         random = np.random.default_rng([kick, program.layout.size])
@@ -64,7 +55,7 @@ def _to_the_rim(program: Program, found: Attempt, report: Report | None) -> Atte
     """The optimum with whole balls around the targets, where the cubes inside them cost something."""
     if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= RIM:
         return found
-    other = improve(program, found.x, report, RIM_ITERATIONS, exact=True)
+    other = improve(program, found.x, report, program.task.solver.ball_iterations, exact=True)
     if found.feasible and other.feasible:
         return other if other.objective < found.objective - GAIN * max(abs(found.objective), 1e-3) else found
     return min(found, other, key=_worse)
@@ -92,7 +83,7 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
 
 
 def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
-    found = improve(program, x, report, FREE_ITERATIONS)
+    found = improve(program, x, report)
     if found.feasible and found.optimum is not None and found.optimum.success:
         return found
     candidates = [found, attempt(program, x, None)]

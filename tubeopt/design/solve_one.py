@@ -175,7 +175,7 @@ def improve(
     program: Program,
     start: Array,
     report: Report | None = None,
-    iterations: int = 150,
+    iterations: int | None = None,
     *,
     rows: MoreRows | None = None,
     strategy: str = "quick",
@@ -187,6 +187,7 @@ def improve(
     Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
     optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
     """
+    iterations = program.task.solver.iterations if iterations is None else iterations
     form = cubed if not exact else same if program.elastic else squared
     scale = program.scale
     known = evaluate(program, start)

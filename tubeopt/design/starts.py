@@ -19,12 +19,6 @@ from .requirements import Avoid, Coverage, Reach
 from .solved import solve_pose
 from .state import FreePose
 
-POSES = 256
-"""Poses from which the joint values of the first guess are taken."""
-
-DRAWS = 32
-"""Random dimensions that are drawn for each start that is wanted."""
-
 FAR = 5e-3
 """Distance (m) from its target that is as bad, in the guess of a pose, as to turn by 1 rad from the pose before."""
 
@@ -35,7 +29,9 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     space = layout.space
     if count == 1:
         return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
-    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * count))))
+    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(
+        int(np.ceil(np.log2(program.task.solver.sampled_designs * count)))
+    )
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
@@ -51,7 +47,7 @@ def _makes_robot(program: Program, design: Array) -> bool:
 
 
 def with_joints(program: Program, design: Array, random: np.random.Generator) -> Array:
-    """A start (X,) with these dimensions (D,), every free pose at the best of POSES random joint values."""
+    """A start (X,) with these dimensions (D,), every free pose at the best of random joint values."""
     layout = program.layout
     x = np.clip(np.zeros(layout.size), program.lower, program.upper)
     x[: layout.designs] = design
@@ -61,7 +57,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
         tubes = layout.space.tubes(design)
     except InputError:
         return x
-    joints, poses = _sample(tubes, program.task.robot.joint_limits, random)
+    joints, poses = _sample(tubes, program.task.robot.joint_limits, random, program.task.solver.sampled_poses)
     if not poses:
         return x
     tips = np.array([pose.position[-1] for pose in poses])
@@ -98,7 +94,7 @@ def _aims(program: Program) -> dict[int, tuple[float, ...]]:
 
 
 def _sample(
-    tubes: tuple[Tube, ...], limits: JointLimits | None, random: np.random.Generator
+    tubes: tuple[Tube, ...], limits: JointLimits | None, random: np.random.Generator, count: int
 ) -> tuple[list[Array], list[Pose | PiecePose]]:
     """Joint values (2 n,), rotations then beta, with carriages and ends in order, within the limits of translations
     where that leaves a range, and their poses."""
@@ -107,7 +103,7 @@ def _sample(
     straight = np.array([tube.straight_length for tube in tubes])
     joints: list[Array] = []
     poses: list[Pose | PiecePose] = []
-    for _ in range(POSES):
+    for _ in range(count):
         rotations = random.uniform(-np.pi, np.pi, n)
         beta = np.zeros(n)
         ahead, behind = 0.0, 0.0

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ..block.quantities import PoseNumber
-from ..equilibrium.general_derivatives import Change, Linearised
+from ..equilibrium.general_change import Change
+from ..equilibrium.general_derivatives import Linearised
 from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot

@@ -10,11 +10,10 @@ from typing import Annotated
 
 import numpy as np
 
-from ..errors import InputError, SolveError, positive
+from ..errors import InputError, SolveError, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
-from .checks import whole
 from .exchange import robot_at
 from .multistart import multistart
 from .objectives import key_of

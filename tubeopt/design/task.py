@@ -9,7 +9,7 @@ import numpy as np
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
-from ..errors import InputError
+from ..errors import InputError, instance
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import must_follow_section, slots_unknown
 from ..typing import Array
@@ -33,6 +33,7 @@ from .requirements import (
     StrokeForce,
     of_kind,
 )
+from .settings import DEFAULT_SOLVER, DesignSolver
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class DesignTask(Displayed):
     ordered: whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it,
         none withdrawn past the plate) at home, over certified boxes, and at all translations that requirements and
         objectives name; in poses whose joint values are found they always are.
+    solver: how hard it is searched for.
 
     Raises:
         InputError: parts that do not fit together: tubes that are not there, translations of another number of tubes,
@@ -57,6 +59,7 @@ class DesignTask(Displayed):
     objective: AnyObjective | tuple[AnyObjective, ...] = field(default_factory=lambda: Objective("change"))
     name: str = ""
     ordered: bool = True
+    solver: DesignSolver = DEFAULT_SOLVER
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):
@@ -77,6 +80,7 @@ class DesignTask(Displayed):
         self.space  # noqa: B018  (its checks)
         if not self.objectives:
             raise InputError("objective is empty; a design needs at least one")
+        instance("solver", self.solver, DesignSolver)
         _check_requirements(self)
         _check_objectives(self)
         _check_pieces(self)

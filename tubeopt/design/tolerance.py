@@ -10,13 +10,12 @@ from typing import Annotated
 import numpy as np
 
 from ..equilibrium.batch import forward_kinematics_batch
-from ..errors import InputError, SolveError, choice, positive, vector
+from ..errors import InputError, SolveError, choice, positive, vector, whole
 from ..files.marks import NOT_NEGATIVE, OneOf, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import OfCrossSection, Tube
 from ..stability import snap_free_certificate
 from ..typing import Array
-from .checks import whole
 from .pool import Progress, executor, run_all
 from .pose import Pose
 from .solved import without_solving

@@ -10,12 +10,11 @@ from ..block.own import OwnRequirement
 from ..block.quantities import Quantity
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import SolveError
+from ..errors import SolveError, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
-from .checks import whole
 from .drawn import SHARES, draw
 from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
@@ -35,9 +34,6 @@ from .verify_tubes import check_tubes, least_room
 
 SLACK = 1e-6
 """By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""
-
-SEARCHED = 3
-"""Translations at which the least margin is searched for: those with the least certificate."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +136,8 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
     rows = [np.array(row) for row in certified_at(program, robot)]
     values = [snap_free_certificate(robot, row) for row in rows]
     checks = [Check("certificate", f"{min(values):.5f}", min(values) >= one.floor - one.tolerance - SLACK)]
-    checks += _erring(robot, one, rows)
-    order = np.argsort(values)[:SEARCHED]
+    checks += _erring(robot, one, rows, program.task.solver.perturbed_robots)
+    order = np.argsort(values)[: program.task.solver.searched_translations]
     for k in order:
         try:
             found = worst_margin(robot, rows[k]).margin
@@ -157,16 +153,12 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
     return checks
 
 
-ERRING = 12
-"""Robots with tubes that are off by all that is allowed, up or down at random, whose certificates are looked at."""
-
-
-def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array]) -> list[Check]:
+def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array], count: int) -> list[Check]:
     """The certificate with curvatures and stiffnesses that are off by as much as they may be."""
     if one.growth == 1 or any(tube.general for tube in robot.tubes):
         return []
     random, least = np.random.default_rng(0), np.inf
-    for _ in range(ERRING):
+    for _ in range(count):
         bent, bending, torsional = 1 + random.choice([-1.0, 1.0], (3, robot.n_tubes)) * np.array(
             [[one.curvature_error], [one.stiffness_error], [one.stiffness_error]]
         )
@@ -180,7 +172,7 @@ def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array]) -> list[Ch
             for i, tube in enumerate(robot.tubes)
         )
         least = min(least, *(snap_free_certificate(ConcentricRobot(tubes), row) for row in rows))
-    words = f"least certificate of {ERRING} robots whose tubes are off"
+    words = f"least certificate of {count} robots whose tubes are off"
     return [Check(words, f"{least:.5f}", least >= one.margin - one.tolerance - SLACK)]
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..block.transcription.collocated import ENDS
 from ..typing import Array
-from .general_derivatives import Answer, Change, Linearised, changes_of, columns_of, together
+from .general_change import Answer, Change, together
+from .general_derivatives import Linearised, changes_of, columns_of
 from .result import Equilibrium
 from .solving import discretisation_of, polish
 

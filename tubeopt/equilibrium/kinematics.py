@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..block.transcription import arm as arms
 from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, to_unknowns, worst_equation
 from ..block.transcription.second_variation import margin
-from ..errors import InputError, SolveError, choice, positive, vector
+from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import Start, solve_compiled
@@ -33,6 +32,7 @@ from .continuation import (
 )
 from .load_problem import check_load
 from .loaded import loaded_kinematics, solved_by_ipopt
+from .method import NAMED, Method, method_of, only_plain
 from .result import Equilibrium, Status
 from .solving import (
     DEFAULT_DISCRETISATION,
@@ -45,33 +45,6 @@ from .solving import (
     to_equilibrium,
 )
 from .verification import verify_equilibrium
-
-METHODS = ("newton", "ipopt", "energy")
-
-
-@dataclass(frozen=True)
-class Method:
-    """One of METHODS with the settings of its solver."""
-
-    name: str
-    newton: Newton = NEWTON
-    ipopt: Ipopt | None = None
-
-
-NAMED = {name: Method(name) for name in METHODS}
-
-
-def _method(given: str | Newton | Ipopt) -> Method:
-    """Behind a name or the settings of a solver; raises InputError where it is neither."""
-    if isinstance(given, Newton):
-        return Method("newton", newton=given)
-    if isinstance(given, Ipopt):
-        return Method("ipopt", ipopt=given)
-    return NAMED[choice("method", given, METHODS)]
-
-
-FINEST = 6
-"""Most times that the pieces of the mesh are halved."""
 
 SHORT = 0.01
 """Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
@@ -134,16 +107,16 @@ def forward_kinematics(  # noqa: PLR0913
     check_turn("rotations", alpha)
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
-    by = _method(method)
+    by = method_of(method)
     positive("tolerance", tolerance)
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     if load is not None:
         check_load(robot, load, shift)
-        _only_plain(by, load, verify, discretisation)
+        only_plain(by, load, verify, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        found = loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began)
-        return found if by is NAMED["newton"] else solved_by_ipopt(found, by.name, by.ipopt, began)
+        found = loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began, by.newton)
+        return found if by.name == "newton" else solved_by_ipopt(found, by.name, by.ipopt, began)
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
@@ -161,21 +134,6 @@ def forward_kinematics(  # noqa: PLR0913
             solution = _resolve(solution.problem, alpha, solution.arm, by)
     equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (by, start, began))
     return verify_equilibrium(equilibrium) if verify else equilibrium
-
-
-def _only_plain(by: Method, load: Load, verify: bool, discretisation: Discretisation) -> None:
-    """Raise InputError for what there is not under load."""
-    if by.name == "newton" and by is not NAMED["newton"]:
-        raise InputError("method has settings of Newton's method; under load they are chosen for you")
-    if by.name != "newton" and not load.has_energy:
-        raise InputError(
-            f"method is {by.name!r}; under a moment or a force that turns with the tip, which have no energy to be "
-            "made least, it must be 'newton'"
-        )
-    if verify:
-        raise InputError("verify is set; an equilibrium under load is not re-integrated, its own error estimate stands")
-    if discretisation != DEFAULT_DISCRETISATION:
-        raise InputError("discretisation is given; under load it is chosen for you")
 
 
 def check_turn(name: str, rotations: Array) -> None:
@@ -199,7 +157,7 @@ def _to_tolerance(
         SolveError: no mesh is fine enough, or finer ones no longer help.
     """
     method, start, began = how
-    before, finest = np.inf, max(FINEST, discretisation.refinement)
+    before, finest = np.inf, max(method.newton.refinements, discretisation.refinement)
     for level in range(discretisation.refinement, finest + 1):
         equilibrium = to_equilibrium(robot, solution, shift, (method.name, start, time.perf_counter() - began))
         error = _error(equilibrium)

@@ -18,7 +18,7 @@ from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_c
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
 from ..solvers.loaded_ipopt import solve_loaded_ipopt
 from ..solvers.parallel.blas import small
-from ..solvers.settings import Ipopt
+from ..solvers.settings import NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
@@ -26,12 +26,6 @@ from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, car
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
 from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
-
-FINEST = 4
-"""Most times that the pieces of the mesh are halved."""
-
-MARGIN_TOLERANCE = 1e-8
-"""Wanted accuracy of margins that need a check."""
 
 
 def ramp(robot: Robot, unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> LoadedPoint:
@@ -113,17 +107,18 @@ def to_tolerance(
     discretisation: Discretisation,
     tolerance: float,
     how: tuple[str, float],
+    settings: Newton = NEWTON,
 ) -> Equilibrium:
     """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun.
 
     Raises:
         SolveError: no mesh is fine enough.
     """
-    d = discretisation
-    for level in range(d.refinement, max(FINEST, d.refinement) + 1):
+    d, finest = discretisation, settings.loaded_refinements
+    for level in range(d.refinement, max(finest, d.refinement) + 1):
         errors = mesh_errors(robot, point, d)
         error = max(errors[0], errors[1] / point.member.problem.torsion.assembly.total_length)
-        if error <= tolerance and (errors[2] <= MARGIN_TOLERANCE or level >= FINEST):
+        if error <= tolerance and (errors[2] <= settings.margin_tolerance or level >= finest):
             return to_loaded(robot, point, load, d, how, errors)
         d = Discretisation(d.family, d.degree, level + 1)
         shift = point.member.translations
@@ -144,6 +139,7 @@ def loaded_kinematics(
     load: Load,
     tolerance: float,
     began: float,
+    settings: Newton = NEWTON,
 ) -> Equilibrium:
     """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load.
 
@@ -152,7 +148,7 @@ def loaded_kinematics(
     """
     rotations, shift = joints
     d = LOADED_DISCRETISATION
-    quick = compiled(robot, start, joints, load, tolerance, began)
+    quick = compiled(robot, start, joints, load, tolerance, began, settings)
     if quick is not None:
         return quick
     own, there = np.concatenate([start.rotations, start.translations]), np.concatenate([rotations, shift])
@@ -160,14 +156,14 @@ def loaded_kinematics(
         point, word = ramp(robot, start, load, d), "the load before, from none"
     else:
         family, word = JointFamily(JointPath(robot, own, there, d), load, start.load), "guess"
-        here, t = _by_parts(family, start, tolerance, began)
+        here, t = _by_parts(family, start, tolerance, began, settings)
         if t == 1.0:
             return here
         close = None
         if start.load is not None and t == 0.0:
             close = _close(start, loaded_problem(robot, shift, load, d), rotations, shift)
         point = _along(family, here, t) if close is None else close
-    return to_tolerance(robot, point, load, d, tolerance, (word, began))
+    return to_tolerance(robot, point, load, d, tolerance, (word, began), settings)
 
 
 def solved_by_ipopt(found: Equilibrium, method: str, settings: Ipopt | None, began: float) -> Equilibrium:
@@ -186,6 +182,7 @@ def compiled(
     load: Load,
     tolerance: float,
     began: float,
+    settings: Newton = NEWTON,
 ) -> Equilibrium | None:
     """The stable equilibrium under a dead load by the compiled kernel: grown from `start`, which bears none, or a small
     change of it, which bears one; None where the kernel declines, or no mesh is fine enough."""
@@ -208,9 +205,9 @@ def compiled(
         return None
     found = solve_loaded_compiled(rules, (rotations, turn), given, start.margin)
     refinement = 0
-    while found is not None and _too_coarse(found, problem, tolerance):
+    while found is not None and _too_coarse(found, problem, tolerance, settings):
         refinement += 1
-        if refinement > FINEST:
+        if refinement > settings.loaded_refinements:
             return None
         coarse, rules = problem, loaded_rules(robot, shift, load, refinement)
         problem = rules.problem
@@ -250,12 +247,12 @@ def grow_many(
         return None
     table, compliance, declined = found
     coarse = np.maximum(table[:, n + 14], table[:, n + 15] / length) > tolerance
-    return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > MARGIN_TOLERANCE))
+    return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance))
 
 
-def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float) -> bool:
+def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float, settings: Newton) -> bool:
     theta, tip, margin = found.errors
-    return margin > MARGIN_TOLERANCE or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
+    return margin > settings.margin_tolerance or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
 
 
 def _small(start: Equilibrium, turn: Array, shift: tuple[float, ...]) -> bool:
@@ -281,12 +278,14 @@ SMALLEST_PART = 1e-2
 """Of a way in joint values and load, below which the compiled kernel leaves the rest to the general solver."""
 
 
-def _by_parts(family: JointFamily, start: Equilibrium, tolerance: float, began: float) -> tuple[Equilibrium, float]:
+def _by_parts(
+    family: JointFamily, start: Equilibrium, tolerance: float, began: float, settings: Newton
+) -> tuple[Equilibrium, float]:
     """The last equilibrium on a way, and where, to which the compiled kernel comes in small parts of it."""
     robot, here = family.path.robot, start
     if start.load is None:
         own = start.rotations, tuple(start.translations.tolist())
-        first = compiled(robot, start, own, family.load_at(0.0), tolerance, began)
+        first = compiled(robot, start, own, family.load_at(0.0), tolerance, began, settings)
         if first is None:
             return start, 0.0
         here = first
@@ -297,7 +296,7 @@ def _by_parts(family: JointFamily, start: Equilibrium, tolerance: float, began: 
         goal = 1.0 if t + part >= 1 - 1e-12 else t + part
         rotations, translations = family.path.at(goal)
         joints = rotations, tuple(translations.tolist())
-        then = compiled(robot, here, joints, family.load_at(goal), tolerance, began)
+        then = compiled(robot, here, joints, family.load_at(goal), tolerance, began, settings)
         if then is not None:
             here, t, part = then, goal, min(2 * part, 1 - goal)
             continue

@@ -2,14 +2,17 @@
 
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .session import IkSession
+from .settings import InverseSolver, WaySearch
 from .solving import inverse_kinematics
 
 __all__ = [
     "IkSession",
     "InverseOptions",
     "InverseSolution",
+    "InverseSolver",
     "InverseStatistics",
     "InverseStatus",
     "JointWay",
+    "WaySearch",
     "inverse_kinematics",
 ]

@@ -10,11 +10,12 @@ from ..block.own import OwnObjective, OwnRequirement
 from ..bodies.scene import Scene
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, choice, finite, positive
+from ..errors import InputError, choice, instance, positive, whole
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
 from .goal import OBJECTIVES
 from .outline import Outline
+from .settings import DEFAULT_SOLVER, InverseSolver
 
 METHODS = ("auto", "gauss_newton", "nlp")
 """How to solve: the fast path and the nonlinear program where it stalls, or one of them alone."""
@@ -140,6 +141,7 @@ class InverseOptions(Displayed):
         extra_constraints: own requirements that every answer keeps. With either, the fast path searches alone.
         time_limit: s, of the whole call, whatever the method: what is under way then ends where it is; infinite by
             default.
+        solver: how hard it is searched.
 
     Raises:
         InputError: a value that is not allowed.
@@ -156,6 +158,7 @@ class InverseOptions(Displayed):
     time_limit: float = math.inf
     extra_cost: OwnObjective | None = None
     extra_constraints: tuple[OwnRequirement, ...] = ()
+    solver: InverseSolver = DEFAULT_SOLVER
 
     def __post_init__(self) -> None:
         if self.objective is not None:
@@ -175,9 +178,8 @@ class InverseOptions(Displayed):
         object.__setattr__(self, "extra_constraints", tuple(self.extra_constraints))
         if self.method == "nlp" and (self.extra_cost is not None or self.extra_constraints):
             raise InputError("method 'nlp' takes no extra_cost and no extra_constraints; use 'auto' or 'gauss_newton'")
-        count = finite("starts", self.starts)
-        if isinstance(self.starts, bool) or count != int(count) or count < 1:
-            raise InputError(f"starts is {self.starts!r}; it must be a whole number of at least 1")
+        whole("starts", self.starts, 1)
+        instance("solver", self.solver, InverseSolver)
 
 
 DEFAULT_OPTIONS = InverseOptions()

@@ -33,12 +33,6 @@ LARGEST_GRID = 20_000
 DOUBT = 2e-3
 """Margin that states must lack to count as not allowed: more than the integration is off."""
 
-TRIES = 1500
-"""Motions in a row that fail before a pocket counts as filled."""
-
-OPEN = 60
-"""States from which on a place counts as open."""
-
 APART, SHORTEST, LONGEST = 0.02, -2.5, 0.0
 """Distance of states that are two, and decimal logarithms of the lengths of motions out of them (joints' scales)."""
 
@@ -187,8 +181,8 @@ def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | No
     clock is over. Evidence, and no proof: motions of random length and direction are tried."""
     random = np.random.default_rng(seed)
     states, failed = [point], 0
-    while failed < TRIES:
-        if clock.over or len(states) >= OPEN:
+    while failed < task.effort.pocket_motions:
+        if clock.over or len(states) >= task.effort.pocket_states:
             return None
         at = states[random.integers(len(states))]
         way = random.normal(size=len(point))

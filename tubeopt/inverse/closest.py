@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from ..typing import Array, Index, Mask
-from .descent import ALMOST, FIRST_STEP, SHORTEST_STEP, SLACK, Search, boxed
+from .descent import ALMOST, SHORTEST_STEP, SLACK, Search, boxed
 from .goal import NEAR, Goal
 from .least_squares import constrained_least_squares
 from .order import apart, beyond, breakpoint_order
@@ -32,17 +32,11 @@ CLOSER = 1e-7
 SAME_MISS, ROUND_OFF = 2e-5, 1e-7
 """Shares of the robot's length: poses that miss by this much more or less agree; by the other, they are as close."""
 
-AGREE = 4
-"""So many further ends that polishing brings as close as the best say that there is no closer one."""
-
 SAME_END = 1e-3
 """Ends closer than this in every joint, in units of their scales, are one."""
 
-MOST_STEPS, MOST_RETURNS, MOST_CROSSINGS = 60, 12, 6
-"""Steps of a search, and of the way back to what is allowed; changes of order on the way."""
-
-MOST_SOLVES = 150
-"""Postures tried in a search; far fewer do but where bodies hold the arm in several places."""
+MOST_RETURNS = 12
+"""Steps of the way back to what is allowed."""
 
 ROOM = 1e-9
 """Margin aimed at beyond its bound on the way back."""
@@ -60,8 +54,8 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     first = restored(goal, apart(goal, first)) or first
     descent = _Descent(goal)
     here = descent.minimum(first)
-    for _ in range(MOST_CROSSINGS):
-        there = descent.across(here) if descent.solves < MOST_SOLVES and not goal.late else None
+    for _ in range(goal.solver.closest_orders):
+        there = descent.across(here) if descent.solves < goal.solver.closest_postures and not goal.late else None
         if there is None:
             break
         here = descent.minimum(there)
@@ -79,7 +73,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[
     for ends in groups:
         least, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
-            if agreeing >= AGREE or (best is not None and late()):
+            if agreeing >= goal.solver.closest_agreeing or (best is not None and late()):
                 break
             found = approach(goal, end)
             if found is None:
@@ -113,7 +107,9 @@ def restored(goal: Goal, at: Posture, *, most: int = MOST_RETURNS) -> Posture | 
         if goal.allowed(at, SLACK):
             return at
         chosen = constrained_least_squares(
-            np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *boxed(goal, *_demands(goal, at)[:2], FIRST_STEP)
+            np.diag(1 / goal.space.scale),
+            np.zeros(len(at.q)),
+            *boxed(goal, *_demands(goal, at)[:2], goal.solver.first_step),
         )
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if there is None:
@@ -164,15 +160,15 @@ class _Descent:
 
     def minimum(self, start: Posture) -> Posture:
         """Where steps that keep the order of breakpoints end."""
-        here, size, side = self._model(start), FIRST_STEP, 1
+        here, size, side = self._model(start), self.goal.solver.first_step, 1
         hessian = here.square
-        for _ in range(MOST_STEPS):
-            if self.solves >= MOST_SOLVES or self.goal.late:
+        for _ in range(self.goal.solver.closest_steps):
+            if self.solves >= self.goal.solver.closest_postures or self.goal.late:
                 break
             there, size, force = self._step(here, hessian, size)
             if there is None and side > 0 and len(here.at.q) > self.goal.space.robot.n_tubes:
                 # Breakpoints may coincide: what holds forwards may not hold backwards.
-                side, size = -1, 0.5 * FIRST_STEP
+                side, size = -1, 0.5 * self.goal.solver.first_step
                 here = self._model(here.at, side)
                 hessian = here.square
                 continue
@@ -217,7 +213,7 @@ class _Descent:
                 longest = float(np.abs(step).max())
                 grown = 2 * size if gained >= 0.7 * promised and longest > 0.9 * size else size
                 force = _forces(here, hessian @ step + here.slope, chosen.active, scale)
-                return there, min(grown, 2 * FIRST_STEP), force
+                return there, min(grown, 2 * self.goal.solver.first_step), force
             size = 0.35 * min(size, float(np.abs(step).max()))
         return None, size, np.zeros(0)
 
@@ -233,7 +229,7 @@ class _Descent:
             if other is None:
                 continue
             model = self._model(other)
-            there, _, _ = self._step(model, model.square, 0.1 * FIRST_STEP)
+            there, _, _ = self._step(model, model.square, 0.1 * self.goal.solver.first_step)
             if there is not None and left(goal, there) < now - CLOSER:
                 return there
         return None

@@ -17,9 +17,6 @@ from .least_squares import LeastSquares, constrained_least_squares
 from .order import Order, beyond, breakpoint_order
 from .posture import Posture
 
-FIRST_STEP = 0.6
-"""Largest step at first, in units of the joints' scales."""
-
 SHORTEST_STEP = 1e-5
 """A step shortened to this says that the search has ended."""
 
@@ -38,12 +35,6 @@ TARGET_WEIGHT = 1e4
 ALMOST = 1e-4
 """Length of a section, as a share of the robot's, that may hold a step up as if it were closed."""
 
-POSITION_TOLERANCE = 1e-8
-"""Distance (m) at which an answer counts as on target."""
-
-DIRECTION_TOLERANCE = 1e-7
-"""Angle (rad) at which it counts as pointing there."""
-
 AT_BODY = 1e-5
 """Clearance (m) beyond what is kept at which an obstacle counts as holding the arm."""
 
@@ -61,12 +52,12 @@ class Search:
     solves: int
 
 
-def reach(goal: Goal, start: Posture, *, iterations: int = 30) -> Search:
+def reach(goal: Goal, start: Posture) -> Search:
     """Levenberg-Marquardt with inequalities from a stable posture towards the target, and out of any obstacle."""
-    here, step, solves, side = start, FIRST_STEP, 0, 1
+    here, step, solves, side = start, goal.solver.first_step, 0, 1
     missing = _missing(goal, here)
     sizes = [float(np.linalg.norm(missing))]
-    for iteration in range(iterations):
+    for iteration in range(goal.solver.steps):
         if _done(goal, here, CLOSE_ENOUGH):
             return Search(here, True, iteration, solves)
         slope = np.vstack([goal.slope(here, side=side), goal.collisions(here)[1]])
@@ -83,7 +74,7 @@ def reach(goal: Goal, start: Posture, *, iterations: int = 30) -> Search:
                 step = 0.35 * min(step, _length(goal, chosen.x))
         if there is None and side > 0 and not goal.late and not _done(goal, here, 1e-8):
             # Breakpoints may coincide: what holds forwards may not hold backwards.
-            side, step = -1, 0.5 * FIRST_STEP
+            side, step = -1, 0.5 * goal.solver.first_step
             continue
         if there is None or _stagnant(sizes) or goal.late:
             here = here if there is None else there
@@ -91,8 +82,8 @@ def reach(goal: Goal, start: Posture, *, iterations: int = 30) -> Search:
         here, side, missing = there, 1, _missing(goal, there)
         sizes.append(float(np.linalg.norm(missing)))
         if sizes[-2] - sizes[-1] >= 0.7 * promised:
-            step = min(2 * step, 2 * FIRST_STEP)
-    return Search(here, _done(goal, here, 1e-8), iterations, solves)
+            step = min(2 * step, 2 * goal.solver.first_step)
+    return Search(here, _done(goal, here, 1e-8), goal.solver.steps, solves)
 
 
 def _missing(goal: Goal, at: Posture) -> Array:
@@ -139,7 +130,7 @@ def _towards(goal: Goal, slope: Array, residual: Array, rows: Array, bounds: Arr
     return constrained_least_squares(matrix, right, *boxed(goal, rows, bounds, step))
 
 
-def improve(goal: Goal, start: Posture, *, iterations: int = 60) -> Search:
+def improve(goal: Goal, start: Posture) -> Search:
     """Lower the cost from a posture on target, without leaving it: a feasible path, each step corrected back.
 
     Between changes of the order of breakpoints everything is smooth. Steps end where the order changes, slide along,
@@ -148,20 +139,20 @@ def improve(goal: Goal, start: Posture, *, iterations: int = 60) -> Search:
     if not goal.ranked:
         return Search(start, True, 0, 0)
     path = _Path(goal, goal.cost(start))
-    here, step = start, 0.5 * FIRST_STEP
-    for iteration in range(iterations):
+    here, step = start, 0.5 * goal.solver.first_step
+    for iteration in range(goal.solver.improving_steps):
         cost = path.cost
         there, step = path.step(here, step)
         if there is None:
             there = path.across(here)
-            step = 0.1 * FIRST_STEP
+            step = 0.1 * goal.solver.first_step
         if there is None:
             return Search(here, True, iteration, path.solves)
         here = there
         if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.late:
             return Search(here, True, iteration + 1, path.solves)
-        step = min(1.8 * step, FIRST_STEP)
-    return Search(here, True, iterations, path.solves)
+        step = min(1.8 * step, goal.solver.first_step)
+    return Search(here, True, goal.solver.improving_steps, path.solves)
 
 
 class _Path:
@@ -203,7 +194,7 @@ class _Path:
             back = None if other is None else correct(self.goal, other, self.goal.slope(other)).posture
             if back is None:
                 continue
-            there, _ = self.step(back, 0.1 * FIRST_STEP)
+            there, _ = self.step(back, 0.1 * self.goal.solver.first_step)
             if there is not None:
                 return there
         return None
@@ -252,7 +243,7 @@ def correct(
         if order is not None:
             kept, gap = order.steps(at.q)
             rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
-        chosen = _towards(goal, slope, residual, rows, np.minimum(bounds, 0.0), FIRST_STEP)
+        chosen = _towards(goal, slope, residual, rows, np.minimum(bounds, 0.0), goal.solver.first_step)
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         solves += 1
         if there is None:
@@ -276,9 +267,9 @@ def missed_by(goal: Goal, at: Posture) -> str:
     """In words, by how much a posture misses the target."""
     position, direction = goal.position_error(at), goal.direction_error(at)
     words = []
-    if position > POSITION_TOLERANCE or not goal.pointed:
+    if position > goal.solver.position_tolerance or not goal.pointed:
         words.append(f"{position:.3g} m short")
-    if goal.pointed and (direction > DIRECTION_TOLERANCE or not words):
+    if goal.pointed and (direction > goal.solver.direction_tolerance or not words):
         words.append(f"{np.degrees(direction):.3g} deg off the direction")
     return " and ".join(words)
 

@@ -13,6 +13,7 @@ from .extra import NOTHING, Extras
 from .joints import JointSpace
 from .outline import Contacts
 from .posture import Posture
+from .settings import DEFAULT_SOLVER, InverseSolver
 
 OBJECTIVES = ("nearest", "margin", "curvature")
 """What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
@@ -35,7 +36,7 @@ class Goal:
     makes |t - direction|^2 a cost of that weight.
     min_margin, clearance (m) of all bodies of the scene: what must hold.
     objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
-    until: moment of `time.perf_counter` at which searches end where they are.
+    until: moment of `time.perf_counter` at which searches end where they are.   solver: how hard they search.
     """
 
     space: JointSpace
@@ -50,6 +51,7 @@ class Goal:
     weights: Array
     extras: Extras = NOTHING
     until: float = np.inf
+    solver: InverseSolver = DEFAULT_SOLVER
 
     @property
     def left(self) -> float:
@@ -81,6 +83,10 @@ class Goal:
     def overdetermined(self) -> bool:
         """Whether the target has more equations than the robot has joints."""
         return len(self.space.lower) < (5 if self.pointed else 3)
+
+    def met(self, at: Posture) -> bool:
+        """Whether a posture counts as on target."""
+        return self.reached(at, self.solver.position_tolerance, self.solver.direction_tolerance)
 
     @property
     def floor(self) -> float:

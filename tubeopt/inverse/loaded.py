@@ -26,8 +26,6 @@ ON_TARGET, CLOSE = 2e-9, 1e-7
 """Distance (m) and angle (rad) at which the aim is good; and share of the arm, or angle, where round-off of the search
 may end it."""
 
-MOST_SHOTS = 40
-
 LEAST_GAIN = 0.9
 """A miss must shrink to this part of the last: beyond, aiming does not converge."""
 
@@ -54,7 +52,7 @@ def under_load(
     if options.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
     floor, clearance, last = min_margin, options.clearance, None
-    for _ in range(MOST_SHOTS):
+    for _ in range(options.solver.shots):
         asked = replace(options, clearance=clearance)
         found, e = _aim(search, target, load, (last, floor, asked))
         answer = _answer(found, e, target)
@@ -91,7 +89,7 @@ def _aim(
     """An answer without load whose loaded equilibrium is on target."""
     (position, direction), (last, floor, options) = target, question
     at, along, missed = position, direction, np.inf
-    for _ in range(MOST_SHOTS):
+    for _ in range(options.solver.shots):
         last = search(at, along, last, floor, options)
         e = forward_kinematics(
             last.equilibrium.robot, last.rotations, last.translations, load=load, guess=last.equilibrium

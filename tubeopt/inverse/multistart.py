@@ -15,8 +15,6 @@ from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseS
 from .clock import Clock
 from .closest import SAME_MISS, closest_of
 from .descent import (
-    DIRECTION_TOLERANCE,
-    POSITION_TOLERANCE,
     SLACK,
     Search,
     correct,
@@ -29,32 +27,12 @@ from .goal import Goal
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
+from .settings import InverseSolver
 from .table import POOL, StartTable, nearest_starts, spread_starts, start_table
 from .way import straight_way
 
-UNANIMOUS = 10
-"""So many starts that end as far from the target say that there is no better."""
-
 SAME_COST = 1e-7
 """Share of a cost by which a later answer must be better to take an earlier one's place."""
-
-ENOUGH, FAR_OFF = 24, 0.02
-"""So many starts, all ending farther from the target than this share of the robot's length, say: out of reach."""
-
-COMPARED = 3
-"""Answers among which the best is taken, where there is an objective, or a direction as a cost, and no seed."""
-
-COLD_DISAGREES = 4
-"""Answers that a cold forward kinematics does not find, after which one of them is taken."""
-
-NEAREST_FIRST = 12
-"""Starts that are taken as they come, the most promising first; those after them are spread over all postures."""
-
-PROGRAM_STARTS = 4
-"""Starts from which the nonlinear program tries what the fast path did not solve."""
-
-CLEAR_STARTS = 8
-"""Starts clear of the obstacles that are tried where all others ended in one."""
 
 
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
@@ -107,14 +85,14 @@ class Multistart:
     def one(self) -> InverseSolution | None:
         """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
         where any answer will do, several where one is to be the best."""
-        wanted = COMPARED if self.goal.ranked else 1
+        wanted = self.solver.compared if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
         for answer, from_seed in self._by_starts(self.options.starts):
             if from_seed:
                 return answer
             (good if answer.cold_start_agrees else doubtful).append(answer)
-            if len(good) == wanted or len(doubtful) == COLD_DISAGREES:
+            if len(good) == wanted or len(doubtful) == self.solver.doubted:
                 break
         if self.goal.ranked or not good:
             for answer in self._by_programs():
@@ -182,7 +160,7 @@ class Multistart:
         if self.options.method != "auto" or not programmable(self.goal):
             return
         self.ends.append([])
-        for start in self.stalled[:PROGRAM_STARTS]:
+        for start in self.stalled[: self.solver.program_starts]:
             if self.late:
                 return
             yield from self._finished(self._by_program(start), "table", "nlp")
@@ -193,10 +171,15 @@ class Multistart:
             return
         self.ends.append([])
         clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)
-        for start in islice(clear, CLEAR_STARTS):
+        for start in islice(clear, self.solver.clear_starts):
             if self.late:
                 return
             yield from self._from(start, "table")
+
+    @property
+    def solver(self) -> InverseSolver:
+        """How hard it is searched."""
+        return self.options.solver
 
     @property
     def late(self) -> bool:
@@ -220,7 +203,7 @@ class Multistart:
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, Clock(max(0.0, self.options.time_limit - self.seconds)))
         near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference)
-        first = 0 if self.everywhere else NEAREST_FIRST
+        first = 0 if self.everywhere else self.solver.nearest
         for q in spread_starts(goal.space, near, most, first=first):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
@@ -276,10 +259,10 @@ class Multistart:
 
     def _hopeless(self) -> bool:
         """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
-        if self.agreeing >= UNANIMOUS:
+        if self.agreeing >= self.solver.unanimous:
             return True
-        far = self.least > FAR_OFF * self.goal.space.length
-        return far and self.tries >= ENOUGH
+        far = self.least > self.solver.far * self.goal.space.length
+        return far and self.tries >= self.solver.far_starts
 
     def _count(self, search: Search) -> None:
         self.iterations += search.iterations
@@ -309,9 +292,9 @@ class Multistart:
 
     def _answer(self, at: Posture, name: str, method: str) -> InverseSolution | None:
         goal = self.goal
-        if not goal.reached(at, POSITION_TOLERANCE, DIRECTION_TOLERANCE):
+        if not goal.met(at):
             at = correct(goal, at, goal.slope(at)).posture or at
-        met = goal.reached(at, POSITION_TOLERANCE, DIRECTION_TOLERANCE) and goal.allowed(at, SLACK)
+        met = goal.met(at) and goal.allowed(at, SLACK)
         return self._packed(at, InverseStatus.REACHED, (name, method)) if met else None
 
     def _packed(self, at: Posture, status: InverseStatus, how: tuple[str, str]) -> InverseSolution:

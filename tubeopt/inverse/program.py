@@ -31,9 +31,6 @@ from .goal import Goal
 from .order import CLOSED, Order, apart, beyond, breakpoint_order
 from .posture import Posture
 
-MOST_SWITCHES = 6
-"""Changes of the order of breakpoints on the way."""
-
 MOST_BODIES = 16
 """Obstacles at most: every one costs as much as all of the arm."""
 
@@ -57,7 +54,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
     """The program's solution from an allowed posture, on target or not, and through changes of order."""
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
-    for _ in range(MOST_SWITCHES + 1):
+    for _ in range(goal.solver.program_orders + 1):
         if goal.left < building(goal):
             break
         found, count, crossed = _solve_order(goal, here)

@@ -70,6 +70,7 @@ def pose_question(
         reference=centre,
         weights=scaled_weights(space, weights),
         extras=extras(options.extra_cost, options.extra_constraints, robot.n_tubes),
+        solver=options.solver,
     )
 
 

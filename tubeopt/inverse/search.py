@@ -19,25 +19,6 @@ from .task import Task
 SEARCHES = ("auto", "rrt_connect", "optimal")
 """Ways of searching."""
 
-CANDIDATES = 160
-"""Translations sampled in the search for those at which the robot cannot snap."""
-
-DETOURS = 24
-"""Detours tried, the shortest first."""
-
-DETOUR_SECONDS, DETOUR_SHARE = 6.0, 0.3
-"""Most seconds, and most of the time that is left, in which detours are looked for; then chance has its turn."""
-
-WALL_SECONDS, WALL_SHARE = 5.0, 0.15
-"""Most seconds, and most of the time that is left, in which it is looked for what keeps start and goal apart."""
-
-SHARE_OF_FIRST, SHARE_WITH_REASON, SHARE_OF_POCKETS = 0.5, 0.3, 0.3
-"""Shares of the time that is left: of the search by long motions; of the same where something stands against a way;
-and, of the rest, in which it is looked whether start or goal lie in a closed pocket."""
-
-REACH = 1.2
-"""Longest motion that RRT-Connect tries at once, in units of the joints' scales."""
-
 
 class Search(Protocol):
     """How to search: one of `SEARCHES`, and for how long (s) "optimal" improves what it finds."""
@@ -91,11 +72,12 @@ def find_way(
         tried += 1
         if task.motion(start, goal):
             return Way(np.stack([start, goal]), "straight", tried)
-    between = wall(task, start, goals, Clock(min(WALL_SECONDS, WALL_SHARE * clock.left)), seed=seed)
+    effort = task.effort
+    between = wall(task, start, goals, Clock(min(effort.wall_seconds, effort.wall_share * clock.left)), seed=seed)
     if between is not None and between.proved:
         return Way(None, "search", tried, None, between.words, True)
     if search.search != "rrt_connect" and between is None:
-        share = Clock(min(DETOUR_SECONDS, DETOUR_SHARE * clock.left))
+        share = Clock(min(effort.detour_seconds, effort.detour_share * clock.left))
         for goal in goals:
             for points in detours(task, start, goal, share):
                 tried += len(points) - 1
@@ -119,7 +101,7 @@ def _improved(task: Task, way: Way, goals: Sequence[Array], clock: Clock, search
 def detours(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[list[Array]]:
     """Ways that change translations, turn the tips where the certificate excludes any snap, and go on from there."""
     n = task.chart.space.robot.n_tubes
-    for shift in islice(certified_translations(task, start, goal, clock), DETOURS):
+    for shift in islice(certified_translations(task, start, goal, clock), task.effort.detours):
         away, back = np.append(start[:n], shift), np.append(goal[:n], shift)
         yield [start, away, back, goal]
 
@@ -132,7 +114,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
     space = task.chart.space
     n = space.robot.n_tubes
     ends = start[n:], goal[n:]
-    drawn = space.sample(CANDIDATES)[:, n:]
+    drawn = space.sample(task.effort.translations)[:, n:]
     # On the way from an end to a sample the certificate usually grows: the first point that has it is the nearest.
     table = np.concatenate([end + x * (drawn - end) for end in ends for x in (0.25, 0.5, 0.75, 1.0)])
     far = sum(np.linalg.norm((table - end) / task.scale[n:], axis=1) for end in ends)
@@ -177,7 +159,7 @@ def by_sampling(
         raise InputError("planning needs OMPL: pip install 'tubeopt[planning]'") from None
     util.setLogLevel(util.LogLevel.LOG_NONE)
     util.RNG.setSeed(seed + 1)
-    scale, count = task.scale, [tried]
+    scale, count, effort = task.scale, [tried], task.effort
 
     def moves(one: Array, other: Array) -> bool:
         if clock.over:
@@ -192,17 +174,17 @@ def by_sampling(
         planner = geometric.BITstar(information)
     else:
         planner = geometric.RRTConnect(information)
-        planner.setRange(REACH)
+        planner.setRange(effort.motion)
     planner.setProblemDefinition(problem)
     planner.setup()
-    first = clock if search.search == "optimal" else clock.part(SHARE_WITH_REASON if reason else SHARE_OF_FIRST)
+    first = clock if search.search == "optimal" else clock.part(effort.reason_share if reason else effort.long_share)
     planner.solve(base.PlannerTerminationCondition(lambda: first.over))
     if first is not clock and not problem.hasExactSolution():
-        reason = reason or closed_off(task, start, goals, clock.part(SHARE_OF_POCKETS), seed=seed)
+        reason = reason or closed_off(task, start, goals, clock.part(effort.pocket_share), seed=seed)
         if reason:
             return replace(_way(problem, scale, (start, goals), count[0]), why=reason)
         # Where long motions do not lead on, short ones may.
-        planner.setRange(REACH / 4)
+        planner.setRange(effort.motion / 4)
         planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
     data = base.PlannerData(information)
     planner.getPlannerData(data)

@@ -17,7 +17,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
-from .descent import FIRST_STEP, TARGET_WEIGHT, boxed, broyden, correct, held_by, missed_by, reach
+from .descent import TARGET_WEIGHT, boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, angle
 from .joints import Configuration
 from .leaps import leap
@@ -357,7 +357,7 @@ def _servo(
     if order is not None:
         kept, gap = order.steps(here.q)
         rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
-    limits = boxed(goal, rows, np.minimum(bounds, 0.0), FIRST_STEP)
+    limits = boxed(goal, rows, np.minimum(bounds, 0.0), goal.solver.first_step)
     scale = goal.space.scale
     matrix = np.vstack([TARGET_WEIGHT * near.target, np.diag(1 / scale)])
     # The shortest way, which tells how far to go beside it.

@@ -15,6 +15,7 @@ from ..bodies.scene import Scene, scene_of
 from ..typing import Array, Mask
 from .chart import BATCH, Arms, Chart
 from .clock import Clock, LateError
+from .settings import DEFAULT_WAY, WaySearch
 
 TURN_STEP = 0.15
 """Largest change (rad) of a tip rotation between points of a motion that are checked."""
@@ -50,6 +51,7 @@ class Task:
     `floor`: clearance (m) to spare at least, but for the neighbourhood of `ends`, points (k, m) of the chart that were
     found to be allowed by other code.
     `max_force`: on the tip, N, up to which margin and clearance shall hold; `reserve`: part of `clearance` for it, m.
+    `effort`: how hard a way is searched for.
     `clock`: when it is over, looking at points raises LateError, and no further motion is found to hold.
     """
 
@@ -62,6 +64,7 @@ class Task:
     floor: float = 3e-5
     ends: Array | None = None
     max_force: float = 0.0
+    effort: WaySearch = DEFAULT_WAY
     reserve: float = 0.0
     clock: Clock | None = None
 

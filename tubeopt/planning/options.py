@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-
 from ..block.own import OwnObjective
 from ..display import Displayed
-from ..errors import InputError, choice, positive
+from ..errors import InputError, choice, instance, positive, whole
 from ..inverse.clock import Clock
 from ..inverse.search import SEARCHES, Way
+from ..inverse.settings import DEFAULT_WAY, WaySearch
 from ..inverse.task import Task
 from ..typing import Array
 from .smooth import OBJECTIVES
@@ -43,6 +42,7 @@ class PlanOptions(Displayed):
         carriage_gap, section_length: as in `InverseOptions`, m.
         modulo_turns: a goal rotation may be reached with any number of whole turns; the plan tells how many.
         seed: of the random numbers.
+        effort: how hard a way is searched for.
         roadmap: what is asked for a way before any is searched for, see `build_roadmap`.
 
     Raises:
@@ -60,6 +60,7 @@ class PlanOptions(Displayed):
     modulo_turns: bool = False
     seed: int = 0
     extra_cost: OwnObjective | None = None
+    effort: WaySearch = DEFAULT_WAY
     roadmap: Ways | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -72,6 +73,7 @@ class PlanOptions(Displayed):
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
         if self.roadmap is not None and not hasattr(self.roadmap, "way"):
             raise InputError(f"roadmap is {self.roadmap!r}; it must be a Roadmap")
+        instance("effort", self.effort, WaySearch)
         positive("time_limit", self.time_limit)
         positive("search_seconds", self.search_seconds)
         for name in ("clearance", "max_force", "carriage_gap", "section_length"):
@@ -79,10 +81,7 @@ class PlanOptions(Displayed):
         turns: object = self.modulo_turns
         if not isinstance(turns, bool):
             raise InputError(f"modulo_turns is {turns!r}; it must be True or False")
-        seed: object = self.seed
-        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-            raise InputError(f"seed is {seed!r}; it must be a whole number of at least 0")
-        object.__setattr__(self, "seed", int(seed))
+        object.__setattr__(self, "seed", whole("seed", self.seed, 0))
 
 
 DEFAULT_PLAN = PlanOptions()

@@ -65,7 +65,9 @@ def asked(
     space = prepared(robot, limits, options.carriage_gap, options.section_length)
     rate_limits.of(space)
     chart = Chart(space) if load is None else _loaded(space, load, options)
-    task = Task(chart, bodies, floor, options.clearance, max_force=options.max_force, clock=clock)
+    task = Task(
+        chart, bodies, floor, options.clearance, max_force=options.max_force, effort=options.effort, clock=clock
+    )
     return task, clock
 
 

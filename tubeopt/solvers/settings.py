@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..display import Displayed
-from ..errors import InputError, choice, positive
+from ..errors import InputError, choice, positive, whole
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,9 @@ class Newton(Displayed):
         longest_step: descent turns no point by more than this (rad) at once: well inside the period of the energy.
         iterations: of Newton's method, after which it gives up.
         descent_iterations: of the descent.
+        refinements: most times that the pieces of the mesh are halved.
+        loaded_refinements: the same under load.
+        margin_tolerance: wanted accuracy under load of margins so close to 1 that they need a check of their own.
 
     Raises:
         InputError: a field out of its range.
@@ -31,13 +34,20 @@ class Newton(Displayed):
     longest_step: float = 1.0
     iterations: int = 20
     descent_iterations: int = 60
+    refinements: int = 6
+    loaded_refinements: int = 4
+    margin_tolerance: float = 1e-8
 
     def __post_init__(self) -> None:
-        for name in ("last_step", "round_off", "longest_step"):
+        for name in ("last_step", "round_off", "longest_step", "margin_tolerance"):
             positive(name, getattr(self, name))
-        for name in ("iterations", "descent_iterations"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        for name, least in (
+            ("iterations", 1),
+            ("descent_iterations", 1),
+            ("refinements", 0),
+            ("loaded_refinements", 0),
+        ):
+            whole(name, getattr(self, name), least)
 
 
 NEWTON = Newton()

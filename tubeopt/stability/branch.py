@@ -14,15 +14,12 @@ from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
-from ..errors import InputError, SolveError, vector
+from ..errors import InputError, SolveError, positive, vector
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .folds import Fold, polish_fold
-
-ARC_STEP = 0.06
-"""First step along the branch: largest change (rad) of a rotation at a point or of the turning joints."""
 
 MOST_POINTS = 4000
 
@@ -50,6 +47,7 @@ def trace_branch(
     translations: ArrayLike | None = None,
     *,
     equilibrium: Equilibrium | None = None,
+    step: float = 0.06,
 ) -> Branch:
     """Follow the branch through folds from rotations `start` until it leaves the way to `end` at either side.
 
@@ -58,9 +56,10 @@ def trace_branch(
     Args:
         start, end: (n,) rotations, rad; translations (n,) m, default home.
         equilibrium: where to begin, at rotations `start`; default that of `forward_kinematics`.
+        step: first change of a rotation along the arm or of the joint that turns most, rad, and half the largest.
 
     Raises:
-        InputError: wrong number of joint values, start and end the same.
+        InputError: wrong number of joint values, start and end the same, a step that is not positive.
         SolveError: the branch could not be followed.
 
     Examples:
@@ -80,7 +79,7 @@ def trace_branch(
     path = JointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift]))
     solution = polish(first)
     problem = solution.problem
-    points, folds = _continue(path, problem, solution.result.state.z)
+    points, folds = _continue(path, problem, solution.result.state.z, positive("step", step))
     equilibria = [
         to_equilibrium(robot, _solution(path, problem, t, z), tuple(shift.tolist()), ("newton", "arclength", 0.0))
         for t, z in points
@@ -110,11 +109,13 @@ def _system(path: JointPath, problem: ReducedProblem, t: float, z: Array) -> tup
     return here.gradient, here.hessian, (ahead.gradient - behind.gradient) / 2e-6
 
 
-def _continue(path: JointPath, problem: ReducedProblem, z: Array) -> tuple[list[tuple[float, Array]], list[Fold]]:
+def _continue(
+    path: JointPath, problem: ReducedProblem, z: Array, first: float
+) -> tuple[list[tuple[float, Array]], list[Fold]]:
     """Points (t, z) and folds, from t = 0 until t leaves [0, 1]."""
     # t is measured in radians of the joint that turns most, so that both kinds of unknowns have one size.
     scale = float(np.abs(path.end - path.start).max())
-    t, step = 0.0, ARC_STEP
+    t, step = 0.0, first
     _, hessian, slope = _system(path, problem, t, z)
     tangent = _tangent(hessian, slope / scale, np.append(np.zeros(len(z)), 1.0))
     points, folds = [(t, z)], []
@@ -139,7 +140,7 @@ def _continue(path: JointPath, problem: ReducedProblem, z: Array) -> tuple[list[
             break
         t, z, tangent = t_new, z_new, following
         points.append((t, z))
-        step = min(2 * ARC_STEP, step * (1.5 if easy else 1.0))
+        step = min(2 * first, step * (1.5 if easy else 1.0))
     return points, folds
 
 

@@ -21,9 +21,6 @@ from .tables import TURN, joints, starts, table_of
 GRIDS = {1: (1024, 4096, 16384), 2: (160, 320, 640), 3: (80, 120, 180)}
 """Points per turn of the grids on which a table is read, by the number of its angles."""
 
-RANDOM_STARTS = 4096
-"""Starting points for four tubes and more."""
-
 ROUGH_STEPS = 2
 """Steps of the integration per piece on the way to a solution: errors near 1e-4 rad."""
 
@@ -76,7 +73,8 @@ def _starts(bundle: Bundle, transmission: Array, wanted: Array) -> Iterator[Arra
         for size in GRIDS[len(table.size)]:
             yield starts(table, transmission[:k], wanted, size)
         return
-    for power in range(int(np.log2(RANDOM_STARTS)) - 2, int(np.log2(RANDOM_STARTS)) + 3):
+    # From 1,024 on twice as many each time, for as long as a new solution or the degree says that some are missing.
+    for power in range(10, 15):
         tips = np.pad(scipy.stats.qmc.Sobol(k - 1, rng=power).random_base2(power) * TURN, ((0, 0), (0, 1)))
         yield tips + (wanted - joints(replace(bundle, transmission=transmission), tips, ROUGH_STEPS).rotations)[:, -1:]
 

@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike
 
 from ...bodies.obstacles import Obstacle
 from ...errors import InputError
+from ...inverse.answer import InverseOptions
 from ...inverse.descent import held_by, reach
 from ...inverse.goal import Goal
 from ...inverse.posture import Posture
 from ...inverse.question import pose_question, seed_posture
+from ...inverse.settings import InverseSolver
 from ...typing import Array
 from .session import Session, moved_to
 
@@ -23,7 +25,8 @@ LONGEST_PULL = 0.05
 CLOSE_ENOUGH = 1e-6
 """Distance (m) at which a target counts as reached."""
 
-ITERATIONS = 20
+QUICK = InverseOptions(solver=InverseSolver(steps=20))
+"""A step towards the target follows the hand, and there will be another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +55,17 @@ def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obsta
     if session.equilibrium.load is not None:
         raise InputError("the tip is led without load; take it off first")
     places = session.equilibrium, None
-    goal = pose_question(session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles)
+    goal = pose_question(
+        session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles, options=QUICK
+    )
     here = seed_posture(goal.space, session.equilibrium)
     for part in _parts(goal, here.tip):
-        found = reach(replace(goal, position=part), here, iterations=ITERATIONS)
+        found = reach(replace(goal, position=part), here)
         here = found.posture
         session = moved_to(session, here.equilibrium)
         if not found.reached and float(np.linalg.norm(part - here.tip)) > CLOSE_ENOUGH:
             # From here straight at the target, which may lie around the corner.
-            here = reach(goal, here, iterations=ITERATIONS).posture
+            here = reach(goal, here).posture
             session = moved_to(session, here.equilibrium)
             break
     error = float(np.linalg.norm(goal.position - here.tip))

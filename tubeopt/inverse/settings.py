@@ -1,0 +1,108 @@
+"""How hard joint values are searched for: what a user may want to change, as documented fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..display import Displayed
+from ..errors import check_settings
+
+
+@dataclass(frozen=True)
+class InverseSolver(Displayed):
+    """How inverse kinematics searches; a field of `InverseOptions`.
+
+    Args:
+        position_tolerance: distance, m, at which an answer counts as on target.
+        direction_tolerance: angle, rad, at which it counts as pointing there.
+        steps: of the search for the target from one start.
+        improving_steps: of the search for a better answer from one on target.
+        first_step: largest step at first, in units of the joints' scales.
+        nearest: starts that are taken as they come, the most promising first; those after them are spread over all
+            postures.
+        compared: answers among which the best is taken where there is an objective and no seed.
+        doubted: answers that a cold forward kinematics does not find, after which one of them is taken.
+        unanimous: so many starts that end as far from the target say that there is no better.
+        far_starts: so many starts, all ending farther from the target than `far` of the robot's length, say: out of
+            reach.
+        far: share of the robot's length.
+        program_starts: from which the nonlinear program tries what the fast path did not solve.
+        program_orders: changes of the order of breakpoints that the program goes through.
+        clear_starts: clear of the obstacles, that are tried where all others ended in one.
+        closest_steps: of the search for the posture that misses an unreachable target least.
+        closest_orders: changes of the order of breakpoints on its way.
+        closest_postures: tried in it; far fewer do but where bodies hold the arm in several places.
+        closest_agreeing: so many further ends that it brings as close as the best say that there is no closer one.
+        shots: answers without load in search of one that is on target, with its margin and clearance, under it.
+
+    Raises:
+        InputError: a count that is no whole number of at least 1 (0 for starts of the program and clear ones, and for
+            orders), another number that is not positive.
+    """
+
+    position_tolerance: float = 1e-8
+    direction_tolerance: float = 1e-7
+    steps: int = 30
+    improving_steps: int = 60
+    first_step: float = 0.6
+    nearest: int = 12
+    compared: int = 3
+    doubted: int = 4
+    unanimous: int = 10
+    far_starts: int = 24
+    far: float = 0.02
+    program_starts: int = 4
+    program_orders: int = 6
+    clear_starts: int = 8
+    closest_steps: int = 60
+    closest_orders: int = 6
+    closest_postures: int = 150
+    closest_agreeing: int = 4
+    shots: int = 40
+
+    def __post_init__(self) -> None:
+        check_settings(self, ("program_starts", "program_orders", "clear_starts", "closest_orders"))
+
+
+DEFAULT_SOLVER = InverseSolver()
+
+
+@dataclass(frozen=True)
+class WaySearch(Displayed):
+    """How hard a way between joint values is searched for; a field of `PlanOptions`.
+
+    Args:
+        translations: sampled in the search for those at which the robot cannot snap.
+        detours: by way of them that are tried, the shortest first.
+        detour_seconds, detour_share: most seconds, and most of the time that is left, for that; then chance has its
+            turn.
+        wall_seconds, wall_share: the same for what keeps start and goal apart.
+        motion: longest that RRT-Connect tries at once, in units of the joints' scales.
+        long_share, reason_share: of the time that is left, for the search by long motions, and for the same where
+            something stands against a way; short ones have the rest.
+        pocket_share: of that rest, for whether start or goal lie in a closed pocket.
+        pocket_states: of a pocket, from which it counts as open.
+        pocket_motions: in a row that do not lead on, from which it counts as closed.
+
+    Raises:
+        InputError: a count that is no whole number of at least 1, another number that is not positive.
+    """
+
+    translations: int = 160
+    detours: int = 24
+    detour_seconds: float = 6.0
+    detour_share: float = 0.3
+    wall_seconds: float = 5.0
+    wall_share: float = 0.15
+    motion: float = 1.2
+    long_share: float = 0.5
+    reason_share: float = 0.3
+    pocket_share: float = 0.3
+    pocket_states: int = 60
+    pocket_motions: int = 1500
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+DEFAULT_WAY = WaySearch()
