@@ -13,8 +13,8 @@ CASADI_SYMBOL_EXPORT size_t slopes_size(void) { return sizeof(Slopes); }
 
 /* `slopes_of` what `solve` has just left. */
 CASADI_SYMBOL_EXPORT int differentiate(const long long *carriage, int side, Workspace *w, const Answer *out,
-                                       Slopes *slopes) {
-    return slopes_of(carriage, side, w, out, slopes);
+                                       Slopes *slopes, Along *along) {
+    return slopes_of(carriage, side, w, out, slopes, along);
 }
 #endif
 
