@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import platform
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,33 @@ def test_a_processor_gets_the_best_that_it_runs(generations: tuple[packaged.Gene
     assert packaged.packaged_kernel(CONCENTRIC, ["wide", "other"]) == new
     assert packaged.packaged_kernel(CONCENTRIC, ["other"]) == old
     assert packaged.packaged_kernel((3, "eccentric"), ["wide"]) is None
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64" or not Path("/proc/cpuinfo").exists(), reason="no Linux on x86-64")
+def test_where_the_system_does_not_tell_the_processor_has_the_same_generation() -> None:
+    """From NumPy 2.4 on, which knows them all; an older one gives an older generation, which runs as well."""
+    told, asked = packaged.processor_features(), packaged._features_by_numpy()
+    by_numpy = [generation.needs <= asked for generation in packaged.generations()]
+    by_linux = [generation.needs <= told for generation in packaged.generations()]
+    new = tuple(int(part) for part in np.__version__.split(".")[:2]) >= (2, 4)
+    assert by_numpy == by_linux if new else all(a <= b for a, b in zip(by_numpy, by_linux, strict=True))
+
+
+@pytest.mark.parametrize("general", [False, True])
+@pytest.mark.parametrize("target", ["x86_64-windows-gnu", "aarch64-linux-gnu"])
+def test_it_compiles_for_other_machines(target: str, general: bool, tmp_path: Path) -> None:
+    """By clang: for Windows with what Python calls to be seen from outside, for ARM with its vectors."""
+    pytest.importorskip("ziglang", reason="no ziglang")
+    (tmp_path / "kernel.c").write_text(building.source(2, False, general))
+    zig = [sys.executable, "-m", "ziglang", "cc", f"--target={target}", "-O2", "-w", "-S", "kernel.c"]
+    subprocess.run(zig, cwd=tmp_path, check=True, timeout=240)
+    assembly = (tmp_path / "kernel.s").read_bytes()
+    if "windows" in target:
+        assert all(
+            f'-export:{name}"'.encode() in assembly for name in ("solve", "solve_many", "answer_size", "workspace_size")
+        )
+    else:
+        assert assembly.count(b".2d") > 100
 
 
 def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ def test_exact_values_and_what_is_refused(tab: Tab) -> None:
     tab.type("translation 1 (mm)", -100)
     tab.press("Move there")
     assert tab.wait_for("message", "order") == "the tubes would be out of order: tube 1 ending where tube 2 ends"
-    assert tab.box("rotation of tube 2").input_value() == "57.3"
+    tab.wait_for_box("rotation of tube 2", "57.3")
 
 
 def test_tabs_have_robots_of_their_own_and_a_closed_one_is_forgotten(context: Any, address: str, tab: Tab) -> None:
@@ -130,13 +130,10 @@ def test_the_tip_is_led_and_stops_at_its_limit(tab: Tab) -> None:
 def test_the_hand_takes_over_what_is_played(tab: Tab) -> None:
     tab.tab("Play")
     tab.press("Play / pause")
-    tab.page.wait_for_timeout(300)
+    tab.wait_for_more("time (s)", 0.1)
     tab.tab("Joints")
     tab.type("rotation of tube 3", 45)
-    tab.page.wait_for_timeout(1000)
-    held = tab.tip
-    tab.page.wait_for_timeout(500)
-    assert np.array_equal(tab.tip, held)
+    tab.wait_until_at_rest()
     assert tab.box("rotation of tube 3").input_value() == "45"
 
 
@@ -149,7 +146,7 @@ def test_direction_and_separation_tell_where_an_eccentric_robot_is(context: Any)
         tab.type("direction (deg)", 350)
         tab.wait_for("message", "rotation of tube 2 is 410 deg; it must be from -360 to 360 deg")
         tab.wait_for_box("direction (deg)", "0")
-        assert tab.box("separation (deg)").input_value() == "60"
+        tab.wait_for_box("separation (deg)", "60")
         tab.press("Home")
         tab.wait_for_box("separation (deg)", "0")
         tab.page.close()

@@ -27,7 +27,7 @@ from .browser import served
 def status(address: str, **headers: str) -> int:
     """Status of a request for the page with other headers."""
     where = address.removeprefix("http://")
-    connection = http.client.HTTPConnection(where, timeout=10)
+    connection = http.client.HTTPConnection(where, timeout=60)
     connection.request("GET", "/", headers={"Host": where} | headers)
     answer = connection.getresponse().status
     connection.close()
@@ -102,7 +102,7 @@ def test_the_command_ends_cleanly_on_ctrl_c(how: signal.Signals) -> None:
         assert said["robot"] == "thesis CTR"
         assert status(said["url"]) == 200
         process.send_signal(how)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=120)
     assert (process.returncode, out, err) == (0, "", "")
 
 

@@ -127,14 +127,15 @@ def film_ending(path: str | PathLike[str]) -> str:
 
 def save_film(figure: Figure, draw: Callable[[int], Sequence[Any]], count: int, path: str | PathLike[str]) -> Path:
     """Write as many pictures of a figure, each drawn by its number, as a film."""
-    from matplotlib.animation import FuncAnimation, PillowWriter
+    from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    film = FuncAnimation(figure, draw, frames=count, blit=False)
-    with atomic_write(path) as temporary:
-        if film_ending(path) == ".gif":
-            film.save(temporary, writer=PillowWriter(fps=12), dpi=100)
-        else:
-            film.save(temporary, writer="ffmpeg", fps=24, dpi=150)
+    gif = film_ending(path) == ".gif"
+    writer, dpi = (PillowWriter(fps=12), 100) if gif else (FFMpegWriter(fps=24), 150)
+    # An Animation of matplotlib would draw every picture twice.
+    with atomic_write(path) as temporary, writer.saving(figure, temporary, dpi):
+        for k in range(count):
+            draw(k)
+            writer.grab_frame()
     return Path(path)
 
 

@@ -1,18 +1,19 @@
-/* The kernel as a shared library, for Python. */
+/* The kernel as a shared library, for Python. What Python calls is marked for Windows as what CasADi generates. */
 
-size_t workspace_size(void) { return sizeof(Workspace); }
-size_t answer_size(void) { return sizeof(Answer); }
+CASADI_SYMBOL_EXPORT size_t workspace_size(void) { return sizeof(Workspace); }
+CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
 
-int solve(const Tubes *tubes, const Method *method, const double *alpha, const double *shift, const Guess *guess,
-          Workspace *w, Answer *out) {
+CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const Method *method, const double *alpha, const double *shift,
+                               const Guess *guess, Workspace *w, Answer *out) {
     return solve_one(tubes, method, alpha, shift, guess, w, out);
 }
 
 #if SLOPES
-size_t slopes_size(void) { return sizeof(Slopes); }
+CASADI_SYMBOL_EXPORT size_t slopes_size(void) { return sizeof(Slopes); }
 
 /* `slopes_of` what `solve` has just left. */
-int differentiate(const long long *carriage, int side, Workspace *w, const Answer *out, Slopes *slopes, Along *along) {
+CASADI_SYMBOL_EXPORT int differentiate(const long long *carriage, int side, Workspace *w, const Answer *out,
+                                       Slopes *slopes, Along *along) {
     return slopes_of(carriage, side, w, out, slopes, along);
 }
 #endif
@@ -20,8 +21,9 @@ int differentiate(const long long *carriage, int side, Workspace *w, const Answe
 /* Many configurations, each from tubes without torsion; `summary` (count, SUMMARY) gets tip position (3), tip frame by
    rows (9), tip rotations (n), margin, residual, mesh error, tip error, energy; `declined` (count) what is left over.
    `arms`, where not NULL, (count, 2, points, N) gets rotations and torsion at the shape points, as many as all have. */
-void solve_many(const Tubes *tubes, const Method *method, long long count, const double *alpha, const double *shift,
-                double *summary, unsigned char *declined, long long points, double *arms, Workspace *w, Answer *one) {
+CASADI_SYMBOL_EXPORT void solve_many(const Tubes *tubes, const Method *method, long long count, const double *alpha,
+                                     const double *shift, double *summary, unsigned char *declined,
+                                     long long points, double *arms, Workspace *w, Answer *one) {
     for (long long k = 0; k < count; k++, summary += 17 + N) {
         declined[k] = solve_one(tubes, method, alpha + k * N, shift + k * N, NULL, w, one) != SOLVED;
         long long tip = one->pieces * STEPS, size = points * N;

@@ -39,7 +39,7 @@ from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..settings import NEWTON
-from .packaged import Kind, packaged_kernel
+from .packaged import Kind, packaged_kernel, processor, processor_features
 from .text import HERE, c_tables, c_text
 
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
@@ -164,7 +164,10 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
 
 
 def compiler() -> list[str] | None:
-    """The C compiler: CC, else the usual names; None where there is none, or TUBEOPT_COMPILE is 0."""
+    """The C compiler: CC, else the usual names; None where there is none, or TUBEOPT_COMPILE is 0.
+
+    The kernel is written with the vectors of gcc and clang, which the compiler of Visual Studio does not have.
+    """
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None
     wanted = os.environ.get("CC")
@@ -179,7 +182,7 @@ def _build(text: str) -> Path | None:
     own = compiler()
     if own is None:
         return None
-    machine = f"{platform.machine()} {platform.system()} {_processor()}"
+    machine = f"{platform.machine()} {platform.system()} {processor()}"
     name = hashlib.sha256("\0".join((text, *own, *FLAGS, OWN_PROCESSOR, machine)).encode()).hexdigest()[:32]
     for folder in (cache_directory, _own_folder):
         path = folder() / "kernels" / f"{name}.so"
@@ -207,7 +210,9 @@ def compile_to(text: str, path: Path, flags: Sequence[str]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as work:
         (Path(work) / "kernel.c").write_text(text)
-        command = [*own, *FLAGS, *flags, "-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
+        command = [*own, *FLAGS, *flags, "-w", "-shared", "-o", "kernel.so", "kernel.c"]
+        # Libraries of Windows need neither, and clang refuses the first for them.
+        command += [] if platform.system() == "Windows" else ["-fPIC", "-lm"]
         subprocess.run(command, cwd=work, capture_output=True, timeout=120, check=True)
         os.replace(Path(work) / "kernel.so", path)
 
@@ -218,19 +223,6 @@ def _own_folder() -> Path:
     folder = tempfile.mkdtemp(prefix="tubeopt-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
-
-
-def processor_features() -> frozenset[str]:
-    """What the processor can do, in words."""
-    return frozenset(_processor().split())
-
-
-def _processor() -> str:
-    """What the processor can do, for which the kernel is tuned: Linux calls it flags, on ARM features."""
-    info = Path("/proc/cpuinfo")
-    if not info.exists():
-        return platform.processor()
-    return next((line for line in info.read_text().splitlines() if line.startswith(("flags", "Features"))), "")
 
 
 def most_sections(n: int, general: bool) -> int:
@@ -352,7 +344,8 @@ def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
         lacks = "no C compiler to make one" if own is None else f"the C compiler {own[0]} cannot make one"
         _tell_once(
             f"there is no compiled kernel and {lacks}: answers are the same, some 20 times slower; "
-            "install a C compiler (apt install gcc; xcode-select --install) or a wheel that brings the kernel"
+            "install a C compiler (apt install gcc; xcode-select --install; winget install LLVM.LLVM) or a wheel that "
+            "brings the kernel"
         )
     return path
 

@@ -59,8 +59,8 @@ typedef struct {
     Room room;
 } Workspace;
 
-size_t workspace_size(void) { return sizeof(Workspace); }
-size_t answer_size(void) { return sizeof(Answer); }
+CASADI_SYMBOL_EXPORT size_t workspace_size(void) { return sizeof(Workspace); }
+CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
 
 /* The margin on a finer rule, by the direction that is softest on the other: off by the square of what that is. */
 static double margin_beside(const Stage *stage, const Stage *check, const double *to_check, Workspace *w) {
@@ -169,8 +169,8 @@ static int solve_prepared(const Rules *rules, const double *alpha, const double 
 
 /* The stable equilibrium under the whole load from that without load, without a `curvature`, or from one close by, each of
    this margin: its theta and curvature at the points. */
-int solve_loaded(const Rules *rules, const double *alpha, const double *turn, const double *theta,
-                 const double *curvature, double margin, Workspace *w, Answer *out) {
+CASADI_SYMBOL_EXPORT int solve_loaded(const Rules *rules, const double *alpha, const double *turn, const double *theta,
+                                      const double *curvature, double margin, Workspace *w, Answer *out) {
     prepare_all(rules, w);
     return solve_prepared(rules, alpha, turn, theta, curvature, margin, w, out);
 }
@@ -179,9 +179,9 @@ int solve_loaded(const Rules *rules, const double *alpha, const double *turn, co
    (count, SUMMARY) gets tip position (3), tip frame by rows (9), rotations of the tubes at their `ends` among the shape
    points, margin, residual, errors of theta and tip, energy, error of the margin; `compliance` (count, 36) that of the tip;
    `declined` (count) what is left over. */
-void solve_many_loaded(const Rules *rules, long long count, const double *alpha, const double *theta,
-                       const double *margin, const long long *ends, double *summary, double *compliance,
-                       unsigned char *declined, Workspace *w, Answer *one) {
+CASADI_SYMBOL_EXPORT void solve_many_loaded(const Rules *rules, long long count, const double *alpha, const double *theta,
+                                            const double *margin, const long long *ends, double *summary,
+                                            double *compliance, unsigned char *declined, Workspace *w, Answer *one) {
     double none[N] = {0};
     prepare_all(rules, w);
     for (long long k = 0; k < count; k++, summary += 18 + N, compliance += 36) {

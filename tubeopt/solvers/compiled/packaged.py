@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import platform
 import subprocess
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -41,6 +42,30 @@ _X86 = (
 def generations() -> tuple[Generation, ...]:
     """The generations of this machine's kind of processor, the best first; the last runs on all of them."""
     return _X86 if platform.machine() in ("x86_64", "AMD64") else (Generation("any"),)
+
+
+def processor_features() -> frozenset[str]:
+    """What the processor can do, in words."""
+    return frozenset(processor().split())
+
+
+def processor() -> str:
+    """What the processor can do, for which the kernel is tuned: Linux calls it flags, on ARM features; elsewhere NumPy
+    has asked the processor."""
+    info = Path("/proc/cpuinfo")
+    if not info.exists():
+        return " ".join((platform.processor(), *sorted(_features_by_numpy())))
+    return next((line for line in info.read_text().splitlines() if line.startswith(("flags", "Features"))), "")
+
+
+def _features_by_numpy() -> frozenset[str]:
+    """What NumPy found the processor to have, in the words of Linux; before NumPy 2.4 not all of it."""
+    try:
+        found = importlib.import_module("numpy._core._multiarray_umath").__cpu_features__
+    except (ImportError, AttributeError):
+        return frozenset()
+    words = {"BMI": "bmi1", "FMA3": "fma", "LZCNT": "abm"}
+    return frozenset(words.get(name, name.lower()) for name, there in found.items() if there)
 
 
 def packaged_kernel(kind: Kind, features: Iterable[str]) -> Path | None:
