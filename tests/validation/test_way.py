@@ -15,6 +15,7 @@ from tubeopt.validation.folds import deal, passes
 from tubeopt.validation.held_out import hold_out, predicted_held_out
 from tubeopt.validation.model import ArmModel
 from tubeopt.validation.parameters import choose_parameters
+from tubeopt.validation.subsets import HeldOutSets, Linear
 from tubeopt.validation.timeline import Timeline, runs_of
 
 from .laboratory import MM, TURN, in_device
@@ -97,6 +98,62 @@ def test_where_nothing_is_wrong_nothing_is_chosen() -> None:
     c = compare_effects(robot(), driven(trivial()), ["latency", "rotation_play", "translation", "curvature"])
     assert not c.steps
     assert c.fit is None
+
+
+def test_a_shadow_of_two_effects_is_not_taken_for_them_and_what_is_told_is_of_the_last_set() -> None:
+    tried = ["rotation_gain", "torsional_stiffness", "curvature", "transmission_length", "sensor_offset"]
+    inner, outer = robot().tubes
+    soft = replace(robot(), tubes=(inner, replace(outer, torsional_stiffness=0.85 * outer.torsional_stiffness)))
+    time = np.arange(240) / 4
+    read = joints(time, time[-1])
+    drives = trivial(rotation_gains=(1.015, 0.985))
+    tips = in_device(poses(soft, drives, read).position[:, 0])
+    noisy = tips + np.random.default_rng(3).normal(0, 0.2 * MM, tips.shape)
+    c = compare_effects(robot(), Measurements(read[:, :2], read[:, 2:], noisy, time=time), tried)
+    kept, refused = [step.effect for step in c.steps], [step.effect for step in c.refused]
+    assert set(kept) == {"rotation_gain", "torsional_stiffness"}
+    assert sorted(kept + refused) == sorted(tried)
+    assert set(c.dropped) <= set(refused)
+    assert c.fit is not None
+    assert {e.name.rsplit("_", 1)[0] for e in c.fit.estimates} == set(kept)
+    rivals = {name for step in c.steps for name in step.rivals}
+    assert rivals <= set(refused)
+    assert all(step.gain < 0.005 for step in c.refused)
+
+
+def test_sets_cost_what_full_fits_to_the_other_folds_lose() -> None:
+    """Held-out losses of sets from sums over folds are those of fits by rows."""
+    rng = np.random.default_rng(0)
+    slopes, fold = rng.normal(size=(60, 3, 5)), np.arange(60) % 4
+    residuals = slopes[..., :2] @ [0.5, -0.3] + rng.normal(0, 0.2, (60, 3))
+    nothing = np.zeros(4)
+    sets = HeldOutSets(
+        Linear(
+            residuals=residuals,
+            slopes=slopes,
+            weights=np.full(60, 25.0),
+            fold=fold,
+            numbers=180,
+            kinds=("a", "a", "b", "c"),
+            there=frozenset({"a"}),
+            absent=nothing,
+            drawn=nothing,
+            prior=np.full(4, np.inf),
+            low=np.array([-1, -1, -1, 0.0]),
+            high=np.ones(4),
+            jumps={},
+        )
+    )
+    columns, lost = [0, 1, 2, 4], 0.0
+    for k in range(4):
+        rest, own = fold != k, fold == k
+        table, right = slopes[rest][..., columns].reshape(-1, 4), -residuals[rest].ravel()
+        step = np.linalg.lstsq(table, right, rcond=None)[0]
+        lost += 25 * ((residuals[own] + slopes[own][..., columns] @ step) ** 2).sum()
+    assert sets.lost(frozenset("ab")) == pytest.approx(lost, rel=1e-9)
+    assert sets.explore()[0] == frozenset("a")
+    assert 1 <= sets.inflation < 2
+    assert sets.cost(frozenset("ab")) - sets.lost(frozenset("ab")) == pytest.approx(3 * sets.charge)
 
 
 def test_play_is_told_from_latency_only_with_care() -> None:

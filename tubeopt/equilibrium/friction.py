@@ -29,16 +29,26 @@ from ..typing import Array, Index
 from .result import Equilibrium, FrictionState, Status
 from .solving import Solution, sample_rotation, to_equilibrium
 
+ONWARD = 0.9
+"""Cosine of the angle between two turns of the bases from which the second goes on the way of the first."""
+
+ROUND_OFF = 1e-13
+"""Of a least eigenvalue."""
+
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A state of a robot whose tubes rub, at joint values (n,); heat (J) since its history began."""
+    """A state of a robot whose tubes rub, at joint values (n,); heat (J) since its history began.
+
+    tangent: how far the bases turned (n,), and x changed (X,), from the state before on the same contact.
+    """
 
     contact: Contact
     rotations: Array
     translations: Array
     found: Increment
     heat: float
+    tangent: tuple[Array, Array] | None = None
 
     @cached_property
     def profile(self) -> arms.Profile:
@@ -52,8 +62,8 @@ class Held:
 
     @cached_property
     def held_margin(self) -> float:
-        """The same along the motions that what sticks leaves free."""
-        if self.found.signs.all():
+        """The same along the motions that what sticks leaves free: between the margin and 1, since it is over fewer."""
+        if self.found.signs.all() or self.margin > 1 - ROUND_OFF:
             return self.margin
         return held_margin(self.contact, self.found.state, self.found.signs)
 
@@ -140,10 +150,23 @@ def step(robot: Robot, held: Held, rotations: Array, translations: Array) -> Hel
     contact, before, x = carried(robot, held, rotations, translations)
     same = contact is held.contact
     slid = None if same or not contact.friction.sliding else _slid(robot, contact, translations - held.translations)
-    found = increment(contact, rotations, x, before, held.found.signs if same else None, slid)
+    turned = rotations - held.rotations
+    guess, signs = (x + _ahead(held, turned), held.found.signs) if same else (x, None)
+    found = increment(contact, rotations, guess, before, signs, slid)
     if found is None or not found.converged:
         return None
-    return Held(contact, rotations, translations, found, held.heat + found.heat)
+    tangent = (turned, found.state.x - x) if same else None
+    return Held(contact, rotations, translations, found, held.heat + found.heat, tangent)
+
+
+def _ahead(held: Held, turned: Array) -> Array | float:
+    """By how much x changes when the bases turn on (n,) as they turned to a state; 0 where they turn another way."""
+    if held.tangent is None:
+        return 0.0
+    last, change = held.tangent
+    along, size = float(turned @ last), float(last @ last)
+    straight = along > ONWARD * np.sqrt(size * float(turned @ turned)) > 0
+    return change * (along / size) if straight else 0.0
 
 
 def _slid(robot: Robot, contact: Contact, moved: Array) -> Array:

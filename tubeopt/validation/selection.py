@@ -2,11 +2,11 @@
 
 Every effect lowers the error of a fit; only one that is there lowers the error of what is held out, but so does one
 that acts like it, and the best of a dozen that are not there may by chance. So whole sets are compared, not effects one
-by one: around the set at hand all others are told to first order, for which nothing is solved; those that promise most
-are fitted and held out in full, until none is better. A set costs what it loses held out, and a charge for each of its
-parameters (`Charge`). Of effects that act alike, those that stand first in the table of effects are kept, unless
-there is strong evidence for others. Along a way with friction, where fits are costly, sets are held out to first order
-around their own fits.
+by one: around the fit of a set all others are told to first order, for which nothing is solved, and those that promise
+most are fitted, until none is better. A set costs what it loses held out, to first order around its own fit, and a
+charge for each of its parameters (see `subsets`). Of effects that act alike those that stand first in the table of
+effects are kept, unless there is very strong evidence for others. Nothing of the way there is remembered: what is told
+of the effects that were kept, and of those that were not, is told beside the last set.
 """
 
 from __future__ import annotations
@@ -43,8 +43,9 @@ ROUNDS = 8
 CHORDS = 8
 """Steps of a costly fit with the slopes that all share; the best is then fitted in full."""
 
-STRONG = 6.0
-"""Twice the logarithm of a Bayes factor that is strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90 (1995))."""
+STRONG = 10.0
+"""Twice the logarithm of a Bayes factor that is very strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90
+(1995))."""
 
 CROOKED = 30.0
 """A set is fitted if it is no more than so much worse to first order, which curvature of the model may make up for."""
@@ -77,7 +78,7 @@ class Comparison(Displayed):
     Attributes:
         start: held-out tip errors of the robot as given, only registered.   start_axis: its angles, rad, or None.
         steps: the effects that were kept, in order.
-        dropped: effects that were kept at first and that later ones made useless.
+        dropped: effects of sets on the way to the last that others made useless; `refused` tells what they would bring.
         refused: those that do not pay beside the kept ones, the best first.
         fit: with the kept effects; None where none pays.
         folds: how many there are.
@@ -106,7 +107,7 @@ def compare_effects(
     *,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Add effects in the order in which they pay held out, and stop where none does.
+    """The set of effects that predicts what no fit has seen by no more parameters than it must.
 
     Args:
         effects: kinds out of `effects.EFFECTS` to choose from; none for all that these data can speak of but
