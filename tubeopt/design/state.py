@@ -228,8 +228,9 @@ class State:
         """(12 n,) change of the tip's place, then of its frame, and by how much that changes (12 n, X)."""
 
         def here(state: State) -> Array:
-            some = (part[:, : 2 * state.layout.n].ravel(order="F") for part in state.pose(index).tip_slopes)
-            return np.concatenate(list(some))
+            pose = state.pose(index)
+            both = (pose.tip_slope, pose.tip_turn)
+            return np.concatenate([part[:, : 2 * state.layout.n].ravel(order="F") for part in both])
 
         size = np.ones(self.layout.size)
         size[: self.layout.designs] = self.layout.space.scale

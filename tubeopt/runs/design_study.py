@@ -70,7 +70,9 @@ class DesignAnswer(Displayed):
     what it reaches of a region."""
 
     solution: DesignSolution
+    """The design."""
     tolerance: ToleranceAnalysis | None
+    """Its spread in manufacture, None where that was not asked for."""
     front: ParetoFront | None
     stock: StockChoice | None
     region: RegionAnswer | None = None
