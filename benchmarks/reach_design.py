@@ -24,7 +24,7 @@ from tubeopt import ConcentricRobot, InputError, PlanOptions, SolveError
 from tubeopt.bodies.anatomy import field_of_image
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
-from tubeopt.planning import ReachShare, evaluate_reach, plan_trajectory
+from tubeopt.planning import ReachShare, RegionReach
 from tubeopt.typing import Array
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,9 +38,6 @@ BRANCH = slice(4, 5)
 
 INSIDE = 1.5e-3
 """Distance (m) of places from the wall, at least."""
-
-CLOSE = 0.01
-"""Distance (m) from which on a place that is missed counts nothing."""
 
 PLACES, HELD_OUT, PLANNED = 12, 48, 12
 
@@ -65,16 +62,6 @@ def bent(robot: ConcentricRobot, factors: Array) -> ConcentricRobot:
     return replace(robot, tubes=tuple(replace(tube, curvature=tube.curvature * by) for tube, by in tubes))
 
 
-def loss(robot: ConcentricRobot, body: DistanceField, places: Array, options: PlanOptions) -> tuple[float, float]:
-    """What is searched to be small, and the share that is reached."""
-    try:
-        found = evaluate_reach(robot, WITHDRAWN, places, obstacles=[body], options=options, count=200)
-    except (InputError, SolveError):
-        return 1.0, 0.0
-    beyond = np.maximum(found.miss - found.tolerance, 0.0)
-    return float(np.minimum(beyond / CLOSE, 1.0).mean() + (1 - found.share)) / 2, found.share
-
-
 def searched(
     robot: ConcentricRobot, body: DistanceField, places: Array, solver: str, given: argparse.Namespace
 ) -> Array:
@@ -83,11 +70,15 @@ def searched(
         return np.ones(robot.n_tubes)
     until = time.process_time() + given.seconds
     best: list[tuple[float, float, Array]] = []
+    wanted = RegionReach(WITHDRAWN, places, (body,), options=OPTIONS)
 
     def value(factors: Array) -> float:
         if time.process_time() > until:
             raise OverError
-        found, share = loss(bent(robot, np.clip(factors, *RANGE)), body, places, OPTIONS)
+        try:
+            found, share = wanted(bent(robot, np.clip(factors, *RANGE)), np.zeros(0))
+        except (InputError, SolveError):
+            found, share = 1.0, 0.0
         best.append((found, share, np.clip(factors, *RANGE)))
         return found
 
@@ -110,17 +101,10 @@ def searched(
 
 def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int) -> tuple[ReachShare, str]:
     """What the robot reaches of places that were not searched with, and how many plans to some of them are proved."""
-    options = replace(OPTIONS, seed=seed + 100)
-    found = evaluate_reach(robot, WITHDRAWN, places, obstacles=[body], options=options, count=500)
-    some = np.flatnonzero(found.reached)[:PLANNED]
-    proved = 0
-    for k in some:
-        try:
-            goal = found.rotations[k], found.translations[k]
-            proved += plan_trajectory(robot, WITHDRAWN, goal, obstacles=[body], options=options).proved
-        except SolveError as error:
-            print(f"  {error}")
-    return found, f"{found.share:.2f} of {len(places)} other places reached; {proved} of {len(some)} plans proved"
+    asked = RegionReach(WITHDRAWN, places, (body,), options=replace(OPTIONS, seed=seed + 100), count=500)
+    found = asked.evaluate(robot, np.zeros(0))
+    proved, planned = asked.plans_proved(robot, np.zeros(0), found, PLANNED)
+    return found, f"{found.share:.2f} of {len(places)} other places reached; {proved} of {planned} plans proved"
 
 
 NAMES = {"none": "as it is", "simplex": "simplex", "evolution": "differential evolution"}

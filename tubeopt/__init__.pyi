@@ -21,7 +21,7 @@ from . import (
     workspaces,
 )
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
-from .design import DesignSolution, DesignSolver, DesignTask, optimize_design
+from .design import DesignSolution, DesignSolver, DesignTask, SearchedDesign, optimize_design, search_design
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.clearance import ClearanceCorrection, clearance_correction
 from .equilibrium.file import load_equilibrium
@@ -46,6 +46,7 @@ from .planning import (
     Proof,
     RateLimits,
     ReachShare,
+    RegionReach,
     Roadmap,
     TipGoal,
     Trajectory,
@@ -173,8 +174,10 @@ __all__ = [
     "Proof",
     "RateLimits",
     "ReachShare",
+    "RegionReach",
     "Rig",
     "Roadmap",
+    "SearchedDesign",
     "SegmentedEccentricRobot",
     "Slots",
     "Snap",
@@ -233,6 +236,7 @@ __all__ = [
     "save_robot",
     "save_solid",
     "save_table",
+    "search_design",
     "show_in_3d",
     "snap_free_certificate",
     "snapping_loss",

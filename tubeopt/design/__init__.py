@@ -24,6 +24,7 @@ from .requirements import (
     Target,
     Wall,
 )
+from .search import SearchedDesign, search_design
 from .sensitivities import Sensitivity
 from .settings import DesignSolver
 from .stock import Candidate, StockChoice, StockTube, choose_from_stock
@@ -56,6 +57,7 @@ __all__ = [
     "Quantities",
     "Reach",
     "Relaxation",
+    "SearchedDesign",
     "Sensitivity",
     "SnapFree",
     "SnapFreeInUse",
@@ -73,5 +75,6 @@ __all__ = [
     "count_snaps",
     "optimize_design",
     "pareto_front",
+    "search_design",
     "tolerance_analysis",
 ]

@@ -180,11 +180,11 @@ def optimize_design(
     one = forced(task)
     if one is not None:
         return _bearing(task, one, search, turns, began)
-    return _solution(task, search(task, begin=begin), turns, began)
+    return solution_of(task, search(task, begin=begin), turns, began)
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class Settled:
     """The best design of a search, all that it found, and how often the worst cases were added."""
 
     best: Attempt
@@ -201,7 +201,7 @@ def _searched(
     seed: int,
     workers: int,
     progress: Progress | None,
-) -> _Found:
+) -> Settled:
     report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
     added = None if begin is None else begin.program.added
@@ -216,14 +216,14 @@ def _searched(
         raise infeasible(ranking)
     best, rounds = settle(ranking.designs[0], report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
-    return _Found(best, replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds)
+    return Settled(best, replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds)
 
 
 def _bearing(
-    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], _Found], turns: int, began: float
+    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], Settled], turns: int, began: float
 ) -> DesignSolution:
     """The design for a task that names a force; only the one that bears it is verified."""
-    known: dict[float, tuple[_Found, Loaded]] = {}
+    known: dict[float, tuple[Settled, Loaded]] = {}
 
     def bears(floor: float) -> float:
         try:
@@ -236,7 +236,7 @@ def _bearing(
 
     floor = raised(one, bears, task.solver)
     found, loaded = known[floor]
-    solution = _solution(without_force(task, one, floor), found, turns, began)
+    solution = solution_of(without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, loaded.check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
 
@@ -284,7 +284,12 @@ def infeasible(ranking: Ranking) -> InfeasibleDesignError:
     return InfeasibleDesignError(f"{head}; {', or '.join(way.words for way in ways)}", ways, ranking.failed[0])
 
 
-def _solution(task: DesignTask, found: _Found, turns: int, began: float) -> DesignSolution:
+def solution_of(task: DesignTask, found: Settled, turns: int, began: float) -> DesignSolution:
+    """The answer that a design is, checked again; `began` is the moment from which it is timed.
+
+    Raises:
+        SolveError: the design does not keep what it promises.
+    """
     program, x = found.best.program, found.best.x
     robot = robot_at(program, x)
     equilibria = solve_again(program, robot, x)

@@ -9,6 +9,7 @@ from .options import PlanOptions
 from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
 from .reach_share import ReachShare, evaluate_reach
+from .region import RegionReach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
 from .tip_path import follow_tip_path
 from .trajectory import PlanStatistics, Trajectory
@@ -23,6 +24,7 @@ __all__ = [
     "Proof",
     "RateLimits",
     "ReachShare",
+    "RegionReach",
     "Roadmap",
     "TipGoal",
     "Trajectory",

@@ -107,7 +107,7 @@ def evaluate_reach(
         >>> tubeopt.evaluate_reach(robot, home, [turned, [0.0, 0.0, 1.0]], count=20).share
         0.5
     """
-    places = _places(targets)
+    places = checked_places(targets)
     positive("tolerance", tolerance)
     task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options)
     first = start_equilibrium(task.chart.space, start)
@@ -130,7 +130,8 @@ def evaluate_reach(
     return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], examined)
 
 
-def _places(targets: ArrayLike) -> Array:
+def checked_places(targets: ArrayLike) -> Array:
+    """(N, 3) places, m; raises InputError for a table of another shape, or of what is no number."""
     try:
         places = np.array(targets, dtype=float)
     except (TypeError, ValueError):

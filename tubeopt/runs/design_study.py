@@ -10,6 +10,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from ..design import (
     DesignSolution,
     DesignTask,
+    Objective,
     ParetoFront,
     StockChoice,
     StockTube,
@@ -29,6 +30,7 @@ from ..files.units import MM, to_si
 from ..robots.concentric import ConcentricRobot
 from .base import Count, Progress, RobotPath, Study
 from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
+from .region_part import RegionAnswer, RegionEntry
 from .stock_file import load_stock
 
 StockPath = Annotated[
@@ -39,11 +41,19 @@ StockPath = Annotated[
 """Sizes of tubes, given as the path of their file."""
 
 
+def _aims(value: object) -> str:
+    if isinstance(value, list):
+        return "<several>"
+    return "<region>" if isinstance(value, dict) and value.get("kind") == "reach_share" else "<one>"
+
+
 Aims = Annotated[
-    Annotated[ObjectiveEntry, Tag("<one>")] | Annotated[list[ObjectiveEntry], Field(min_length=1), Tag("<several>")],
-    Discriminator(lambda value: "<several>" if isinstance(value, list) else "<one>"),
+    Annotated[ObjectiveEntry, Tag("<one>")]
+    | Annotated[RegionEntry, Tag("<region>")]
+    | Annotated[list[ObjectiveEntry], Field(min_length=1), Tag("<several>")],
+    Discriminator(_aims),
 ]
-"""One objective, or several."""
+"""One objective, several, or the share of a region that is reached."""
 
 
 class StockStudy(Entry):
@@ -56,7 +66,8 @@ class StockStudy(Entry):
 
 @dataclass(frozen=True, eq=False)
 class DesignAnswer(Displayed):
-    """A design, and what was asked besides: its spread in manufacture, the front it lies on, the choice from stock."""
+    """A design, and what was asked besides: its spread in manufacture, the front it lies on, the choice from stock,
+    what it reaches of a region."""
 
     solution: DesignSolution
     """The design."""
@@ -64,6 +75,7 @@ class DesignAnswer(Displayed):
     """Its spread in manufacture, None where that was not asked for."""
     front: ParetoFront | None
     stock: StockChoice | None
+    region: RegionAnswer | None = None
 
 
 class DesignStudy(Study):
@@ -99,6 +111,10 @@ class DesignStudy(Study):
             front_tasks(task, [float(m) for m in self.pareto_margins])
         if self.stock is not None:
             stock_choices(task, self.stock.file, to_si(self.stock.clearance_mm, MM))
+        if isinstance(self.objective, RegionEntry):
+            if self.stock is not None or self.pareto_margins is not None:
+                raise ValueError("objective reach_share is searched without derivatives; it has no stock or front")
+            self.objective.reach(task.robot.n_tubes, self.seed)
         return self
 
     def task(self) -> DesignTask:
@@ -106,11 +122,12 @@ class DesignStudy(Study):
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError("robot must be a concentric robot; its tubes are what is designed")
         objectives = self.objective if isinstance(self.objective, list) else [self.objective]
+        aims = [Objective("change") if isinstance(one, RegionEntry) else one.build() for one in objectives]
         return DesignTask(
             self.robot,
             tuple(entry.build() for entry in self.free),
             self.requirements.build(),
-            tuple(entry.build() for entry in objectives),
+            tuple(aims),
             self.name,
             self.ordered,
         )
@@ -134,14 +151,19 @@ class DesignStudy(Study):
             )
             assert choice.best is not None
             task = with_sizes(task, choice.best.sizes)
-        solution = optimize_design(
-            task,
-            starts=self.starts,
-            seed=self.seed,
-            workers=self.workers,
-            turns=self.turns,
-            progress=progress,
-        )
+        region = None
+        if isinstance(self.objective, RegionEntry):
+            region = self.objective.run(task, self.starts, self.seed, self.turns, progress)
+            solution = region.search.solution
+        else:
+            solution = optimize_design(
+                task,
+                starts=self.starts,
+                seed=self.seed,
+                workers=self.workers,
+                turns=self.turns,
+                progress=progress,
+            )
         tolerance = None
         if self.tolerances is not None:
             tolerance = tolerance_analysis(
@@ -156,4 +178,4 @@ class DesignStudy(Study):
         front = None
         if self.pareto_margins is not None:
             front = pareto_front(task, [float(m) for m in self.pareto_margins], begin=solution.attempt)
-        return DesignAnswer(solution, tolerance, front, choice)
+        return DesignAnswer(solution, tolerance, front, choice, region)

@@ -25,6 +25,7 @@ from ..files.units import TO_MM
 from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
+from ..runs.region_part import RegionAnswer
 from .quantities import Quantity, within
 from .report import Drawing, Report, drawing, file_name, grid, two_columns
 
@@ -87,6 +88,19 @@ FRONT: tuple[Quantity[ParetoFront], ...] = (
     Quantity("infeasible_from", "the margin from which there is no design", lambda front: front.ended),
 )
 
+REGION: tuple[Quantity[RegionAnswer], ...] = (
+    Quantity("searched_before", "share of the places of the search, of the robot", lambda r: r.search.before),
+    Quantity("searched_after", "the same of the design", lambda r: r.search.after),
+    Quantity("tried", "designs that were looked at", lambda r: r.search.tried),
+    Quantity("places", "others, by which it is judged", lambda r: len(r.after.targets)),
+    Quantity("before", "share of them that the robot reaches", lambda r: r.before.share),
+    Quantity("after", "share of them that the design reaches", lambda r: r.after.share),
+    Quantity("planned", "places among them to which plans were made"),
+    Quantity("proved", "of these plans"),
+    Quantity("base_mm", "where the plate stands, in its own frame as given", lambda r: r.base.origin),
+    Quantity("base_direction", "along which the arm leaves it, likewise", lambda r: r.base.axes[:, 2]),
+)
+
 DESIGN: tuple[Quantity[DesignAnswer], ...] = (
     *within(
         (
@@ -117,6 +131,7 @@ DESIGN: tuple[Quantity[DesignAnswer], ...] = (
     ),
     Quantity("tolerance", "what becomes of it as manufactured, where that was asked for", of=TOLERANCE),
     Quantity("pareto", "what margin costs, where that was asked for", lambda a: a.front, of=FRONT),
+    Quantity("region", "what is reached of a region, where that was wanted", of=REGION),
     Quantity("stock", "choices from stock, where that was asked for, the best first", lambda a: _stock(a)),
 )
 
@@ -172,6 +187,7 @@ class DesignReport(Report[DesignAnswer]):
                         f"RMS up to {t.spread.max() * TO_MM:.3f} mm, 95 % within {t.spread_95.max() * TO_MM:.3f} mm",
                     )
                 )
+        rows += _reached(self.answer.region)
         if self.answer.stock is not None and self.answer.stock.best is not None:
             names = ", ".join(size.name for size in self.answer.stock.best.sizes)
             rows.append(("from stock", f"{names} (of {len(self.answer.stock.candidates)} choices)"))
@@ -274,6 +290,20 @@ class DesignReport(Report[DesignAnswer]):
         for name in self.pictures():
             lines += [f"![{CAPTIONS[name]}]({file_name(name)})", "", f"*{CAPTIONS[name]}*", ""]
         return "\n".join(lines) + "\n"
+
+
+def _reached(region: RegionAnswer | None) -> list[tuple[str, str]]:
+    """What is reached of a region, in short."""
+    if region is None:
+        return []
+    before, after = (f"{100 * one.share:.0f} %" for one in (region.before, region.after))
+    x, y, z = region.base.origin * TO_MM
+    return [
+        ("region", f"{before} reached before, {after} after, of {len(region.after.targets)} places not searched with"),
+        ("search", f"{region.search.tried} designs looked at; no optimum is claimed"),
+        ("plans", f"{region.proved} of {region.planned} to places that are reached are proved"),
+        ("plate", f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm"),
+    ]
 
 
 def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:

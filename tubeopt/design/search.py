@@ -1,0 +1,244 @@
+"""Designs for what has no derivative, as what planning finds out about a robot: simplex searches over the free
+dimensions (Nelder and Mead 1965) from several starts, within the requirements of a task."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+import scipy
+
+from ..display import Displayed
+from ..errors import InputError, SolveError, positive
+from ..robots.concentric import ConcentricRobot
+from ..solvers.parallel.blas import small
+from ..typing import Array
+from .checks import whole
+from .exchange import robot_at
+from .multistart import multistart, rank
+from .objectives import Objective
+from .optimize import DesignSolution, DesignStatus, Settled, infeasible, solution_of
+from .pool import Progress
+from .program import Program, compile_task
+from .requirements import SnapFree
+from .solve_one import FEASIBLE, attempt, to_feasibility, violation
+from .starts import start_values
+from .task import DesignTask
+
+STEP = 0.2
+"""Size of the first simplex, as a share of every range."""
+
+NARROW = 1e-3
+"""Share of the ranges below which a simplex has converged."""
+
+
+class Wanted(Protocol):
+    """What is asked of a robot, and of numbers of its own (k,), as where a plate stands, which begin as 0."""
+
+    @property
+    def words(self) -> str:
+        """What its value is called."""
+
+    @property
+    def ranges(self) -> Array:
+        """(k, 2) least and greatest of its own numbers, SI."""
+
+    def __call__(self, robot: ConcentricRobot, own: Array) -> tuple[float, float]:
+        """A score from 0, at best, to 1, which tells neighbours apart, and the value, of which more is better.
+
+        Raises:
+            InputError, SolveError: of this robot nothing can be told, which is the worst.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedDesign(Displayed):
+    """The best design that was found for what has no derivative.
+
+    Attributes:
+        solution: the design, its requirements checked again by other code.
+        wanted: what was asked.   before, after: its value of the robot that was given, and of the design.
+        own: (k,) its own numbers.   tried: designs that were looked at.   seconds: of all.
+    """
+
+    _brief = ("wanted", "before", "after", "tried")
+
+    solution: DesignSolution
+    wanted: str
+    before: float
+    after: float
+    own: Array = field(repr=False)
+    tried: int
+    seconds: float
+
+    @property
+    def value(self) -> ConcentricRobot:
+        """The robot."""
+        return self.solution.robot
+
+    @property
+    def status(self) -> DesignStatus:
+        """Whether it keeps what was demanded when it is looked at again."""
+        return self.solution.status
+
+    @property
+    def statistics(self) -> int:
+        """Designs that were looked at."""
+        return self.tried
+
+
+class _EndError(Exception):
+    """The time is over, or there is nothing better."""
+
+
+@dataclass(eq=False)
+class _Search:
+    """Scores at places u (D + k,) of the unit cube, and the best of them."""
+
+    program: Program
+    wanted: Wanted
+    until: float = 0.0
+    tried: int = 0
+    score: float = np.inf
+    value: float = np.nan
+    best: Array | None = None
+    progress: Callable[[int], object] | None = None
+
+    @property
+    def ranges(self) -> Array:
+        """(D + k, 2) of all unknowns."""
+        space = self.program.layout.space
+        own = np.reshape(np.asarray(self.wanted.ranges, dtype=float), (-1, 2))
+        return np.concatenate([np.column_stack([space.lower, space.upper]), own])
+
+    def design(self, u: Array) -> tuple[Array, Array]:
+        """Dimensions and own numbers."""
+        low, high = self.ranges.T
+        x = low + np.clip(u, 0.0, 1.0) * (high - low)
+        return np.split(x, [self.program.layout.designs])[0], x[self.program.layout.designs :]
+
+    def place(self, x: Array, own: Array) -> Array:
+        """The other way round."""
+        low, high = self.ranges.T
+        return np.asarray((np.append(x, own) - low) / np.where(high > low, high - low, 1.0))
+
+    def __call__(self, u: Array) -> float:
+        """The score: beyond 1 where a requirement is not kept."""
+        if time.perf_counter() > self.until or self.score == 0:
+            raise _EndError
+        self.tried += 1
+        if self.progress is not None:
+            self.progress(self.tried)
+        x, own = self.design(u)
+        short, _ = violation(self.program, x)
+        if short > FEASIBLE:
+            return 1.0 + min(short, 1.0)
+        score, value = self.told(x, own)
+        if score < self.score:
+            self.score, self.value, self.best = score, value, np.clip(u, 0.0, 1.0)
+        return score
+
+    def told(self, x: Array, own: Array) -> tuple[float, float]:
+        """Score and value of a design that keeps its requirements."""
+        try:
+            return self.wanted(robot_at(self.program, x), own)
+        except (InputError, SolveError):
+            return 1.0, 0.0
+
+    def from_place(self, u: Array, until: float) -> None:
+        """Simplex searches, each from where the one before ended, as long as that is better than where it began: a
+        simplex that is pressed against a requirement is flat."""
+        self.until, before = until, np.inf
+        options = {"xatol": NARROW, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
+        bounds = [(0.0, 1.0)] * len(u)
+        with suppress(_EndError):
+            while True:
+                simplex = np.vstack([u, u + np.diag(np.where(u > 0.5, -STEP, STEP))])
+                some = {**options, "initial_simplex": simplex}
+                found = scipy.optimize.minimize(self, u, method="Nelder-Mead", bounds=bounds, options=some)
+                if not found.fun < before - NARROW:
+                    break
+                u, before = found.x, float(found.fun)
+
+
+@small
+def search_design(
+    task: DesignTask,
+    wanted: Wanted,
+    *,
+    seconds: float = 180.0,
+    starts: int = 1,
+    seed: int = 0,
+    turns: int = 6,
+    progress: Progress | None = None,
+) -> SearchedDesign:
+    """The best robot for what has no derivative, within the requirements of a task, as far as time goes.
+
+    Every start is led to a design that keeps the requirements; from there a simplex goes on, for which designs that do
+    not keep them are worse than all others. What is found is the best that was looked at: no optimum is claimed.
+
+    Args:
+        task: free dimensions, and requirements on tubes and certificates; its objective does not count.
+        wanted: as `tubeopt.planning.RegionReach`.
+        seconds: on the clock, from when the first start keeps the requirements, shared by all starts.
+        starts: from the task's own dimensions, and from random ones.
+        turns: as of `optimize_design`.   progress: called with the number of designs looked at, and 0.
+
+    Raises:
+        InputError: a task with poses, a certificate over a box or under a force; numbers that make no sense.
+        InfeasibleDesignError: no start leads to a design that keeps the requirements.
+        SolveError: the design breaks a promise when it is checked again.
+
+    Examples:
+        >>> import tubeopt
+        >>> from tubeopt.design import Free
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> tip = tubeopt.forward_kinematics(robot, [0.0, 0.0]).tip_position
+        >>> task = tubeopt.DesignTask(robot, free=[Free("curvature", (0,), 1.0, 20.0)], ordered=False)
+        >>> wanted = tubeopt.RegionReach(([0.0, 0.0], None), [tip], count=10)
+        >>> tubeopt.search_design(task, wanted, seconds=10).after
+        1.0
+    """
+    _check(task)
+    positive("seconds", seconds)
+    for name, value, least in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
+        whole(name, value, least)
+    began = time.perf_counter()
+    plain = replace(task, objective=Objective("change"))
+    program = compile_task(plain)
+    ranking = multistart(program, starts=1, seed=seed)
+    if not ranking.designs:
+        raise infeasible(ranking)
+    note = None if progress is None else lambda count: progress(count, 0)
+    search = _Search(program, wanted, progress=note)
+    zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
+    _, before = search.told(program.layout.space.start, zero)
+    others = (to_feasibility(program, x) for x in start_values(program, seed, starts)[1:])
+    begin = time.perf_counter()
+    for k, x in enumerate([ranking.designs[0].x, *others]):
+        search.from_place(search.place(x, zero), begin + seconds * (k + 1) / starts)
+    if search.best is None:  # the time was over before anything could be told
+        search.best = search.place(ranking.designs[0].x, zero)
+        search.value = search.told(ranking.designs[0].x, zero)[1]
+    x, own = search.design(search.best)
+    found = attempt(program, x, None)
+    solution = solution_of(plain, Settled(found, rank([found]), 0), turns, began)
+    return SearchedDesign(solution, wanted.words, before, search.value, own, search.tried, time.perf_counter() - began)
+
+
+def _check(task: DesignTask) -> None:
+    if not isinstance(task, DesignTask):
+        raise InputError(f"task is {task!r}; it must be a DesignTask")
+    if task.has_poses:
+        raise InputError(
+            "the task has poses; a search without derivatives takes requirements on tubes and certificates"
+        )
+    for one in task.requirements:
+        if isinstance(one, SnapFree) and (one.box is not None or one.max_force):
+            raise InputError(
+                "snap_free names a box or a force; a search without derivatives takes it at translations and unloaded"
+            )

@@ -1,0 +1,117 @@
+"""A region of a patient as the aim of a design study: what share of it is reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..bodies.frames import Frame
+from ..design import DesignTask, SearchedDesign, search_design
+from ..display import Displayed
+from ..files.checked import Entry, NotNegative, Number, Positive, Whole
+from ..files.units import DEG, MM, to_si
+from ..planning import PlanOptions, ReachShare, RegionReach
+from ..robots.concentric import ConcentricRobot
+from .anatomy_file import AnatomyKey
+from .base import Count, Progress, metres, radians
+from .obstacle_file import Bodies
+
+OF_ONE = 120.0
+"""Seconds on the clock for all places of one robot."""
+
+PLANNED = 6
+"""Places of those that are reached to which plans are made and proved."""
+
+OTHER = 100
+"""By how much seed, and by what part roadmaps differ with which other places are judged."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegionAnswer(Displayed):
+    """What a design reaches of a region.
+
+    search: how it was found.   before, after: what the robot that was given, and the design, reach of places that were
+    not searched with, over larger roadmaps.   proved, planned: plans to some of those that the design reaches.
+    base: where the plate stands for the design, in the frame of the plate as it was given.
+    """
+
+    search: SearchedDesign
+    before: ReachShare
+    after: ReachShare
+    proved: int
+    planned: int
+    base: Frame
+
+
+class RegionEntry(Entry):
+    """The share of the anatomy's target that the tip reaches by ways that keep margin and clearance, from a start."""
+
+    kind: Literal["reach_share"]
+    anatomy: AnatomyKey = Field(description="images, meshes and clouds of a patient, with a target, or a YAML file")
+    obstacles: Bodies = Field((), description="further bodies: a list, or a YAML file")
+    start_deg: Annotated[list[Number], Field(min_length=1)] | None = Field(
+        None, description="rotations at the start; all 0 where not given"
+    )
+    start_mm: Annotated[list[Number], Field(min_length=1)] = Field(description="translations at the start")
+    clearance_mm: NotNegative = Field(Decimal("0.2"), description="least distance of the arm from bodies")
+    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
+    tolerance_mm: Positive = Field(Decimal("0.5"), description="distance of the tip from a place that is reached")
+    places: Count = Field(12, description="of the target, with which is searched")
+    judged: Count = Field(48, description="other places of it, by which what comes of it is judged")
+    points: Count = Field(200, description="of the roadmap of every robot that is looked at")
+    shift_mm: NotNegative = Field(Decimal(0), description="how far the plate may be moved along each of its axes")
+    tilt_deg: NotNegative = Field(Decimal(0), le=45, description="by how much it may be turned about its x and its y")
+    seconds: Positive = Field(Decimal(180), description="on the clock for the search")
+
+    @model_validator(mode="after")
+    def _a_region(self) -> Self:
+        if self.anatomy.target is None:
+            raise ValueError("has an anatomy without a target, whose share that is reached is wanted")
+        if len(self.anatomy.target) < self.places + self.judged:
+            raise ValueError(
+                f"has a target of {len(self.anatomy.target)} voxels; it must have {self.places + self.judged} at "
+                "least, as many as places and judged together"
+            )
+        return self
+
+    def reach(self, n: int, seed: int) -> tuple[RegionReach, RegionReach]:
+        """What is searched for with n tubes, and that by which what comes of it is judged."""
+        for name, row in (("start_deg", self.start_deg), ("start_mm", self.start_mm)):
+            if row is not None and len(row) != n:
+                raise ValueError(f"objective.{name} has {len(row)} numbers; it must be {n} (one per tube)")
+        target = self.anatomy.target
+        assert target is not None
+        chosen = np.random.default_rng(seed).permutation(target)[: self.places + self.judged]
+        options = PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=seed)
+        wanted = RegionReach(
+            (radians(self.start_deg, np.zeros(n)), metres(self.start_mm, np.zeros(n))),
+            chosen[: self.places],
+            self.anatomy.bodies + self.obstacles,
+            to_si(self.tolerance_mm, MM),
+            float(self.min_margin),
+            options,
+            self.points,
+            to_si(self.shift_mm, MM),
+            to_si(self.tilt_deg, DEG),
+        )
+        other = replace(
+            wanted, targets=chosen[self.places :], options=replace(options, seed=seed + OTHER), count=2 * self.points
+        )
+        return wanted, other
+
+    def run(self, task: DesignTask, starts: int, seed: Whole, turns: int, progress: Progress | None) -> RegionAnswer:
+        """The design, and what it reaches; raises as `search_design`."""
+        wanted, other = self.reach(task.robot.n_tubes, seed)
+        found = search_design(
+            task, wanted, seconds=float(self.seconds), starts=starts, seed=seed, turns=turns, progress=progress
+        )
+        robot = task.robot
+        assert isinstance(robot, ConcentricRobot)
+        before = other.evaluate(robot, np.zeros(len(other.ranges)))
+        after = other.evaluate(found.value, found.own)
+        proved, planned = other.plans_proved(found.value, found.own, after, PLANNED)
+        return RegionAnswer(found, before, after, proved, planned, wanted.base(found.own))
