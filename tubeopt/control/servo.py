@@ -121,8 +121,8 @@ class Servo:
         bounds = [np.maximum(low, -rate) / space.scale, -np.minimum(high, rate) / space.scale]
         bounds.append(np.minimum(space.least - space.rows @ here.q, 0.0))
         kinds += [Why.ORDER] * len(space.least)
-        if here.margin_slope().any():
-            raised = here.margin_slope() * space.scale
+        raised = here.margin_slope() * space.scale
+        if raised.any():
             rows.append(raised[None])
             most = RISE * float(np.maximum(-raised * bounds[1], raised * bounds[0]).sum())
             bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), most)]))
@@ -142,6 +142,8 @@ class Servo:
         reach = clearance + APART + min(float(moved.max()) / APPROACH, NEAR * self.space.length)
         self.guard.sight = FARTHER * reach
         contacts = at.outline.contacts(scene, reach)
+        if not len(contacts.body):
+            return np.zeros((0, len(rate))), np.zeros(0)
         slope = at.contact_slopes(scene, contacts)
         least, most = APPROACH * (clearance + APART - contacts.distance), np.abs(slope) @ rate
         counts = most >= -least
