@@ -61,6 +61,7 @@ class Correction(Displayed):
 
     used: bool
     words: str
+    """Why it was not used; "" where it was."""
     before: float
     after: float
 

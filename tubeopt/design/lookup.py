@@ -57,10 +57,10 @@ def _of_pose(state: State, one: Quantity, index: PoseNumber) -> tuple[Array, Arr
     pose = state.pose(index)
     match one.name:
         case "tip_position":
-            return pose.position[-1], pose.tip_slopes[0]
+            return pose.position[-1], pose.tip_slope
         case "tip_direction":
             heading = pose.frame[-1][:, 2]
-            return heading, np.cross(pose.tip_slopes[1], heading[:, None], axis=0)
+            return heading, np.cross(pose.tip_turn, heading[:, None], axis=0)
         case "margin":
             return np.array([pose.margin]), pose.margin_slope[None]
         case "position":

@@ -220,7 +220,7 @@ class State:
         X): the central difference of exact derivatives."""
 
         def here(state: State) -> Array:
-            return state.pose(index).tip_slopes[0][:, : 2 * state.layout.n].ravel(order="F")
+            return state.pose(index).tip_slope[:, : 2 * state.layout.n].ravel(order="F")
 
         size = np.ones(self.layout.size)
         size[: self.layout.designs] = self.layout.space.scale

@@ -26,10 +26,10 @@ from ..robots.robot import Robot
 from ..typing import Array
 from .apart import Apart, Track, apart, tracked
 from .clearing import Wanted
+from .cross_sections import Constants
 from .motion import RateLimits
 from .passage import Follower
 from .proof import Proof, ProofStatus, verify_trajectory
-from .sections import Constants
 
 TOLERANCE = 5e-5
 """How far (m) the bound of the distance of two arms may lie below the least that was measured."""
@@ -51,7 +51,9 @@ class PlacedRobot(Displayed):
 
     robot: Robot
     base: Frame = field(default_factory=Frame)
+    """The frame of its plate in the shared one."""
     name: str = ""
+    """What texts call it."""
 
     def __post_init__(self) -> None:
         check_robot(self.robot)
@@ -88,7 +90,9 @@ class PairProof(Displayed):
 
     arms: tuple[int, int]
     least_clearance: float
+    """Lower bound at all times, m; -inf where none is shown."""
     measured_clearance: float
+    """The least that was measured, m."""
     when: float
 
 
@@ -97,8 +101,11 @@ class ArmsProof(Displayed):
     """What was found on motions of several arms: of each by itself, of each pair, and what is wrong, in words."""
 
     proofs: tuple[Proof, ...]
+    """One for each arm."""
     pairs: tuple[PairProof, ...]
+    """One for each two arms."""
     faults: tuple[str, ...]
+    """What is wrong, in words; empty where all is proved."""
 
     @property
     def holds(self) -> bool:

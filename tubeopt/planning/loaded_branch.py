@@ -76,7 +76,7 @@ class _Bounds:
         self.long, self.spring = linear(*intervals.length), linear(*intervals.transmission)
         self.lever, self.u = intervals.lever, b.most
         give = self.long.v[..., None] / self.kt
-        own = np.sqrt(np.cumsum(give, axis=1) + (self.spring.v / self.kt[:, 0])[:, None])
+        own = np.sqrt(np.cumsum(give, axis=1) + self.spring.v[:, None])
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
         """|y_i| <= weight_i, and so on, where T = 1."""
         self.swing = self._swing(give)
@@ -96,7 +96,7 @@ class _Bounds:
         before = np.concatenate([np.zeros_like(here[:, :1]), here[:, :-1]], axis=1)
         high, low = (np.maximum(here[:, :, None] - each[:, None], 0.0) for each in (before, here))
         inside = give[:, None] * (high**2 + high * low + low**2) / 3
-        held = (self.spring.v / self.kt[:, 0])[:, None] * here**2
+        held = self.spring.v[:, None] * here**2
         return np.asarray(np.sqrt((inside.sum(2) + held).sum(2) + np.cumsum(self.long.v / self.stiffness, axis=1)))
 
     def _changes(self, torque: Array, moment: Array) -> _Changes:
@@ -134,7 +134,7 @@ class _Bounds:
     def _chord(self) -> None:
         """Along what goes linearly in torques and moments."""
         c = self.changes
-        begin = self.spring.d * c.torque[:, 0] / self.kt[:, 0]
+        begin = self.spring.d * c.torque[:, 0]
         bow = 2 * (begin[:, None] + np.cumsum(self.long.d[..., None] * c.torque / self.kt, axis=1))
         self.theta = Jet(np.ones_like(bow), c.turn[0] + bow / 2, bow)
         both = bow[..., :, None] + bow[..., None, :]
@@ -158,7 +158,7 @@ class _Bounds:
         each = self.long.map(lambda bound: bound[..., None]) * shared
         torque = np.cumsum(each.dd[:, ::-1], axis=1)[:, ::-1] / 8
         inside = (torque**2 / self.kt).sum(2) + (moment.dd / 8) ** 2 / self.stiffness
-        held = (self.spring.v * torque[:, 0] ** 2 / self.kt[:, 0]).sum(1)
+        held = (self.spring.v * torque[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt((self.long.v * inside).sum(1) + held))
 
     def _by_time(self) -> _Moved:
@@ -195,7 +195,7 @@ class _Bounds:
         """Between the chord and its nearer end: h (B, K), y_i (B, K, n) and int h r (B, K) at equal coordinates, n."""
         (one, other), springs = self.intervals.length, self.intervals.transmission
         root = _roots(one, other)
-        held = _roots(*springs) ** 2 / self.kt[:, 0]
+        held = _roots(*springs) ** 2
         own = np.sqrt(np.cumsum(root[..., None] ** 2 / self.kt, axis=1) + held[:, None])
         return self.long.d / 2, own, np.sqrt(np.cumsum(root**2 / self.stiffness, axis=1)), self.force.d / 2
 

@@ -16,7 +16,7 @@ from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
-from ..stability.loaded_following import LoadedEvent, walk_loaded
+from ..stability.loaded_following import LoadedEvent, loaded_motion_along
 from ..typing import Array, Index
 from .branch import Branch
 from .loaded_branch import loaded_branch
@@ -32,13 +32,13 @@ class LoadedFollower(Follower):
     load: Load = field(default_factory=Load)
 
     def __post_init__(self) -> None:
-        if uncovered(self.load):
+        if uncovered(self.robot, self.load):
             self.halvings = 0
 
     @property
     def says(self) -> str:
         """What can be proved nowhere, in words; empty where nothing is known to stand against it."""
-        what = uncovered(self.load)
+        what = uncovered(self.robot, self.load)
         return f"what lies between equilibria under {what} is not bounded" if what else ""
 
     @cached_property
@@ -61,7 +61,7 @@ class LoadedFollower(Follower):
 
     def intervals(self, equilibria: Sequence[Equilibrium], one: Index, other: Index) -> Intervals:
         """Those between some of a list of equilibria."""
-        if uncovered(self.load):
+        if uncovered(self.robot, self.load):
             return super().intervals(equilibria, one, other)
         return LoadedIntervals.of(LoadedArms.under(self.pull, self.constants, equilibria), one, other)
 
@@ -77,7 +77,7 @@ class LoadedFollower(Follower):
         begin = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
         family = JointFamily(JointPath(self.robot, begin, joints, LOADED_DISCRETISATION), self.load, self.load)
         try:
-            points = walk_loaded(family, replace(loaded_point(here.equilibrium), t=0.0))
+            points = loaded_motion_along(family, replace(loaded_point(here.equilibrium), t=0.0))
             snap = next((point for point in points if isinstance(point, LoadedEvent)), None)
         except SolveError:
             snap = None

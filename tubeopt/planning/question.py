@@ -19,7 +19,6 @@ from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..robots.steps import steps_of
 from ..stability.deflection import under_any_force
 from ..typing import Array
 from .loaded_chart import LoadedChart
@@ -55,7 +54,6 @@ def asked(
     kind_of("options", options, PlanOptions)
     clock = Clock(options.time_limit)
     check_robot(robot)
-    steps_of(robot.tubes, "planning")
     kind_of("limits", limits, JointLimits, optional=True)
     kind_of("rate_limits", rate_limits, RateLimits)
     bodies = checked_obstacles(obstacles)
@@ -74,9 +72,9 @@ def asked(
 def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     """The chart of a robot that bears a load; raises InputError where no plan could be proved."""
     kind_of("load", load, Load)
-    what = uncovered(load)
+    what = uncovered(space.robot, load)
     if what:
-        raise InputError(f"load has {what}, under which no motion can be proved")
+        raise InputError(f"load is {what}, under which no motion can be proved")
     for name in ("max_force", "roadmap", "extra_cost"):
         if getattr(options, name):
             raise InputError(f"{name} is given beside a load; a plan under a load has none")

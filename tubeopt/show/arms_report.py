@@ -18,7 +18,7 @@ from ..robots.file import save_robot
 from ..typing import Array
 from .plan_report import TRAJECTORY
 from .quantities import Quantity, line
-from .report import Drawing, Report, drawing, report
+from .report import Drawing, Report, drawing
 
 INSTANTS = 200
 """Instants at which the distances between arms are told in a file."""
@@ -135,6 +135,3 @@ class ArmsReport(Report[ArmsPlan]):
         """Raise NotProvedError where something is not proved."""
         if not self.answer.proved:
             raise NotProvedError(f"motions were found, but: {self.answer.status}")
-
-
-report.register(ArmsPlan, ArmsReport)

@@ -255,6 +255,14 @@ EFFECTS: dict[str, Effect] = {
         "radial clearance of tube I in the next one, which lets the arm beyond its end tilt", "m", "pair",
         _clearance_span, _put("clearance"), compared="asked",
     ),
+    "stiffness_ratio": Effect(
+        "bending stiffness of tube I over that of the first, I >= 2, Poisson's ratio kept", "", "kind",
+        _ratio_span, _ratio, first=2, sets=("bending_stiffness",), compared="never",
+    ),
+    "torsional_stiffness": Effect(
+        "factor on the torsional stiffness GJ of tube I, or of all, EI kept", "", "kind",
+        _within(1.0, 0.9, 1.0, 0.2), _scale("torsional_stiffness"), common=True, sets=("torsional_stiffness",),
+    ),
     "curvature": Effect(
         "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",
         _curvature_span, _curvature, common=True, sets=("curvature",),
@@ -265,14 +273,6 @@ EFFECTS: dict[str, Effect] = {
     "bending_stiffness": Effect(
         "factor on the bending stiffness EI of tube I, GJ kept", "", "kind",
         _within(1.0, 0.9, 1.0, 0.2), _scale("bending_stiffness"), sets=("bending_stiffness",),
-    ),
-    "stiffness_ratio": Effect(
-        "bending stiffness of tube I over that of the first, I >= 2, Poisson's ratio kept", "", "kind",
-        _ratio_span, _ratio, first=2, sets=("bending_stiffness",), compared="never",
-    ),
-    "torsional_stiffness": Effect(
-        "factor on the torsional stiffness GJ of tube I, or of all, EI kept", "", "kind",
-        _within(1.0, 0.9, 1.0, 0.2), _scale("torsional_stiffness"), common=True, sets=("torsional_stiffness",),
     ),
     "nu": Effect(
         "Poisson's ratio of all tubes, or of tube I, EI kept", "", "kind",
@@ -300,7 +300,10 @@ EFFECTS: dict[str, Effect] = {
         _within(0.0, 0.5, 0.1, 5 * DEGREE), _put("sensor_tilt"), needs="orientation",
     ),
 }  # fmt: skip
-"""Every effect by the kind of its parameters, in the order in which they are applied."""
+"""Every effect by the kind of its parameters, in the order in which they are applied; of those that act alike a
+comparison prefers the first: drives, whose readings nothing checks, then what a drawing of tubes does not say or an
+arm's shape depends on most (a shear modulus is seldom measured, and unlike Young's does not cancel between tubes of one
+material), then what it does."""
 
 KINDS = {
     f"{kind}{suffix}": effect.meaning

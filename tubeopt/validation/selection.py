@@ -1,59 +1,53 @@
-"""Which effects pay: added one after the other, in the order in which they predict rows that no fit has seen.
+"""Which effects are there: the set that predicts rows that no fit has seen, by no more parameters than it must.
 
-Every effect lowers the error of the fit; only one that is there lowers the error of what is held out. At each step the
-effects that are left are ranked by their held-out gain to first order, for which nothing is solved; the best few are
-fitted and held out in full, and the best of these is kept if it pays. At last each that was kept is left out again, or
-changed for another: one that came first may be what others explain better. Along a way with friction, where fits are
-costly, what is held out is told to first order around each.
+Every effect lowers the error of a fit; only one that is there lowers the error of what is held out, but so does one
+that acts like it, and the best of a dozen that are not there may by chance. So whole sets are compared, not effects one
+by one: around the set at hand all others are told to first order, for which nothing is solved; those that promise most
+are fitted and held out in full, until none is better. A set costs what it loses held out, and a charge for each of its
+parameters (`Charge`). Of effects that act alike, those that stand first in the table of effects are kept, unless
+there is strong evidence for others. Along a way with friction, where fits are costly, sets are held out to first order
+around their own fits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..display import Displayed
-from ..errors import InputError, nearest
+from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .comparison import Progress, check_tubes, distances
 from .descent import NEAR, Descent, Weights, descend
 from .errors import ErrorSummary
-from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
+from .fitting import BLOCKS, FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
-from .held_out import hold_out, predicted_held_out
+from .held_out import predicted_held_out
 from .measurements import Measurements
 from .model import ArmModel, State
-from .parameters import apply, choose_parameters, groups
+from .parameters import choose_parameters, groups
 from .registration import FREEDOMS
+from .slopes import Slopes, slopes_around
+from .subsets import Effects, HeldOutSets
 
-TRIED = 3
-"""Of the effects that promise most, so many are fitted in full at each step."""
+TRIED = 4
+"""Of the sets that promise most, so many are fitted at each round."""
 
-ROUNDS = 3
-"""Times that effects are added and left out again, at most."""
+ROUNDS = 8
+"""Rounds at most."""
 
 CHORDS = 8
-"""Steps of such a fit with the slopes that all share; the best is then fitted in full."""
+"""Steps of a costly fit with the slopes that all share; the best is then fitted in full."""
 
-PAYS = 0.005
-"""An effect must lower the held-out error (root of the mean loss) by this part: less is not worth a parameter."""
+STRONG = 6.0
+"""Twice the logarithm of a Bayes factor that is strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90 (1995))."""
 
-CERTAIN = 1.0
-"""And by so many standard errors of the gain, from the differences between the folds (the one-standard-error rule of
-Breiman et al., Classification and Regression Trees (1984))."""
-
-SMALL, CERTAIN_OF_SMALL = 0.05, 3.0
-"""A gain below the first must be so many standard errors instead: the best of a dozen effects that are not there
-reaches 2 to 2.5 by chance, which a bound for every effect by itself does not know of."""
-
-
-def pays(gain: float, certainty: float) -> bool:
-    """Whether an effect that lowers the held-out error by a part `gain` is worth its parameters."""
-    return gain >= PAYS and certainty >= (CERTAIN if gain >= SMALL else CERTAIN_OF_SMALL)
+CROOKED = 30.0
+"""A set is fitted if it is no more than so much worse to first order, which curvature of the model may make up for."""
 
 
 @dataclass(frozen=True)
@@ -143,14 +137,13 @@ def compare_effects(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A fit of some effects and what it costs held out: residuals and losses (V,), by the scale of all trials."""
+    """A fit of a set of effects, in the order of the table, and its residuals (V, 3) held out."""
 
     effects: tuple[str, ...]
     model: ArmModel
     fit: Descent
     sigma: tuple[float, float]
     residuals: Array
-    losses: Array
 
 
 class _Search:
@@ -165,217 +158,119 @@ class _Search:
         self.measurements, self.known, self.progress = measurements, known, progress
         self.given, self.options = options, replace(options, priors=True)
         self.parameters = {k: choose_parameters(robot, measurements, v, options.registration) for k, v in known.items()}
-        self.fold = deal(measurements, options.folds, passes(measurements).place)
+        place = passes(measurements).place
+        self.fold, self.block = deal(measurements, options.folds, place), deal(measurements, BLOCKS, place)
         self.model = ArmModel(robot, measurements, (), options.registration, options.base)
-        self.scale: Weights | None = None
-        self.done = 0
+        self.fits: dict[Effects, _Trial | None] = {}
+        self.passed: list[str] = []
         self.begun = self.now = self._fitted((), self.model.start, FIRST_GUESS)
-        self.steps: list[Step] = []
-        self.dropped: list[str] = []
-        self.refused: list[Step] = []
+        self.fits[Effects()] = self.begun
+        self.slopes = self._slopes(self.now, known)
+        self.sets = self._sets(self.slopes)
 
     def run(self) -> None:
-        """Forward until nothing pays, then leave out or exchange what others explain; again where there was such."""
+        """From set to set while one is better, then to effects that stand first in the table where nothing speaks
+        strongly against them."""
         for _ in range(ROUNDS):
-            while (step := self._forward()) is not None:
-                self.steps.append(step)
-            before = len(self.dropped)
-            self._backward()
-            if len(self.dropped) == before and not self._exchange():
+            better = self._better()
+            if better is None:
                 break
-        if self.dropped:
-            self._retell()
+            self._move(better)
+            self.slopes = self._slopes(self.now, self.known)
+            self.sets = self._sets(self.slopes)
+        limit = self._cost(self.now) + STRONG * self.sets.inflation
+        while (first := self._earlier(limit)) is not None:
+            self._move(first)
 
-    def _fitted(self, effects: tuple[str, ...], start: State, sigma: tuple[float, float]) -> _Trial:
-        """A fit in full."""
-        chosen = [p for kind in effects for p in self.parameters[kind]]
-        problem = FitProblem(self.model.with_parameters(chosen), self.options, start, sigma)
-        return self._held_out(effects, problem.model, problem.fit, problem.sigma)
+    def _move(self, trial: _Trial) -> None:
+        self.passed += self.now.effects
+        long = self._long(trial.effects)
+        self.now = self._fitted(trial.effects, trial.fit.state, trial.sigma) if long else trial
+        self.fits[Effects(trial.effects)] = self.now
 
-    def _held_out(self, effects: tuple[str, ...], model: ArmModel, fit: Descent, sigma: tuple[float, float]) -> _Trial:
-        weights = weigh(model, self.options, sigma)
-        self.scale = self.scale or weights  # all are measured by the scale of the first
-        if model.costly(fit.state):
-            out = predicted_held_out(model, weights, fit, self.fold)
-        else:
-            out = hold_out(model, weights, fit, self.fold).residuals
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, 0)
-        return _Trial(effects, model, fit, sigma, out, self._losses(out))
-
-    def _losses(self, residuals: Array) -> Array:
-        assert self.scale is not None
-        return self.scale.losses(residuals)
-
-    def _forward(self) -> Step | None:
-        """Keep the effect that pays most; None, with what each would bring, where none does."""
-        left = [kind for kind in self.known if kind not in self.now.effects]
-        slopes = self._slopes(left)
-        linear = {kind: self._to_first_order(kind, slopes[kind]) for kind in left}
-        order = sorted(left, key=lambda kind: float(self._losses(linear[kind]).sum()))
-        trials = self._ranked([self._trial(kind, slopes[kind]) for kind in order[:TRIED]])
-        promising = [trial for trial in trials if self._gain(self.now.losses, trial.losses)[0] > PAYS / 2]
-        for trial in promising:
-            full = self._fitted(trial.effects, trial.fit.state, self.now.sigma)
-            step = self._step(full.effects[-1], full.residuals)
-            if step.kept:
-                self.now = full
-                return replace(step, rivals=self._rivals(trial, trials))
-        best = {trial.effects[-1]: trial.residuals for trial in trials}
-        refused = [self._step(kind, best.get(kind, linear[kind])) for kind in order]
-        self.refused = [replace(step, kept=False) for step in sorted(refused, key=lambda step: -step.gain)]
+    def _better(self) -> _Trial | None:
+        """The first of the sets that promise most, or nearly, which is better than that of now; None where none is."""
+        sets, cost = self.sets, self._cost(self.now)
+        near = sets.cost(sets.there) + CROOKED * sets.inflation
+        best = [effects for effects in sets.explore() if effects != sets.there and sets.cost(effects) <= near]
+        for effects in best[:TRIED]:
+            trial = self._tried(effects)
+            if trial is not None and self._cost(trial) < cost:
+                return trial
         return None
 
-    def _ranked(self, trials: list[_Trial]) -> list[_Trial]:
-        """Trials with the best first; those that are as good as the best in the order of the table of effects."""
-        trials = sorted(trials, key=lambda trial: float(trial.losses.sum()))
-        alike = [trial for trial in trials if self._gain(trial.losses, trials[0].losses)[0] < PAYS]
-        order = list(self.known)
-        return sorted(alike, key=lambda trial: order.index(trial.effects[-1])) + trials[len(alike) :]
+    def _earlier(self, limit: float) -> _Trial | None:
+        """A set with an effect of the table in the place of one behind it, that costs no more than a limit."""
+        order, now, sets = list(self.known), Effects(self.now.effects), self.sets
+        near = sets.cost(now) + (STRONG + CROOKED) * sets.inflation
+        for kind in reversed(self.now.effects):
+            for other in order[: order.index(kind)]:
+                changed = now - {kind} | {other}
+                if other in now or sets.cost(changed) > near:
+                    continue
+                trial = self._tried(changed)
+                if trial is not None and self._cost(trial) <= limit:
+                    return trial
+        return None
 
-    def _rivals(self, best: _Trial, trials: Sequence[_Trial]) -> tuple[str, ...]:
-        """Other effects that predict as well as the one that is kept."""
-        near = [trial for trial in trials if trial is not best and self._gain(trial.losses, best.losses)[0] < PAYS]
-        return tuple(trial.effects[-1] for trial in near)
+    def _cost(self, trial: _Trial) -> float:
+        """What a set costs: its loss held out, and the charge for its parameters."""
+        losses = weigh(self.model, self.options, self.now.sigma).losses(trial.residuals)
+        return float(losses.sum() + self.sets.charge * len(trial.model.parameters))
 
-    def _slopes(self, left: Sequence[str]) -> dict[str, Array]:
-        """(V, 3, Q) derivatives by the parameters kept, those of each effect, and the registration."""
-        now, kept = self.now.fit.jacobian, len(self.now.model.parameters)
-        begun = [kind for kind in left if self._begins(kind)]
-        out = {}
-        for kinds in ([kind for kind in left if kind not in begun], *([kind] for kind in begun)):
-            model, state = self._with(*kinds)
-            table, at = model.jacobian(state, skip=kept), kept
-            for kind in kinds:
-                mine = table[..., at : at + len(self.parameters[kind])]
-                at += mine.shape[2]
-                out[kind] = np.concatenate([now[..., :kept], mine, now[..., kept:]], axis=2)
-        return out
+    # --- fits ---------------------------------------------------------------------------------------------------------
 
-    def _with(self, *kinds: str) -> tuple[ArmModel, State]:
-        """The model with more effects, at the state of now."""
-        more = [p for kind in kinds for p in self.parameters[kind]]
-        model = self.model.with_parameters([*self.now.model.parameters, *more])
-        return model, State(np.append(self.now.fit.state.x, [p.start for p in more]), self.now.fit.state.registration)
-
-    def _to_first_order(self, kind: str, slopes: Array) -> Array:
-        """(V, 3) residuals held out with one more effect, were all linear."""
-        model, state = self._with(kind)
-        residuals = model.residuals(state) if self._begins(kind) else self.now.fit.residuals
-        near = Descent(state, residuals, slopes, True)
-        return predicted_held_out(model, weigh(model, self.options, self.now.sigma), near, self.fold)
-
-    def _begins(self, kind: str) -> bool:
-        """Whether an effect is there at its start already, where having none has no slope."""
-        chosen, first = self.parameters[kind], self.model.first
-        return not apply(first, chosen, np.array([p.start for p in chosen])).same_tubes(first)
-
-    def _trial(self, kind: str, slopes: Array) -> _Trial:
-        """A fit with one more effect, with slopes that are kept."""
-        model, state = self._with(kind)
-        return self._held_out((*self.now.effects, kind), model, self._chords(model, state, slopes), self.now.sigma)
-
-    def _step(self, kind: str, residuals: Array) -> Step:
-        gain, certainty = self._gain(self.now.losses, self._losses(residuals))
-        along, axis = distances(self.model, residuals)
-        return Step(
-            effect=kind,
-            parameters=tuple(p.name for p in self.parameters[kind]),
-            kept=pays(gain, certainty),
-            gain=gain,
-            certainty=certainty,
-            held_out=ErrorSummary.of(along[:, 0]),
-            held_out_axis=_rms(axis),
-        )
-
-    def _gain(self, before: Array, after: Array) -> tuple[float, float]:
-        """Part by which the held-out error falls, and that over its standard error between the folds."""
-        own = self.fold[self.model.row]
-        labels = np.unique(own)
-        differences = np.array([(before - after)[own == k].sum() for k in labels])
-        total = max(float(before.sum()), 1e-300)
-        gain = 1 - float(np.sqrt(max(0.0, after.sum()) / total))
-        spread = float(differences.std(ddof=1) * np.sqrt(len(labels))) if len(labels) > 1 else np.inf
-        return gain, float(differences.sum() / max(spread, 1e-12 * total))
-
-    def _backward(self) -> None:
-        """Leave out effects without which the rest predict as well, the useless first."""
-        while len(self.now.effects) > 1:
-            trials = [self._without(kind) for kind in self.now.effects[:-1]]
-            best = min(trials, key=lambda trial: float(trial.losses.sum()))
-            gain, certainty = self._gain(best.losses, self.now.losses)
-            if pays(gain, certainty):
-                return
-            (kind,) = set(self.now.effects) - set(best.effects)
-            self.now = self._some(best.effects) if self.now.model.costly(self.now.fit.state) else best
-            self.dropped.append(kind)
-            self.steps = [step for step in self.steps if step.effect != kind]
-
-    def _exchange(self) -> bool:
-        """Put an effect in the place of one that is kept, if it predicts better, or no worse and stands before it in
-        the table: the first may be the shadow of several, which then pay no more one by one."""
-        order, left = list(self.known), [kind for kind in self.known if kind not in self.now.effects]
-        slopes = self._slopes(left)
-        linear = {(a, b): self._losses(self._instead(a, b, slopes[b])).sum() for a in self.now.effects for b in left}
-        for kind, other in sorted(linear, key=lambda pair: float(linear[pair]))[:TRIED]:
-            trial = self._some((*(k for k in self.now.effects if k != kind), other))
-            gain = self._gain(self.now.losses, trial.losses)[0]
-            if gain > PAYS or (gain >= 0 and order.index(other) < order.index(kind)):
-                kept = replace(self._step(other, trial.residuals), kept=True)
-                self.steps = [*(step for step in self.steps if step.effect != kind), kept]
-                self.now, self.dropped = trial, [*self.dropped, kind]
-                return True
-        return False
-
-    def _instead(self, kind: str, other: str, slopes: Array) -> Array:
-        """(V, 3) residuals held out with one effect in the place of another, were all linear."""
-        model, state = self._with(other)
-        gone = np.array([p.kind == kind for p in model.parameters])
-        residuals = self.now.fit.residuals + slopes[..., : len(gone)] @ (gone * (model.start.x - state.x))
-        fewer = self.model.with_parameters([p for p in model.parameters if p.kind != kind])
-        rest = slopes[..., np.append(~gone, np.ones(model.freedoms, dtype=bool))]
-        near = Descent(State(state.x[~gone], state.registration), residuals, rest, True)
-        return predicted_held_out(fewer, weigh(fewer, self.options, self.now.sigma), near, self.fold)
-
-    def _retell(self) -> None:
-        """Put what was kept in the order in which it pays without what was left out again."""
-        left, told = list(self.steps), list[Step]()
-        before = self.begun
-        while left:
-            trials = [(self._some((*before.effects, step.effect)), step) for step in left]
-            trial, step = min(trials, key=lambda pair: float(pair[0].losses.sum()))
-            gain, certainty = self._gain(before.losses, trial.losses)
-            along, axis = distances(self.model, trial.residuals)
-            summary = ErrorSummary.of(along[:, 0])
-            told.append(replace(step, gain=gain, certainty=certainty, held_out=summary, held_out_axis=_rms(axis)))
-            left.remove(step)
-            before = trial
-        self.steps, self.now = told, before
+    def _tried(self, effects: Effects) -> _Trial | None:
+        """The fit of a set, from the values of now, once; None where there is no such robot."""
+        if effects not in self.fits:
+            kinds = tuple(kind for kind in self.known if kind in effects)
+            try:
+                self.fits[effects] = self._some(kinds)
+            except (InputError, SolveError):
+                self.fits[effects] = None
+        return self.fits[effects]
 
     def _some(self, kinds: tuple[str, ...]) -> _Trial:
-        """A fit in full of some of the effects of now, from their values now."""
+        """A fit from the values of now: in full, or, where it is costly, with the slopes that are known."""
         now = self.now.fit.state
         known = dict(zip((p.name for p in self.now.model.parameters), now.x, strict=True))
-        names = [p for kind in kinds for p in self.parameters[kind]]
-        x = np.array([known.get(p.name, p.start) for p in names])
-        return self._fitted(kinds, State(x, now.registration), self.now.sigma)
-
-    def _without(self, kind: str) -> _Trial:
-        """The fit with one effect less; where new slopes are costly, with those of now."""
-        now, kinds = self.now, tuple(k for k in self.now.effects if k != kind)
-        if not now.model.costly(now.fit.state):
-            return self._some(kinds)
-        kept = np.array([p.kind != kind for p in now.model.parameters])
-        model = self.model.with_parameters([p for p in now.model.parameters if p.kind != kind])
-        slopes = now.fit.jacobian[..., np.append(kept, np.ones(model.freedoms, dtype=bool))]
-        start = State(now.fit.state.x[kept], now.fit.state.registration)
-        return self._held_out(kinds, model, self._chords(model, start, slopes), now.sigma)
-
-    def _chords(self, model: ArmModel, start: State, slopes: Array) -> Descent:
-        """A fit with slopes that are kept."""
+        chosen = [p for kind in kinds for p in self.parameters[kind]]
+        start = State(np.array([known.get(p.name, p.start) for p in chosen]), now.registration)
+        if not self._long(kinds):
+            return self._fitted(kinds, start, self.now.sigma)
+        model = self.model.with_parameters(chosen)
         weights = weigh(model, self.options, self.now.sigma)
-        return descend(model, weights, start, jacobian=slopes, iterations=CHORDS, settled=NEAR)
+        fit = descend(model, weights, start, jacobian=self.slopes.of(kinds), iterations=CHORDS, settled=NEAR)
+        return self._held_out(kinds, model, fit, self.now.sigma)
+
+    def _long(self, kinds: Sequence[str]) -> bool:
+        """Whether a fit of these takes a way along all rows for every parameter."""
+        return "friction" in kinds or self.begun.model.costly(self.begun.fit.state)
+
+    def _fitted(self, kinds: tuple[str, ...], start: State, sigma: tuple[float, float]) -> _Trial:
+        """A fit in full."""
+        chosen = [p for kind in kinds for p in self.parameters[kind]]
+        problem = FitProblem(self.model.with_parameters(chosen), self.options, start, sigma)
+        return self._held_out(kinds, problem.model, problem.fit, problem.sigma)
+
+    def _held_out(self, kinds: tuple[str, ...], model: ArmModel, fit: Descent, sigma: tuple[float, float]) -> _Trial:
+        weights = weigh(model, self.options, sigma)
+        out = predicted_held_out(model, weights, fit, self.fold)
+        if self.progress is not None:
+            self.progress(len(self.fits) + 1, 0)
+        return _Trial(kinds, model, fit, sigma, out)
+
+    def _slopes(self, around: _Trial, kinds: Iterable[str]) -> Slopes:
+        """Residuals around a fit, by its own effects and by others."""
+        return slopes_around(around.model, around.fit, [self.parameters[k] for k in kinds if k not in around.effects])
+
+    def _sets(self, slopes: Slopes) -> HeldOutSets:
+        return slopes.sets(self._weights(slopes), self.fold)
+
+    def _weights(self, slopes: Slopes) -> Weights:
+        return weigh(slopes.model, self.options, self.now.sigma)
+
+    # --- what is told -------------------------------------------------------------------------------------------------
 
     def answer(self) -> Comparison:
         """The comparison, with the fit of the kept effects."""
@@ -387,12 +282,80 @@ class _Search:
         return Comparison(
             start=ErrorSummary.of(along[:, 0]),
             start_axis=_rms(axis),
-            steps=tuple(self.steps),
-            dropped=tuple(self.dropped),
-            refused=tuple(self.refused),
+            steps=self._kept(),
+            dropped=tuple(dict.fromkeys(kind for kind in self.passed if kind not in self.now.effects)),
+            refused=self._refused(),
             fit=found,
             folds=len(np.unique(self.fold)),
         )
+
+    def _kept(self) -> tuple[Step, ...]:
+        """What was kept, in the order in which it pays."""
+        before, steps = self.begun, list[Step]()
+        while len(steps) < len(self.now.effects):
+            left = [kind for kind in self.now.effects if kind not in before.effects]
+            sets = self._sets(self._slopes(before, left))
+            order = sorted(left, key=lambda kind: sets.lost(sets.there | {kind}))
+            for kind in order:
+                trial = self._tried(Effects({*before.effects, kind}))
+                if trial is not None:
+                    break
+            else:
+                break  # without the others there is no such robot
+            steps.append(self._step(kind, before, trial.residuals, kept=True))
+            before = trial
+        return tuple(steps)
+
+    def _refused(self) -> tuple[Step, ...]:
+        """What each of the other effects would bring beside those that were kept, the best first."""
+        slopes = self._slopes(self.now, self.known)
+        weights, out = self._weights(slopes), list[Step]()
+        for kind in self.known:
+            if kind in self.now.effects or not any(p.kind == kind for p in slopes.model.parameters):
+                continue
+            fitted = self.fits.get(Effects({*self.now.effects, kind}))
+            residuals = slopes.beside(kind, weights, self.fold) if fitted is None else fitted.residuals
+            out.append(self._step(kind, self.now, residuals, kept=False))
+        return tuple(sorted(out, key=lambda step: -step.gain))
+
+    def _step(self, kind: str, before: _Trial, residuals: Array, *, kept: bool) -> Step:
+        gain, certainty = self._gain(before.residuals, residuals)
+        along, axis = distances(self.model, residuals)
+        return Step(
+            effect=kind,
+            parameters=tuple(p.name for p in self.parameters[kind]),
+            kept=kept,
+            gain=gain,
+            certainty=certainty,
+            held_out=ErrorSummary.of(along[:, 0]),
+            held_out_axis=_rms(axis),
+            rivals=self._rivals(kind) if kept else (),
+        )
+
+    def _rivals(self, kind: str) -> tuple[str, ...]:
+        """Other effects that predict as well in the place of one that is kept."""
+        sets, now = self.sets, Effects(self.now.effects)
+        near = STRONG * sets.inflation
+        found = []
+        for other in self.known:
+            changed = now - {kind} | {other}
+            if other in now or sets.cost(changed) - sets.cost(now) > near:
+                continue
+            trial = self._tried(changed)
+            if trial is not None and self._cost(trial) - self._cost(self.now) <= near:
+                found.append(other)
+        return tuple(found)
+
+    def _gain(self, before: Array, after: Array) -> tuple[float, float]:
+        """Part by which the held-out error falls, and that over its standard error between blocks."""
+        own, scale = self.block[self.model.row], weigh(self.model, self.options, self.begun.sigma)
+        first, then = scale.losses(before), scale.losses(after)
+        differences = np.array([(first - then)[own == k].sum() for k in np.unique(own)])
+        total = max(float(first.sum()), 1e-300)
+        gain = 1 - float(np.sqrt(max(0.0, then.sum()) / total))
+        count = len(differences)
+        spread = float(differences.std(ddof=1) * np.sqrt(count)) if count > 1 else np.inf
+        return gain, float(differences.sum() / max(spread, 1e-12 * total))
 
 
 def _rms(axis: Array | None) -> float | None:

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,13 +44,24 @@ class Start:
     translations: Array
 
 
+class Kernel(Protocol):
+    """A compiled function that needs memory: how much, and what it answers."""
+
+    @property
+    def answer(self) -> np.dtype[np.void]:
+        """Fields of its answer."""
+
+    @property
+    def workspace_size(self) -> int:
+        """Bytes that it works in."""
+
+
 @dataclass(eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, what it answers, whole and by field; where both are; and
-    of which tubes, at which joint values, it still holds the solution, None where of none."""
+    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are; and of
+    which tubes, at which joint values, it still holds the solution, None where of none."""
 
     workspace: Array
-    answer: Any
     fields: dict[str, Any]
     at: tuple[int, int]
     solved: tuple[Any, Array] | None = None
@@ -67,13 +78,13 @@ class _Room:
 _rooms = threading.local()
 
 
-def _room(kernel: Library) -> _Room:
+def room_of(kernel: Kernel) -> _Room:
     rooms: dict[Any, _Room] = _rooms.__dict__
     if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
         workspace = np.zeros(kernel.workspace_size // 8 + 1)
-        rooms[kernel] = _Room(workspace, answer, fields, (_at(workspace), _at(answer)))
+        rooms[kernel] = _Room(workspace, fields, (_at(workspace), _at(answer)))
     return rooms[kernel]
 
 
@@ -204,7 +215,7 @@ def solve_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room = _room(kernel)
+    room = room_of(kernel)
     memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
     room.solved = (prepared, memory[: 2 * len(rotations)]) if status == SOLVED else None
@@ -234,7 +245,7 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
     if prepared is None or prepared[0].differentiate is None:
         return None
     kernel, n = prepared[0], robot.n_tubes
-    room, joints = _room(kernel), np.concatenate([rotations, translations])
+    room, joints = room_of(kernel), np.concatenate([rotations, translations])
     if not room.has(prepared, joints, start) and solve_compiled(robot, rotations, translations, start) is None:
         return None
     places = room.fields["arc_length"][: int(room.fields["pieces"]) * STEPS + 1]
@@ -270,7 +281,7 @@ def solve_many_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room, count = _room(kernel), len(rotations)
+    room, count = room_of(kernel), len(rotations)
     room.solved = None
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)

@@ -1,0 +1,157 @@
+"""Sets of effects, and what each would lose held out, were the observations linear in the parameters around a state.
+
+All that a least-squares fit needs of the observations are sums over them, kept here block by block: a set of effects is
+fitted to all folds but one and held out in a small linear solve, so that hundreds of sets cost less than one pass
+through the data.
+
+What is lost held out prefers no set that is there over one with a few idle parameters more (Shao, J. Am. Stat. Assoc.
+88 (1993)), and the best of many candidates gains by chance. So each parameter is charged, as by Schwarz (Ann. Stat. 6
+(1978)) and by Foster and George (Ann. Stat. 22 (1994)): together with what holding out charges already, twice the
+variance inflation, it must gain the logarithm of the number of observations, or twice that of the number of candidates.
+The inflation, by which errors that neighbouring rows share make parameters less certain than independent ones would,
+is the optimism of the fit: how much more is lost held out than by the fit to all, over the same for independent
+errors (Takeuchi, Suri-Kagaku 153 (1976)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..typing import Array, Index, Mask
+
+Effects = frozenset[str]
+
+LEAST = 4.0
+"""A parameter must gain so much at least, in squares of its standard error: two standard errors."""
+
+INSIDE = 1e-9
+"""A scaled step this little beyond the range is within it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Residuals around a state, with every effect that may be part of a set, P parameters and F freedoms besides.
+
+    residuals: (V, 3).   slopes: (V, 3, P + F).   weights: (V,) of their squares.   fold (V,).   numbers: how many
+    are independent.
+    kinds: effect of each parameter (P,).   there: effects that are part of the state.
+    absent: (P,) what to add to each to be without it.   drawn: (P,) what to add to be as drawn, and `prior` (P,) the
+    standard deviation around it.   low, high: (P,) least and greatest change.
+    jumps: residuals (V, 3) that an effect brings at once, where its parameters alone do not say what it is to be
+    without it.
+    """
+
+    residuals: Array
+    slopes: Array
+    weights: Array
+    fold: Index
+    numbers: int
+    kinds: tuple[str, ...]
+    there: Effects
+    absent: Array
+    drawn: Array
+    prior: Array
+    low: Array
+    high: Array
+    jumps: Mapping[str, Array]
+
+
+class HeldOutSets:
+    """What sets of effects lose, held out and by the fit to all.
+
+    Attributes:
+        inflation: of the variance of parameters, 1 for independent errors.
+        charge: of a parameter, beside what is lost held out.
+    """
+
+    def __init__(self, linear: Linear) -> None:
+        self.kinds, self.there, self.jumps = linear.kinds, linear.there, tuple(linear.jumps)
+        self.names = tuple(dict.fromkeys(linear.kinds))
+        self.count = len(linear.kinds)
+        v = len(linear.residuals)
+        parts = [linear.slopes.reshape(3 * v, -1), *(linear.jumps[kind].reshape(-1, 1) for kind in self.jumps)]
+        table = np.hstack([*parts, linear.residuals.reshape(-1, 1)])
+        table *= np.sqrt(np.repeat(linear.weights, 3))[:, None]
+        scale = np.maximum(np.sqrt((table[:, :-1] ** 2).sum(0)), 1e-300)
+        table[:, :-1] /= scale
+        rows = np.repeat(linear.fold, 3)
+        self.squares = np.array([table[rows == k].T @ table[rows == k] for k in np.unique(linear.fold)])
+        self.free = linear.slopes.shape[2] - self.count
+        self.scale, own = scale, scale[: self.count]
+        self.absent, self.drawn = linear.absent * own, linear.drawn * own
+        self.low, self.high, self.inverse = linear.low * own, linear.high * own, 1 / (linear.prior * own) ** 2
+        self.known: dict[Effects, float] = {}
+        optimism = self.lost(self.there) - self._seen(self.there)
+        self.inflation = max(1.0, optimism / (2 * (self.parameters(self.there) + self.free)))
+        least = max(math.log(linear.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
+        self.charge = self.inflation * (least - 2)
+
+    def parameters(self, effects: Iterable[str]) -> int:
+        """How many a set has."""
+        return sum(self.kinds.count(kind) for kind in effects)
+
+    def cost(self, effects: Effects) -> float:
+        """What a set loses held out, and what its parameters are charged."""
+        if effects not in self.known:
+            self.known[effects] = self.lost(effects) + self.charge * self.parameters(effects)
+        return self.known[effects]
+
+    def lost(self, effects: Effects) -> float:
+        """What a set loses held out."""
+        total = self.squares.sum(0)
+        steps = (self._step(effects, total - own) for own in self.squares)
+        return float(sum(step @ own @ step for step, own in zip(steps, self.squares, strict=True)))
+
+    def _seen(self, effects: Effects) -> float:
+        """What it loses by the fit to all."""
+        total = self.squares.sum(0)
+        step = self._step(effects, total)
+        return float(step @ total @ step)
+
+    def _step(self, effects: Effects, square: Array) -> Array:
+        """The step of least loss by a sum of squares; a parameter at the edge of its range is held there."""
+        n, step = self.count, np.zeros(len(square))
+        chosen = np.array([kind in effects for kind in self.kinds], dtype=bool)
+        step[:n] = np.where(chosen, 0.0, self.absent)
+        here = [(kind in effects) - float(kind in self.there) for kind in self.jumps]
+        step[n + self.free : -1] = here * self.scale[n + self.free :]
+        step[-1] = 1.0
+        free = np.concatenate([chosen, np.ones(self.free, dtype=bool), np.zeros(len(here) + 1, dtype=bool)])
+        while free.any():
+            step[free] = 0.0
+            self._solve(square, step, free)
+            beyond = free[:n] & ((step[:n] < self.low - INSIDE) | (step[:n] > self.high + INSIDE))
+            if not beyond.any():
+                break
+            step[:n][beyond] = np.clip(step[:n], self.low, self.high)[beyond]
+            free[:n] &= ~beyond
+        return step
+
+    def _solve(self, square: Array, step: Array, free: Mask) -> None:
+        """Fill in the free part of a step."""
+        at = np.flatnonzero(free)
+        own = np.flatnonzero(at < self.count)
+        matrix, slope = square[np.ix_(at, at)], square[at] @ step
+        matrix[own, own] += self.inverse[at[own]]
+        slope[own] -= (self.drawn * self.inverse)[at[own]]
+        matrix[np.arange(len(at)), np.arange(len(at))] += 1e-12
+        step[at] = -np.linalg.solve(matrix, slope)
+
+    def explore(self) -> list[Effects]:
+        """Sets in the order of their costs: all beside the way of single changes that leads down from the set that is
+        there, from none and from all."""
+        for start in (self.there, Effects(), Effects(self.names)):
+            best = start
+            while (found := min([best, *self.around(best)], key=self.cost)) != best:
+                best = found
+        return sorted(self.known, key=self.cost)
+
+    def around(self, effects: Effects) -> list[Effects]:
+        """Sets with one effect more, one less, or one in the place of another."""
+        more = [kind for kind in self.names if kind not in effects]
+        less = [effects - {kind} for kind in sorted(effects)]
+        return [effects | {kind} for kind in more] + less + [some | {kind} for some in less for kind in more]
