@@ -26,27 +26,27 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds per call: median, first and ninth decile, number of calls."""
+    """Seconds per call: median, first and ninth decile, number of calls, and 99.9th percentile."""
 
     median: float
     fast: float
     slow: float
     calls: int
+    rare: float
 
 
 def summarise(seconds: Iterable[float]) -> Timing:
     """Median and deciles of measured times."""
     times = np.fromiter(seconds, float)
-    fast, median, slow = np.quantile(times, [0.1, 0.5, 0.9])
-    return Timing(float(median), float(fast), float(slow), len(times))
+    fast, median, slow, rare = np.quantile(times, [0.1, 0.5, 0.9, 0.999]).tolist()
+    return Timing(median, fast, slow, len(times), rare)
 
 
 def clock(call: Callable[[], Any]) -> tuple[float, Any]:
     """Seconds of processor time that a call takes, and what it returns.
 
     On one thread of an idle machine that is the time on the clock; where others keep the machine busy it stays so,
-    while
-    the clock goes on through every pause of a call that is longer than the scheduler's patience.
+    while the clock goes on through every pause of a call that is longer than the scheduler's patience.
     """
     began = time.process_time()
     result = call()

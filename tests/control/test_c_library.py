@@ -190,7 +190,7 @@ def test_the_library_is_clean_c99_without_memory_of_its_own_and_passes_its_test(
     save_c_library(c_library(CRL, prefix="crl", loads=True), tmp_path)
     own = compiler()
     assert own is not None
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", "-fno-pie"]
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-fno-pie"]
     for part in ("robot", "load"):
         parts = ["-c", f"crl_{part}.c", "-o", f"{part}.o"]
         subprocess.run([*own, *flags, *parts], cwd=tmp_path, check=True, timeout=240)

@@ -7,12 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.examples import THESIS
-from tubeopt import Equilibrium, InputError, Load, follow, forward_kinematics
+from tests.examples import CRL, THESIS
+from tubeopt import Equilibrium, InputError, Load, SolveError, follow, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.servo import Command, Servo, ServoOptions, ServoStep
 from tubeopt.control.why import Why
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.least_squares import constrained_least_squares
 from tubeopt.inverse.outline import Outline
 from tubeopt.solvers.compiled.binding import kernel_of
 
@@ -144,3 +145,31 @@ def test_commands_and_options_that_make_no_sense_are_refused(seed: Equilibrium) 
     near = forward_kinematics(THESIS, np.radians([0, 90, 180]))  # of margin 0.927
     with pytest.raises(InputError, match="seed has margin"):
         Servo(THESIS, near, options=ServoOptions(min_margin=0.95))
+
+
+def test_what_next_to_nothing_satisfies_has_no_answer_and_a_later_task_does_not_undo_the_first() -> None:
+    unit = np.eye(1)
+    # x >= 1e-3 and x <= 1e-3 (1 - 1e-7): contradictory by less than rounding tells, and so by more.
+    for less in (1e-3, 1e-7):
+        found = constrained_least_squares(unit, np.zeros(1), np.vstack([unit, -unit]), 1e-3 * np.array([1, less - 1]))
+        assert found is None or found.x[0] == pytest.approx(1e-3, rel=1e-4)
+    scales = np.array([[1.0], [-1e-3], [0.7]])
+    assert constrained_least_squares(unit, np.zeros(1), scales, np.array([1e-3, 1e-6, 0.0])) is None
+
+
+@pytest.mark.parametrize("objective", ["margin", "centre"])
+def test_no_joint_is_faster_than_its_rate_however_long_the_step(objective: str) -> None:
+    random = np.random.default_rng(5)
+    space = joint_space(CRL)
+    for q in space.sample(8):
+        try:
+            start = forward_kinematics(CRL, *space.split(0.9 * q + 0.1 * space.inside()))
+            turn, shift, dt = 10 ** random.uniform(-1, 1), 10 ** random.uniform(-2, 0), 10 ** random.uniform(-2, -1)
+            servo = Servo(CRL, start, options=ServoOptions(1.0, turn, shift, 0.02, objective=objective, push=0.5))
+        except (SolveError, InputError):
+            continue
+        for _ in range(5):
+            before = servo.equilibrium
+            after = servo.step(Command(velocity=random.normal(size=3)), dt).equilibrium
+            assert np.abs(after.rotations - before.rotations).max() <= turn * dt * (1 + 1e-12) + 1e-15
+            assert np.abs(after.translations - before.translations).max() <= shift * dt * (1 + 1e-12) + 1e-15

@@ -104,7 +104,10 @@ class Servo:
         why = Why(0)
         for kind in {kinds[k] for k in found[1]}:
             why |= kind
-        return ServoStep(*self.guard.go(found[0] * self.space.scale, why), *told)
+        # The first rows are rates and ranges, which nothing exceeds, not by rounding either.
+        m = len(here.q)
+        change = np.clip(found[0], bounds[:m], -bounds[m : 2 * m]) * self.space.scale
+        return ServoStep(*self.guard.go(change, why), *told)
 
     def _hedges(self, here: Posture, dt: float) -> tuple[Array, Array, list[Why]]:
         """Rows and bounds of a step over the joints' scales, and what each stands for; what is missed already must not
@@ -121,8 +124,8 @@ class Servo:
         bounds = [np.maximum(low, -rate) / space.scale, -np.minimum(high, rate) / space.scale]
         bounds.append(np.minimum(space.least - space.rows @ here.q, 0.0))
         kinds += [Why.ORDER] * len(space.least)
-        if here.margin_slope().any():
-            raised = here.margin_slope() * space.scale
+        raised = here.margin_slope() * space.scale
+        if raised.any():
             rows.append(raised[None])
             most = RISE * float(np.maximum(-raised * bounds[1], raised * bounds[0]).sum())
             bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), most)]))
@@ -142,6 +145,8 @@ class Servo:
         reach = clearance + APART + min(float(moved.max()) / APPROACH, NEAR * self.space.length)
         self.guard.sight = FARTHER * reach
         contacts = at.outline.contacts(scene, reach)
+        if not len(contacts.body):
+            return np.zeros((0, len(rate))), np.zeros(0)
         slope = at.contact_slopes(scene, contacts)
         least, most = APPROACH * (clearance + APART - contacts.distance), np.abs(slope) @ rate
         counts = most >= -least
@@ -251,8 +256,8 @@ def _in_turn(
             # What rounding has taken from a step that keeps them all.
             bounds - rows @ wanted - (1e-12 if held.size or wanted.any() else 0.0),
         )
-        if found is None:
-            return None
+        if found is None:  # with the tasks before, the step keeps all rows as it is
+            return (wanted, held) if wanted.any() else None
         wanted, held = wanted + free @ found.x, np.flatnonzero(found.active)
         if uses:
             _, size, basis = np.linalg.svd(inside)

@@ -132,7 +132,9 @@ class Linearised:
         self.arm, self.tip = arm, arm.position[-1]
         self.frame, self.position = poses_at_points(self.t, self.length, (arm.frame, arm.position, arm.curvature))
         self._look()
-        self.factors = scipy.linalg.lapack.dgetrf(solution.result.state.hessian)[:2]
+        # LAPACK prints where a matrix has no rows, as of tubes that nothing twists.
+        hessian = solution.result.state.hessian if problem.size else np.eye(1)
+        self.factors = scipy.linalg.lapack.dgetrf(hessian)[:2]
 
     def _look(self) -> None:
         """Cross-sections at all points, with their derivatives and those of the tubes along them."""

@@ -12,6 +12,9 @@ from ..typing import Array, Mask
 FEASIBLE = 1e-9
 """Share of the right-hand side by which an inequality may be missed before it counts as violated."""
 
+ROUNDED = 1e-5
+"""Share of what an inequality adds up by which an answer may miss it."""
+
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
@@ -58,9 +61,13 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     if -residual[-1] <= FEASIBLE:
         return None
     y = -scale * residual[:-1] / residual[-1]
+    x = _solve(r, free + y)
+    # Where next to nothing satisfies them all, the dual is told by rounding.
+    if (bounds[kept] - rows[kept] @ x > ROUNDED * (np.abs(rows[kept]) @ np.abs(x) + np.abs(bounds[kept]))).any():
+        return None
     active = none.copy()
     active[kept[weights > 0]] = True
-    return LeastSquares(_solve(r, free + y), active)
+    return LeastSquares(x, active)
 
 
 def _solve(r: Array, right: Array, *, transposed: bool = False) -> Array:

@@ -111,7 +111,8 @@ class Outline:
         if scene in self._known and enough <= self._known[scene].within:
             near = self._known[scene]
             least = min(near.within, float(near.contacts.distance.min(initial=np.inf)))
-            return min(least, self._between(scene, near.row[near.at_least < min(enough, least)]))
+            doubtful = near.row[near.at_least < min(enough, least)]
+            return min(least, self._between(scene, doubtful)) if len(doubtful) else least
         known, exact = self._clear.get(scene, (-np.inf, False))
         if not exact and known < enough:
             self._clear[scene] = known, _ = self._clearance(scene, enough)
@@ -229,7 +230,7 @@ class Outline:
             bound = self._at_least(scene, distance, reach) - thick
             near = bound <= within
             body, row, distance, bound = body[near], row[near], distance[near], bound[near]
-            if finer:
+            if finer and len(body):
                 body, row = _once(body, self._around(row, stride, finer), len(self.grid))
         return _Near(within, self._closest(scene, body, row, distance - self._radii[row]), row, bound)
 

@@ -121,7 +121,8 @@ class Posture:
 
     def margin_slope(self) -> Array:
         """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
-        return np.nan_to_num(self.jacobian[2])
+        slope = self.jacobian[2]
+        return np.where(np.isfinite(slope), slope, 0.0)
 
     @cached_property
     def outline(self) -> Outline:

@@ -164,6 +164,7 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
     floor = fmin(c->min_margin, margin_here(m)); /* what is below it does not get worse */
     if (step_towards(m, c, q, 1, &aim, step) || step_towards(m, c, q, 0, &aim, step)) {
         double share = 1;
+        for (int k = 0; k < JOINTS; k++) step[k] = fmin(fmax(step[k], aim.low[k]), aim.high[k]); /* of rounding */
         for (int half = 0; half <= HALVINGS; half++, share /= 2) {
             for (int k = 0; k < JOINTS; k++)
                 there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));

@@ -87,7 +87,7 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
 #else
 /* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and what the twist' gains at the
    beginnings of pieces and at the tip, or NULL. */
-static void turn_along(const Unknowns *q, const double *alpha, const double (*kicks)[N], Profile *arm) {
+static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N], Profile *arm) {
     const Layout *l = q->layout;
     const Tableau *t = q->tableau;
     double turn[MOST_PIECES][N], at[N] = {0};

@@ -56,13 +56,23 @@ class Kernel(Protocol):
         """Bytes that it works in."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are."""
+    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are; and of
+    which tubes, at which joint values, it still holds the solution, None where of none."""
 
     workspace: Array
     fields: dict[str, Any]
     at: tuple[int, int]
+    solved: tuple[Any, Array] | None = None
+
+    def has(self, tubes: Any, joints: Array, start: Start) -> bool:
+        """Whether it holds that of tubes at joint values (2n,) which a start is."""
+        if self.solved is None or self.solved[0] is not tubes or not np.array_equal(self.solved[1], joints):
+            return False
+        count = len(start.point)
+        mine = int(self.fields["points"]) == count
+        return mine and np.array_equal(self.fields["point_rotation"][:count], start.point_rotation)
 
 
 _rooms = threading.local()
@@ -206,8 +216,9 @@ def solve_compiled(
         return None
     kernel, _, tubes = prepared
     room = room_of(kernel)
-    _memory, alpha, shift, guess = _pack(rotations, translations, start)
+    memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
+    room.solved = (prepared, memory[: 2 * len(rotations)]) if status == SOLVED else None
     return room.fields if status == SOLVED else None
 
 
@@ -233,11 +244,10 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
     prepared = _prepared(robot)
     if prepared is None or prepared[0].differentiate is None:
         return None
-    kernel = prepared[0]
-    if solve_compiled(robot, rotations, translations, start) is None:
+    kernel, n = prepared[0], robot.n_tubes
+    room, joints = room_of(kernel), np.concatenate([rotations, translations])
+    if not room.has(prepared, joints, start) and solve_compiled(robot, rotations, translations, start) is None:
         return None
-    n = robot.n_tubes
-    room = room_of(kernel)
     places = room.fields["arc_length"][: int(room.fields["pieces"]) * STEPS + 1]
     out, along = np.zeros(14 * n + 2 * n * n + 36), np.zeros((len(places), 3, 2 * n))
     if not kernel.differentiate(_at(_carriages(robot)), side, *room.at, _at(out), _at(along)):
@@ -272,6 +282,7 @@ def solve_many_compiled(
         return None
     kernel, _, tubes = prepared
     room, count = room_of(kernel), len(rotations)
+    room.solved = None
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (_at(a) for a in (alpha, shift, table, declined))

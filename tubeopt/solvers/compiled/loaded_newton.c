@@ -317,7 +317,7 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *g
             for (int r = 0; r < 4; r++) square += pow(trial->stage[x][r] - state->stage[x][r], 2);
             moved = fmax(moved, 2 * sqrt(square));
         }
-        if (done && fmax(moved, largest_turn(s, trial, state->theta)) <= largest_twist(near)) {
+        if (done && fmax(moved, largest_turn(s, trial, (const double(*)[N])state->theta)) <= largest_twist(near)) {
             State *last = state;
             state = trial;
             trial = last;
@@ -340,7 +340,7 @@ static int settle(Stage *s, const double *alpha, double margin, State *state, St
     memcpy(start->theta, state->theta, s->points * sizeof start->theta[0]);
     memcpy(start->q, state->q, s->points * sizeof start->q[0]);
     if (!at_ease(s, state, alpha, 1, step, out)) return DECLINED;
-    double moved = largest_turn(s, state, start->theta);
+    double moved = largest_turn(s, state, (const double(*)[N])start->theta);
     for (int x = 0; x < s->points; x++)
         for (int j = 0; j < 2; j++) {
             double bent = s->soft[x] * (state->q[x][j] - start->q[x][j]);
