@@ -13,11 +13,10 @@ import numpy as np
 import scipy
 
 from ..display import Displayed
-from ..errors import InputError, SolveError, positive
+from ..errors import InputError, SolveError, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .checks import whole
 from .exchange import robot_at
 from .multistart import multistart, rank
 from .objectives import Objective
