@@ -13,7 +13,7 @@ FEASIBLE = 1e-9
 """Share of the right-hand side by which an inequality may be missed before it counts as violated."""
 
 ROUNDED = 1e-5
-"""Share of what an inequality adds up by which an answer may miss it."""
+"""Share of the answer's distance from the free minimum by which it may miss an inequality."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     y = -scale * residual[:-1] / residual[-1]
     x = _solve(r, free + y)
     # Where next to nothing satisfies them all, the dual is told by rounding.
-    if (bounds[kept] - rows[kept] @ x > ROUNDED * (np.abs(rows[kept]) @ np.abs(x) + np.abs(bounds[kept]))).any():
+    if (bounds[kept] - rows[kept] @ x > ROUNDED * length * np.linalg.norm(y)).any():
         return None
     active = none.copy()
     active[kept[weights > 0]] = True
