@@ -42,16 +42,19 @@ def count_rate(tube: Tube, rig: Rig) -> float:
     return power / COUNTS / (data.density * section * data.heat_capacity)
 
 
-def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array) -> Counts:
+def guarded_counts(
+    model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array, *, rough: ThermalModel | None = None
+) -> Counts:
     """Counts (T,) of sum-up rounding, fewer in a slot where they would break ramp or current limit as it begins.
 
     What is left out is given in later slots, but for what the tube has forgotten by then: the sum falls behind by no
     more than half a count and what makes the tube `MOST_COLDER` colder. One count is worth several K/s: without the
     guard rounding alone breaks the ramp by as much. Where not even one count keeps the ramp from rest, nothing would
-    ever be heated: there the counts are those that break it least without falling behind.
+    ever be heated: there the counts are those that break it least without falling behind, by a quick look.
 
     Args:
         model: one member, whose temperatures are simulated along. duty: (T,) in [0, 1], mean over each slot.
+        rough: for the quick look, on a coarser grid.
     """
     sums = COUNTS * np.cumsum(duty)
     counts = np.zeros(len(duty), dtype=np.int64)
@@ -60,6 +63,8 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
     owed = 0.5 + MOST_COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
     hopeless = most_count(model, state, spec, rig) < 1 + COUNTS * rig.circuit.lost_share
     heated = int(np.count_nonzero(duty))
+    if hopeless and rough is not None:
+        model, state = rough, at_rest(rough)
     watched = min(heated, heated - spec.hold_slots + math.ceil(SETTLED / spec.slot))
     for k in range(watched):
         due = math.floor(sums[k] - given + 0.5)

@@ -63,11 +63,11 @@ class Schedule(Protocol):
 
 @dataclass(frozen=True)
 class Search:
-    """How schedules are found: the best one; whether the soonest one keeps everything; and what whole counts in the
-    place of a program's answer keep."""
+    """How schedules are found: the best one; what the soonest one keeps, None where it misses the window; and what
+    whole counts in the place of a program's answer keep."""
 
     best: Callable[[Tube, Rig, HeatingSpec], Schedule]
-    soonest: Callable[[Tube, Rig, HeatingSpec], bool]
+    soonest: Callable[[Tube, Rig, HeatingSpec], Outcome | None]
     counted: Callable[[Tube, HeatingSpec, Ideal], Outcome]
 
 
@@ -105,28 +105,34 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
     if best.outcome.shortfall <= 0:
         return _ordered(_for_limits(tube, rig, plain, best.outcome, by))
     found: list[Cure | None] = []
-    said = best.program
+    said, limited = best.program, bool(best.outcome.broken)
     assert said is not None
     for change in _candidates(rig, plain, said.ideal, said.shift)[:TRIES]:
-        cure = _kept(change, tube, by) or _estimated(change, tube, spec, said, by)
+        cure = _kept(change, tube, by, limited) or _estimated(change, tube, spec, best, by)
         if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
             found.append(cure)
-            if cure.cures:
+            # No change for the window is one for limits.
+            if cure.cures or (limited and cure.shortfall <= 0):
                 break
     return _ordered(found)
 
 
-def _kept(change: Change, tube: Tube, by: Search) -> Cure | None:
-    """The cure that a change is by the soonest schedule; None where that does not keep everything.
+def _kept(change: Change, tube: Tube, by: Search, anyway: bool) -> Cure | None:
+    """The cure that a change is by the soonest schedule; None where that does not keep everything, or, where limits of
+    ramp and currents are broken `anyway`, the window.
 
     A schedule of longer slots is one of short ones too, of which every few share their count.
     """
     words, rig, asked = change
-    if asked.free:
-        return None
-    if any(by.soonest(tube, rig, spec) for spec in _slower(tube, rig, asked)):
-        return Cure(words, 0.0)
-    return None
+    found: Cure | None = None
+    for spec in () if asked.free else _slower(tube, rig, asked):
+        outcome = by.soonest(tube, rig, spec)
+        if outcome is None or outcome.shortfall > 0:
+            continue
+        if outcome.kept:
+            return Cure(words, 0.0)
+        found = Cure(words, 0.0, outcome.broken) if anyway else None
+    return found
 
 
 def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
@@ -140,14 +146,15 @@ def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
     return (replace(spec, slot=longer), spec) if swing < SWING * (high - low) else (spec,)
 
 
-def _estimated(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed, by: Search) -> Cure | None:
+def _estimated(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule, by: Search) -> Cure | None:
     """What the program makes of a change, and whole counts of what it would cure."""
-    tried = _tried(change, tube, spec, best)
+    assert best.program is not None
+    tried, limited = _tried(change, tube, spec, best.program), bool(best.outcome.broken)
     if tried is None or tried[0].shortfall >= ENOUGH:
         return None if tried is None else tried[0]
     cure, answer = tried
     fixed = replace(change[2], free=())
-    if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, by)) is not None:
+    if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, by, limited)) is not None:
         return kept
     for asked in _slower(tube, answer.rig, fixed):
         outcome = by.counted(tube, asked, answer)
@@ -189,8 +196,9 @@ def _alike(rig: Rig, other: Rig) -> bool:
 def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
     """What whole counts make of a change; None where there is no schedule."""
     words, rig, asked = change
-    if any(by.soonest(tube, rig, spec) for spec in _slower(tube, rig, asked)[:-1]):
-        return Cure(words, 0.0)
+    for spec in _slower(tube, rig, asked)[:-1]:
+        if (outcome := by.soonest(tube, rig, spec)) is not None and outcome.kept:
+            return Cure(words, 0.0)
     try:
         found = by.best(tube, rig, asked)
     except SolveError:

@@ -65,12 +65,13 @@ class Run:
     """Mean duties, and what they do.
 
     Attributes:
-        rig: with clearance, lead and vents as chosen. model: its fine one.
+        rig: with clearance, lead and vents as chosen. model, rough: its fine one, and a coarse one.
         levels: mean duties (T,) in every slot. exact: what they do. error: of the mesh, K. start: of the hold, s.
     """
 
     rig: Rig
     model: ThermalModel
+    rough: ThermalModel
     levels: Array
     exact: History
     error: float
@@ -127,7 +128,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
-    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _keeps, _realised))
+    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _foreseen, _realised))
     run, iterations = found.run, 0 if found.program is None else found.program.ideal.iterations
     computed = Computed(run.model, run.start, found.counts, run.levels, found.checked, run.exact, run.error, iterations)
     plan = HeatingPlan.of(tube, run.rig, spec, computed, cures=cures)
@@ -164,10 +165,10 @@ def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
     return found if found.kept else None
 
 
-def _keeps(tube: Tube, rig: Rig, spec: HeatingSpec) -> bool:
-    """Whether the soonest schedule of whole counts keeps everything."""
+def _foreseen(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
+    """What the soonest schedule of whole counts keeps; None where it misses the window."""
     answer = _soonest(tube, rig, spec)
-    return answer is not None and _outcome((tube, rig, spec), answer[0], answer[-1]).kept
+    return None if answer is None else _outcome((tube, rig, spec), answer[0], answer[-1])
 
 
 def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, float] | None:
@@ -201,7 +202,7 @@ def _run(asked: tuple[Tube, Rig, HeatingSpec], levels: Array, start: float) -> R
     tube, rig, spec = asked
     model, rough = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
     exact = simulate(model, spec.slot, levels)
-    return Run(rig, model, levels, exact, mesh_error(simulate(rough, spec.slot, levels), exact, levels), start)
+    return Run(rig, model, rough, levels, exact, mesh_error(simulate(rough, spec.slot, levels), exact, levels), start)
 
 
 def _checked(spec: HeatingSpec, run: Run, counts: Counts) -> Schedule:
@@ -276,13 +277,13 @@ def _exactly(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Run:
 
 def _counted(spec: HeatingSpec, run: Run) -> Schedule:
     """Whole counts in the place of mean duties."""
-    return _checked(spec, run, guarded_counts(run.model, spec, run.rig, run.levels))
+    return _checked(spec, run, guarded_counts(run.model, spec, run.rig, run.levels, rough=run.rough))
 
 
 def _realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
     """What whole counts in the place of an ideal schedule keep."""
-    levels = commanded(slots(ideal, spec), ideal.rig)
-    counts = guarded_counts(thermal_model(tube, ideal.rig, FINE), spec, ideal.rig, levels)
+    (fine, rough), levels = (thermal_model(tube, ideal.rig, grid) for grid in (FINE, COARSE)), slots(ideal, spec)
+    counts = guarded_counts(fine, spec, ideal.rig, commanded(levels, ideal.rig), rough=rough)
     return _outcome((tube, ideal.rig, spec), counts, hold_start(ideal, spec))
 
 
@@ -311,7 +312,7 @@ def trimmed(spec: HeatingSpec, found: Schedule) -> Schedule:
             break
         # Temperatures rise nearly in proportion to the duty.
         scale *= 1 - (excess + LEAST_RESERVE) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
-        counts = guarded_counts(run.model, spec, run.rig, scale * run.levels)
+        counts = guarded_counts(run.model, spec, run.rig, scale * run.levels, rough=run.rough)
         found = replace(_checked(spec, run, counts), program=found.program)
     return found
 
