@@ -62,6 +62,7 @@ def test_wrong_studies_are_refused(run: Run, tmp_path: Path) -> None:
     assert "goal is out of range: rotation of tube 1 is 500 deg" in refused(run("plan", str(path)))[0]
     snap = ROOT / "configs" / "studies" / "thesis_snap.yaml"
     assert "it must be plan" in refused(run("plan", str(snap)))[0]
+    assert "must be plan; a robot is named by the key robot of such a file" in refused(run("plan", THESIS))[0]
 
 
 def test_distances_from_a_corridor_and_a_mesh() -> None:

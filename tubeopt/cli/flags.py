@@ -139,9 +139,10 @@ def asks(
 
         def run(output: Output, **typed: Any) -> None:
             given = _given(fields, typed)
-            for key, field in fields.items():
-                if field.is_required() and key not in given and not names[key]:
-                    raise InputError(f"{called[key].split(',')[0]} is missing: {_about(field)}")
+            missing = [key for key, field in fields.items() if field.is_required() and key not in given]
+            if missing:
+                told = (f"{called[key].split(',')[0]} is missing: {_about(fields[key])}" for key in missing)
+                raise InputError("\n".join(told))
             with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}, first):
                 question = check(study, constant | given, "", names=names)
                 function(question, output=output, **{key: value for key, value in typed.items() if key in taken})

@@ -115,6 +115,10 @@ def check(
     raise InputError("\n".join(sentences))
 
 
+OF_ROBOTS = ("concentric", "eccentric", "segmented_eccentric")
+"""Kinds of robot files, which are often given in place of a file that names one."""
+
+
 def check_kind(
     kinds: Mapping[str, type[Model]],
     data: object,
@@ -131,7 +135,8 @@ def check_kind(
         raise InputError(f"{prefix}kind is missing; {allowed}")
     kind = data["kind"]
     if not isinstance(kind, str) or kind not in kinds:
-        raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{_hint(kind, kinds)}")
+        hint = "; a robot is named by the key robot of such a file" if kind in OF_ROBOTS else _hint(kind, kinds)
+        raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{hint}")
     return check(kinds[kind], data, where, names=names)
 
 
