@@ -59,7 +59,6 @@ from .robots.limits import JointLimits
 from .robots.load import Load
 from .robots.materials import NITINOL, Material
 from .robots.pieces import Piece, Slots
-from .robots.steps import in_steps
 from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
@@ -204,7 +203,6 @@ __all__ = [
     "forward_kinematics",
     "forward_kinematics_batch",
     "friction_band",
-    "in_steps",
     "inverse_kinematics",
     "judge",
     "lead_by",

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from tests.examples import CONFIGS, THESIS, TWO_TUBE, eccentric_robot
-from tubeopt import EquilibriumBlock, InputError, Load, Problem, forward_kinematics, load_robot
+from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE, eccentric_robot
+from tubeopt import (
+    ConcentricRobot,
+    EquilibriumBlock,
+    InputError,
+    Load,
+    Problem,
+    forward_kinematics,
+    load_robot,
+    snap_free_certificate,
+)
 
 TURNED = [0.0, 1.0, 2.0]
 
@@ -129,8 +139,52 @@ def test_what_a_block_does_not_bear_is_refused() -> None:
     with pytest.raises(InputError, match="load is given for tubes beside one another"):
         EquilibriumBlock(ca.Opti(), forward_kinematics(eccentric_robot(0.02), [0.0, 1.0, -1.0]), load=Load((0.1, 0, 0)))
     block = EquilibriumBlock(ca.Opti(), near, load=Load((0.01, 0.0, 0.0)))
-    with pytest.raises(InputError, match="certificate of an arm under load is no expression"):
-        block.certificate_at_least(0.0)
+    with pytest.raises(InputError, match="load is no force on the tip in axes of the plate of at most max_force"):
+        block.certificate_at_least(0.0, max_force=0.009)
+    with pytest.raises(InputError, match="max_force is -1"):
+        block.certificate_at_least(0.0, max_force=-1.0)
     turning = EquilibriumBlock(ca.Opti(), near, load=Load((0.01, 0.0, 0.0), frame="tip"))
     with pytest.raises(InputError, match="it has no energy, so the arm has no margin"):
         turning.margin_at_least(0.1)
+
+
+@pytest.mark.parametrize(
+    ("robot", "shift", "force"), [(TWO_TUBE, [-0.01, -0.03], 0.02), (CRL, [-0.02, -0.01, -0.01], 0.003)]
+)
+def test_certificate_under_force_is_that_of_the_library_and_so_are_its_derivatives(
+    robot: ConcentricRobot, shift: list[float], force: float
+) -> None:
+    """How the largest certificate of a program changes with what is held in it are its multipliers: of three tubes in
+    their bound for weak forces, of two in that where all are opposed."""
+    near = forward_kinematics(robot, np.zeros(robot.n_tubes), shift)
+    problem = Problem()
+    names = "curvature", "torsional_stiffness", "bending_stiffness"
+    start = {name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in names}
+    factors = {name: problem.variable(name, robot.n_tubes, guess=1.0) for name in names}
+    out = problem.variable("out", robot.n_tubes, guess=shift, scale=0.05)
+    tubes = {name: ca.DM(start[name]) * factors[name] for name in names}
+    block = EquilibriumBlock(problem, near, translations=out, tubes=tubes)
+    least = problem.variable("least", guess=0.0)
+    block.certificate_at_least(least, max_force=force)
+    for name in names:
+        problem.subject_to(f"held {name}", factors[name] == np.ones(robot.n_tubes))
+    problem.subject_to("held out", out == np.array(shift), scale=0.05)
+    problem.maximize(least)
+    solution = problem.solve()
+
+    def certificate(name: str, index: int, factor: float) -> float:
+        tubes = list(robot.tubes)
+        tubes[index] = replace(tubes[index], **{name: factor * getattr(tubes[index], name)})
+        return snap_free_certificate(replace(robot, tubes=tuple(tubes)), shift, max_force=force)
+
+    assert solution.value("least") == pytest.approx(certificate("curvature", 0, 1.0), abs=1e-9)
+    assert block.bounds[0].value(block.model.at(solution.value)) == pytest.approx(
+        snap_free_certificate(robot, shift, max_force=force), abs=1e-10
+    )
+    for name in names:
+        slopes = [(certificate(name, i, 1.001) - certificate(name, i, 0.999)) / 2e-3 for i in range(robot.n_tubes)]
+        fine = [(certificate(name, i, 1.0005) - certificate(name, i, 0.9995)) / 1e-3 for i in range(robot.n_tubes)]
+        # Richardson's extrapolation of the two.
+        wanted = (4 * np.array(fine) - np.array(slopes)) / 3
+        found = -solution.multiplier(f"held {name}")
+        np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())

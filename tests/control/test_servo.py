@@ -13,6 +13,7 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.servo import Command, Servo, ServoOptions, ServoStep
 from tubeopt.control.why import Why
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.outline import Outline
 from tubeopt.solvers.compiled.binding import kernel_of
 
 SEED = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
@@ -68,6 +69,31 @@ def test_bodies_are_kept_clear_of(seed: Equilibrium) -> None:
     least = min(float(ball.signed_distance(step.equilibrium.tip_position[None])[0]) for step in steps)
     assert least >= 5e-4
     assert any(Why.OBSTACLE in step.why for step in steps)
+
+
+def surface(arm: Equilibrium, body: Sphere, count: int) -> float:
+    """Least distance (m) of many places of the surface from a body."""
+    points, radius = Outline(arm).at(np.linspace(0.0, arm.arc_length[-1], count))
+    return float((body.signed_distance(points) - radius).min())
+
+
+def test_in_a_cloud_the_arm_slides_between_the_bodies(seed: Equilibrium) -> None:
+    """A step along a body bends towards it, and the edge of a tube moves with that tube: both are reckoned with, so
+    that the guard has nothing to hold back."""
+    random, cloud = np.random.default_rng(0), list[Sphere]()
+    while len(cloud) < 80:
+        place = seed.position[random.integers(3, len(seed.position))] + random.normal(size=3) * 8e-3
+        body = Sphere(tuple(place.tolist()), 2e-3)
+        if 5e-4 < surface(seed, body, 201) < 6e-3:
+            cloud.append(body)
+    servo = Servo(THESIS, seed, obstacles=cloud)
+    target = seed.tip_position + np.array([0.015, 0.01, -0.01])
+    steps = run(servo, Command(position=target), 200)
+    assert sum(Why.OBSTACLE in step.why for step in steps) > 50
+    assert not any(Why.HELD in step.why for step in steps)
+    assert np.linalg.norm(target - seed.tip_position) - steps[-1].distance > 2e-3
+    for step in steps[::40]:
+        assert min(surface(step.equilibrium, body, 5001) for body in cloud) > 0.0
 
 
 def test_the_arm_pivots_about_a_point_while_its_tip_moves(seed: Equilibrium) -> None:

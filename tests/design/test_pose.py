@@ -52,6 +52,8 @@ def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
     _, numbers = random_numbers(seed, n)
     pose = pose_of(numbers)
     position, turn, arc = pose.shape_slopes
+    assert np.allclose(pose.tip_slope, position[-1], rtol=1e-13, atol=0)
+    assert np.allclose(pose.tip_turn, turn[-1], rtol=1e-13, atol=1e-13 * np.abs(turn[-1]).max())
     theta, bend = pose.bend_slopes
     parts = (position, turn, arc, theta, bend, pose.margin_slope, pose.certificate[1])
     for k, (name, i) in enumerate((name, i) for name in PARAMETERS for i in range(n)):

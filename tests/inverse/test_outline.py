@@ -17,6 +17,9 @@ from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.posture import compiled_slopes, posture_of
+from tubeopt.robots.robot import Robot
+from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
 
 
@@ -127,3 +130,53 @@ def test_far_bodies_change_no_answer_of_a_session_and_cost_little() -> None:
         np.testing.assert_array_equal(free.translations, among.translations)
         assert among.clearance > 0.0
     assert times[1] < 3 * times[0]
+
+
+def test_distances_change_with_the_joints_as_their_slopes_say() -> None:
+    """Beside the arm, ahead of its tip, and beside the edge where a tube ends, which moves along with that tube."""
+    space = joint_space(THESIS)
+    for q in space.sample(6)[1:3] * 0.98 + 0.02 * space.inside():
+        at = posture_of(space, forward_kinematics(THESIS, *space.split(q)))
+        arm = at.equilibrium
+        edge = int(np.argmin(np.abs(arm.arc_length - arm.tube_end[1])))
+        for k, ahead in ((len(arm.position) // 3, 0.0), (edge, 0.3e-3), (len(arm.position) - 1, 3e-3)):
+            x, _, z = arm.frame[k].T
+            scene = Scene((Sphere(tuple((arm.position[k] + 4e-3 * x + ahead * z).tolist()), 2e-3),))
+            contacts = at.outline.contacts(scene, 0.01)
+            closest = contacts.chosen(np.array([int(contacts.distance.argmin())]))
+            assert k != edge or closest.place[0] == arm.tube_end[1]
+            told, by = at.contact_slopes(scene, closest)[0], 1e-5
+            for j, unit in enumerate(np.eye(len(q)) * by):
+                beside = [forward_kinematics(THESIS, *space.split(q + s * unit), guess=arm) for s in (1, -1)]
+                one, two = (least_near(e, scene.bodies[0], closest.place[0]) for e in beside)
+                assert (one - two) / (2 * by) == pytest.approx(told[j], abs=2e-3), (k, j)
+
+
+def least_near(e: Equilibrium, body: Obstacle, place: float) -> float:
+    """Least distance of the surface from a body at places within a millimetre along the arm."""
+    s = np.append(np.linspace(place - 1e-3, place + 1e-3, 4001), e.tube_end)
+    s = s[(np.abs(s - place) <= 1e-3) & (s <= e.arc_length[-1])]
+    outline = Outline(e)
+    return float((body.signed_distance(outline.at(s)[0]) - outline.radius(s)).min())
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL])
+def test_points_of_the_arm_move_with_the_joints_as_the_kernel_says(robot: Robot) -> None:
+    if kernel_of(robot) is None:
+        return  # nothing is compiled here
+    space = joint_space(robot)
+    for q in space.sample(3):
+        at = posture_of(space, forward_kinematics(robot, *space.split(q)))
+        told, n = compiled_slopes(at.equilibrium), robot.n_tubes
+        assert told is not None
+        assert told.along is not None
+        np.testing.assert_allclose(told.along, at.derivatives.position, atol=1e-10)
+        np.testing.assert_array_equal(told.along[-1], told.position)
+        for i in range(n):  # arc lengths stay
+            turn = 1e-5 * np.eye(n)[i]
+            arm = at.equilibrium
+            one, two = (
+                forward_kinematics(robot, arm.rotations + s * turn, arm.translations, guess=arm).position
+                for s in (1, -1)
+            )
+            np.testing.assert_allclose((one - two) / 2e-5, told.along[..., i], atol=1e-7)

@@ -17,7 +17,8 @@ from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
 from tubeopt.planning.branch import branch
-from tubeopt.planning.sections import Arms, Constants, Intervals
+from tubeopt.planning.cross_sections import Constants
+from tubeopt.planning.sections import Arms, Intervals
 from tubeopt.robots.eccentric import SegmentedEccentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.robots.tubes import Tube

@@ -25,9 +25,9 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.outline import Outline
+from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.loaded_branch import loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import Constants
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ from tubeopt.equilibrium.load_continuation import LoadFamily, Member, reach
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.loaded import loaded_margin
-from tubeopt.stability.loaded_certificate import bundle_of, cells_of, largest_eigenvalue
+from tubeopt.stability.loaded_certificate import Bundle, bundle_of
 from tubeopt.stability.loaded_events import slide
 from tubeopt.stability.stroke import stroke_slopes
 from tubeopt.typing import Array
@@ -175,16 +175,27 @@ def test_certificate_of_a_column_counts_three_halves_of_eulers_load() -> None:
     for ratio in (0.3, 0.8, 2.0):
         bound = snap_free_certificate(rod(0.2, 1e-3), max_force=ratio * UNIT)
         exact = 1 - 1.5 * ratio * 4 / np.pi**2
-        assert exact - 1e-8 < bound <= exact + 1e-12
+        assert bound == pytest.approx(exact, abs=1e-12)
 
 
-def test_certificate_is_finer_on_finer_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, bounds = slender(0.4), []
-    for cells in (24, 48, 96):
-        monkeypatch.setattr("tubeopt.stability.loaded_certificate.CELLS", cells)
-        bounds.append(snap_free_certificate(robot, max_force=0.01))
-    assert np.all(np.diff(bounds) > 0)
-    assert np.diff(bounds)[-1] < 0.6 * np.diff(bounds)[-2]
+def in_parts(bundle: Bundle, count: int) -> Bundle:
+    """The same arm, every section in so many parts."""
+    length = np.repeat(bundle.length / count, count)
+    return replace(
+        bundle,
+        start=np.concatenate([[0.0], np.cumsum(length)[:-1]]),
+        length=length,
+        stiffness=np.repeat(bundle.stiffness, count),
+        pull=np.repeat(bundle.pull, count, axis=0),
+    )
+
+
+def test_certificate_does_not_depend_on_parts_of_sections() -> None:
+    for robot, force in ((slender(0.4), 0.01), (THESIS, 0.02), (THESIS, 1.0)):
+        bundle = bundle_of(robot.assembly(np.zeros(3)))
+        for pairs in (True, False):
+            whole = bundle.softened(force, pairs=pairs)
+            assert in_parts(bundle, 3).softened(force, pairs=pairs) == pytest.approx(whole, rel=1e-12)
 
 
 def test_certificate_is_below_every_loaded_margin() -> None:
@@ -206,14 +217,18 @@ def test_certificate_is_below_every_loaded_margin() -> None:
 
 def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
     robot, force = slender(0.5), 0.01
-    cells = cells_of(bundle_of(robot.assembly(np.zeros(3))), force, pairs=True)
+    bundle = bundle_of(robot.assembly(np.zeros(3)))
+    fine = in_parts(bundle, 24)
     # Y and the integral of r, linear on each cell: a lower bound of the eigenvalue.
-    n, count = 3, len(cells.length)
-    h = cells.length
+    n, count, h = 3, len(fine.length), fine.length
+    slope = fine.pull / fine.stiffness[:, None]
+    lever = fine.total_length - fine.start - h / 2
+    pairs = np.einsum("ki,kj->kij", fine.pull, fine.pull) / fine.stiffness[:, None, None] * (1 - np.eye(n))
+    coupling = pairs + np.einsum("ki,ij->kij", pairs.sum(2) + force * lever[:, None] * slope, np.eye(n))
     fields = np.zeros((n + 1, count, (n + 1) * count))
     for i in range(n + 1):
         fields[i, np.arange(count), i * count + np.arange(count)] = 1.0
-    stiff = np.concatenate([np.repeat(cells.torsional[:, None], count, 1), cells.stiffness[None]])
+    stiff = np.concatenate([np.repeat(fine.torsional[:, None], count, 1), fine.stiffness[None]])
     below = np.tril(np.ones((count, count)), -1) * h
 
     def at_middle(slopes: Array) -> Array:
@@ -229,13 +244,14 @@ def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
     size = y.shape[2]
     full = np.zeros((size, size))
     full[: (n + 1) * count, : (n + 1) * count] = energy
-    full[np.arange(size - n, size), np.arange(size - n, size)] = cells.torsional / cells.transmission
+    full[np.arange(size - n, size), np.arange(size - n, size)] = fine.torsional / fine.transmission
     r = np.concatenate([fields[n], np.zeros((count, n))], axis=1)
-    phi = at_middle(np.einsum("ki,ika->ka", cells.slope, y) + r)
-    loss = np.einsum("k,kij,ika,jkb->ab", h, cells.coupling, y, y)
+    phi = at_middle(np.einsum("ki,ika->ka", slope, y) + r)
+    loss = np.einsum("k,kij,ika,jkb->ab", h, coupling, y, y)
     loss += 1.5 * force * np.einsum("k,ka,kb->ab", h, phi, phi)
     ritz = float(eigh(loss, full, eigvals_only=True)[-1])
-    assert ritz == pytest.approx(largest_eigenvalue(cells), rel=2e-3)
+    assert ritz == pytest.approx(bundle.softened(force, pairs=True), rel=2e-3)
+    assert ritz < bundle.softened(force, pairs=True)
 
 
 def test_what_makes_no_sense_says_so() -> None:
@@ -323,8 +339,8 @@ def test_the_stroke_force_of_a_curved_arm_is_a_load_limit() -> None:
 def bent(robot: ConcentricRobot, name: str, i: int, step: float) -> ConcentricRobot:
     """The robot with one dimension of a tube moved."""
     tubes = list(robot.tubes)
-    tubes[i] = dataclasses.replace(tubes[i], **{name: getattr(tubes[i], name) + step})
-    return dataclasses.replace(robot, tubes=tuple(tubes))
+    tubes[i] = replace(tubes[i], **{name: getattr(tubes[i], name) + step})
+    return replace(robot, tubes=tuple(tubes))
 
 
 @pytest.mark.parametrize(("inner", "kind"), [(0.0, "bifurcation"), (np.pi, "fold")])

@@ -28,6 +28,9 @@ AGREEMENT = 1e-6
 MISSED = 5e-5
 """By how much a margin that was demanded may be missed: as well as margins close to 1 are told."""
 
+CERTAIN = 1e-7
+"""By how much a certificate may be missed: the tolerance to which programs are solved."""
+
 
 def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
     """The verified equilibrium of a block at the numbers that `value` gives to its expressions."""
@@ -51,6 +54,14 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
             raise SolveError(
                 f"the margin is {found.margin:.4g} where {least:.4g} was demanded: the program has left the branch on "
                 "which the condition tells the margin; start it closer to its solution",
+                found,
+            )
+    for bound in block.bounds:
+        least, value_there = float(np.array(value(bound.floor)).item()), bound.value(model)
+        if value_there < least - CERTAIN:
+            raise SolveError(
+                f"the certificate under {1e3 * bound.force:g} mN is {value_there:.4g} where {least:.4g} was demanded: "
+                "the program has left the branch of the largest eigenvalue; start it closer to its solution",
                 found,
             )
     return found

@@ -84,6 +84,8 @@ class ComposedBlock(Outputs, Generic[N]):
         self._checked: list[tuple[Any, ...]] = []
         # Unknowns of every margin that is demanded, and how much it is.
         self.margins: list[tuple[tuple[Any, ...], Any]] = []
+        # Certificates under force that are demanded.
+        self.bounds: list[Any] = []
         # Unknowns of every Jacobian, its equations, and its seeds.
         self.answers: list[tuple[Any, Any, dict[str, Any]]] = []
         self._add_unknowns()

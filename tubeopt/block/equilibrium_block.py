@@ -16,12 +16,13 @@ import numpy as np
 from ..errors import InputError
 from ..robots.breakpoints import order_of
 from .answer import confirmed, rebuilt
+from .certificate import add_certificate
 from .composed import CLOSED, ComposedBlock
 from .given import assembly_at, numbers_at, symbolic
 from .guess import Shape, fields_of, points_of, sample, shape_at_start
 from .near import N, Near
 from .sensitivity import add_jacobian, answers_of
-from .stability import add_certificate, add_margin
+from .stability import add_margin
 from .transcription.layout import Layout, gap_names, layout, may_swap, sides, swapped
 from .transcription.model import Model
 from .violation import Violation, violations_of, worst
@@ -45,8 +46,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             (`block.transcription.chain`) may be named, one entry per piece: `piece_length`, `piece_curvature`,
             `piece_plane`, `piece_twist`, `piece_bending_factor`, `piece_torsion_factor`.
         load: what pushes on concentric tubes: force and moment at the tip, weight, a constant force per length; None is
-            that of `near`. The certificate is then no expression, nor is the margin under moments and what turns
-            with the tip, which have no energy.
+            that of `near`. Under moments and what turns with the tip there is no energy, so no margin.
         side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
         refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
             stiffnesses are free.
@@ -94,15 +94,20 @@ class EquilibriumBlock(ComposedBlock[N]):
         """
         add_margin(self, margin)
 
-    def certificate_at_least(self, margin: Any) -> None:
-        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, below 1:
-        with 0 the robot cannot snap at any rotations. Concentric robots.
+    def certificate_at_least(self, margin: Any, *, max_force: float = 0.0) -> None:
+        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, a number or
+        an expression, below 1: with 0 the robot cannot snap at any rotations. Concentric robots.
+
+        With `max_force`, N, the certificate under all forces on the tip up to that size which keep their direction:
+        with 0 none of them can make the robot snap or buckle at any rotations. Its eigenvalue and eigenfunction become
+        unknowns of the program; `equilibrium` computes the bound again.
 
         Raises:
-            InputError: a number that is not below 1, a load, an eccentric robot, or pieces of tubes that vary along
-                their length otherwise than by a natural twist.
+            InputError: a number that is not below 1, a negative force, an eccentric robot, a load that is none of the
+                forces meant, pieces of tubes beside a force, or ones that vary along their length otherwise than by a
+                natural twist.
         """
-        add_certificate(self, margin)
+        add_certificate(self, margin, max_force)
 
     def jacobian(self, wrt: Sequence[str] = ("rotations", "translations")) -> Any:
         """(3, ...) derivative of the tip's position with respect to joint values and dimensions, SI: expressions, n
@@ -243,6 +248,8 @@ class EquilibriumBlock(ComposedBlock[N]):
         for (columns, _), floor in zip(self.margins, floors, strict=True):
             for column, value in zip(columns, fields_of(self.begin, min(floor, 0.9)), strict=True):
                 self.program.set_guess(column, value)
+        for bound in self.bounds:
+            bound.start(self)
         for flat, equations, seeds in self.answers:
             self.program.set_guess(flat, answers_of(self, equations, seeds))
 

@@ -1,4 +1,4 @@
-"""Stability as constraints of a block: the margin of its equilibrium, the certificate of its tubes."""
+"""The stability margin of an equilibrium as a constraint of its block."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, finite
-from ..physics.certificate import base_determinant
-from ..physics.strain import SMOOTH
 from .composed import ComposedBlock
 from .given import symbolic
 from .guess import fields_of
 from .transcription import functions
 from .transcription import loaded_fields as fields
-from .transcription.panel import CHANNELS
 
 
-def _checked(name: str, margin: Any) -> Any:
+def checked(name: str, margin: Any) -> Any:
+    """A floor of a margin, as an expression; raises InputError for a number that is none below 1."""
     if symbolic(margin):
         return margin
     if not finite(name, margin) < 1:
@@ -37,7 +35,7 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     """
     if block.load is not None and not block.load.has_energy:
         raise InputError("load has a moment or turns with the tip; it has no energy, so the arm has no margin")
-    floor, model = _checked("margin", margin), block.model
+    floor, model = checked("margin", margin), block.model
     n, rows = fields.size(model.grid), fields.rows(model.grid)
     pieces, reach, degree = model.n_pieces, block.reach, model.grid.degree
     inside = np.tile(np.where(np.arange(rows) < n, 1.0, 1 / reach), n * degree * pieces)
@@ -78,49 +76,3 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
     block.demand(f"margin{count}", ca.vertcat(*(det(each) for each in begins)), entries=places)
     block.margins.append((tuple(columns), floor))
-
-
-def add_certificate(block: ComposedBlock[Any], margin: Any) -> None:
-    """D(lambda) >= 0 for the second variation that is the worst at all rotations, lambda = 1 - margin: see
-    `physics.certificate`, with the pieces of the block in place of sections."""
-    if block.load is not None:
-        raise InputError("the certificate of an arm under load is no expression; it is of tubes that bear none")
-    floor, model = _checked("margin", margin), block.model
-    if model.place:
-        raise InputError("the robot is eccentric; this certificate holds for concentric tubes")
-    n, pieces = block.robot.n_tubes, model.n_pieces
-    own = model.torsional_stiffness[:, 0], model.transmission, model.stiffness, model.moment
-    if model.along is not None:
-        own = _in_steps(block)
-    given = {
-        "torsional_stiffness": ca.SX.sym("kt", n, own[0].shape[1]),
-        "transmission": ca.SX.sym("l", n),
-        "length": ca.SX.sym("h", pieces),
-        "stiffness": ca.SX.sym("kb", n, pieces),
-        "moment": ca.SX.sym("m", n, pieces),
-    }
-    eigenvalue = ca.SX.sym("lambda")
-    determinant = base_determinant(eigenvalue, given)
-    function = ca.Function("certificate", [eigenvalue, *given.values()], [determinant], {"cse": True})
-    value = function(1 - floor, *own[:2], model.lengths, *own[2:])
-    block.demand("certificate", value)
-
-
-def _in_steps(block: ComposedBlock[Any]) -> tuple[Any, Any, Any, Any]:
-    """kt (n, P), transmissions (n,) with kt at the plate, kb and |m| (n, P) of tubes made of pieces.
-
-    Raises:
-        InputError: stiffness or curvature varies along a piece.
-    """
-    model, chain = block.model, block.chain
-    assert chain is not None
-    if any(table[:, 1:].any() for table in (chain.kb, chain.kt, chain.x, chain.y)):
-        raise InputError(
-            "a tube has a piece whose curvature or stiffness varies; in a program the certificate takes arcs and "
-            "helices of constant stiffness"
-        )
-    detail = model.grid.detail
-    first = [i * (CHANNELS * detail + 2) for i in range(block.robot.n_tubes)]
-    kb, kt, x, y = (model.along[[row + c * detail for row in first], :] for c in range(4))
-    held = model.transmission * kt[:, 0] / model.torsional_stiffness[:, 0]
-    return kt, held, kb, kb * ca.sqrt(x**2 + y**2 + SMOOTH**2)

@@ -30,7 +30,9 @@ class Centreline(Displayed):
     """A line (K, 3) through a way, and what the distance from its wall is at least there, (K,), m."""
 
     points: Array
+    """(K, 3) of the line, m."""
     radius: Array
+    """(K,) that a ball around each point has at least, m."""
 
     @property
     def arc_length(self) -> Array:

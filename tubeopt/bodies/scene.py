@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import Any
 
 import numpy as np
 import scipy
 
-from ..typing import Array
+from ..typing import Array, Index
 
 FEW = 4
 """Bodies of a kind that are asked one by one."""
@@ -77,13 +78,14 @@ class Crowd:
                 self._ask(layer, out, points, np.repeat(rows, count), np.concatenate(found).astype(int))
         return out
 
-    def close(self, points: Array, reach: float | Array) -> set[int]:
-        """Numbers of all bodies, and maybe of others, that come closer than `reach`, one number or (N,), to points
-        (N, 3)."""
-        found: set[int] = set()
+    def pairs(self, points: Array, reach: Array) -> list[tuple[Index, Index]]:
+        """Numbers of all bodies, and maybe of others, that come closer than `reach` (N,) to points (N, 3), and rows of
+        these points."""
+        found = []
         for layer in self.layers:
-            near = layer.tree.query_ball_point(points, np.maximum(reach + layer.largest, 0.0))
-            found.update(layer.owner[np.unique(np.concatenate(near).astype(int))].tolist())
+            near = layer.tree.query_ball_point(points, np.maximum(reach + layer.largest, 0.0), return_sorted=False)
+            row = np.repeat(np.arange(len(points)), [len(each) for each in near])
+            found.append((layer.owner[np.fromiter(chain.from_iterable(near), int, len(row))], row))
         return found
 
     def _told(self, layer: Layer) -> bool:
@@ -101,18 +103,27 @@ class Scene:
 
     bodies: tuple[Any, ...]
 
+    def pairs(self, points: Array, reach: float | Array) -> tuple[Index, Index]:
+        """Numbers of bodies and rows of points (N, 3): all bodies, and maybe others, that come closer to a point than
+        `reach`, one number or (N,)."""
+        crowds, rest = self._parts
+        most = np.broadcast_to(reach, len(points))
+        near = [np.flatnonzero(_within(self.bodies[k], points, most) < most) for k in rest]
+        found = [(np.full(len(rows), k), rows) for k, rows in zip(rest, near, strict=True)]
+        for members, crowd in crowds:
+            found += [(members[body], row) for body, row in crowd.pairs(points, most)]
+        none = np.zeros(0, dtype=int)
+        return np.concatenate([none, *(body for body, _ in found)]), np.concatenate([none, *(row for _, row in found)])
+
     def close(self, points: Array, reach: float | Array) -> list[int]:
         """Numbers of all bodies, and maybe of others, that come closer than `reach`, one number or (N,), to points
         (N, 3)."""
-        crowds, rest = self._parts
-        most = np.broadcast_to(reach, len(points))
-        known = {k for k in rest if (_within(self.bodies[k], points, most) < most).any()}
-        for members, crowd in crowds:
-            known.update(members[k] for k in crowd.close(points, reach))
-        return sorted(known)
+        found: list[int] = np.unique(self.pairs(points, reach)[0]).tolist()
+        return found
 
-    def distances(self, chosen: Sequence[int], points: Array) -> Array:
+    def distances(self, chosen: Sequence[int] | Index, points: Array) -> Array:
         """(b, N) signed distances of points (N, 3), or of each its own (b, N, 3), from some bodies, m."""
+        chosen = np.asarray(chosen, dtype=int)
         points = np.broadcast_to(points, (len(chosen), *points.shape[-2:]))
         out = np.empty(points.shape[:2])
         for kind, rows, numbers in self._by_kind(chosen):
@@ -122,33 +133,59 @@ class Scene:
                 out[rows] = kind.distances(points[rows], numbers[:, None])
         return out
 
-    def gradients(self, chosen: Sequence[int], points: Array) -> Array:
-        """(c, 3) unit vectors along which the distance of each of points (c, 3) from its own body of `chosen` (c,)
-        grows."""
-        out = np.empty((len(chosen), 3))
+    def pair_distances(self, chosen: Index, points: Array, within: Array) -> Array:
+        """(c,) signed distance of each of points (c, 3) from its own body of `chosen` (c,), m, where it is less than
+        `within` (c,), else no less than that."""
+        out = np.empty(len(chosen))
         for kind, rows, numbers in self._by_kind(chosen):
-            if kind is None:
-                for row in rows:
-                    out[row] = self.bodies[chosen[row]].gradient(points[row])
-            else:
-                out[rows] = kind.gradients(points[rows], numbers)
+            if kind is not None:
+                out[rows] = kind.distances(points[rows], numbers)
+                continue
+            for k in np.unique(chosen[rows]):
+                mine = rows[chosen[rows] == k]
+                out[mine] = _within(self.bodies[k], points[mine], within[mine])
         return out
 
-    def _by_kind(self, chosen: Sequence[int]) -> Iterator[tuple[Any, list[int], Array]]:
+    def gradients(self, chosen: Sequence[int] | Index, points: Array) -> Array:
+        """(c, 3) unit vectors along which the distance of each of points (c, 3) from its own body of `chosen` (c,)
+        grows."""
+        chosen = np.asarray(chosen, dtype=int)
+        out = np.empty((len(chosen), 3))
+        for kind, rows, numbers in self._by_kind(chosen):
+            if kind is not None:
+                out[rows] = kind.gradients(points[rows], numbers)
+                continue
+            for k in np.unique(chosen[rows]):
+                mine = rows[chosen[rows] == k]
+                out[mine] = self.bodies[k].gradient(points[mine])
+        return out
+
+    def _by_kind(self, chosen: Index) -> Iterator[tuple[Any, Index, Array]]:
         """Rows of `chosen` whose bodies are of one kind with a table, with their rows of it; None for all others."""
-        kinds: dict[Any, list[int]] = {}
-        for row, k in enumerate(chosen):
-            kinds.setdefault(type(self.bodies[k]) if k in self._numbers else None, []).append(row)
-        for kind, rows in kinds.items():
-            yield kind, rows, np.array([self._numbers[chosen[row]] for row in rows] if kind is not None else [])
+        kinds, code, row = self._tables
+        of = code[chosen]
+        for c in range(-1, len(kinds)):
+            rows = np.flatnonzero(of == c)
+            if not len(rows):
+                continue
+            kind, table = kinds[c] if c >= 0 else (None, np.zeros((len(self.bodies), 0)))
+            yield kind, rows, table[row[chosen[rows]]]
 
     @cached_property
-    def _numbers(self) -> dict[int, tuple[float, ...]]:
-        """What tells the distance from a body, of those whose kind tells it so."""
-        return {k: body.numbers() for k, body in enumerate(self.bodies) if hasattr(body, "numbers")}
+    def _tables(self) -> tuple[list[tuple[Any, Array]], Index, Index]:
+        """Kinds that tell distances from tables, with these; of every body which of them it is of, -1 for none, and its
+        row."""
+        rows: dict[type, list[tuple[float, ...]]] = {}
+        code, row = np.full(len(self.bodies), -1), np.zeros(len(self.bodies), dtype=int)
+        for k, body in enumerate(self.bodies):
+            if hasattr(body, "numbers"):
+                same = rows.setdefault(type(body), [])
+                code[k], row[k] = list(rows).index(type(body)), len(same)
+                same.append(body.numbers())
+        return [(kind, np.array(table)) for kind, table in rows.items()], code, row
 
     @cached_property
-    def _parts(self) -> tuple[list[tuple[list[int], Crowd]], list[int]]:
+    def _parts(self) -> tuple[list[tuple[Index, Crowd]], list[int]]:
         """Crowds, with the numbers of their bodies, and the numbers of all others."""
         kinds: dict[type, list[int]] = {}
         rest = []
@@ -160,7 +197,7 @@ class Scene:
         crowds = []
         for same in kinds.values():
             if len(same) > FEW:
-                crowds.append((same, Crowd.of([self.bodies[k] for k in same])))
+                crowds.append((np.array(same), Crowd.of([self.bodies[k] for k in same])))
             else:
                 rest += same
         return crowds, rest

@@ -24,9 +24,6 @@ CODES: dict[type[Exception], tuple[int, str]] = {
 """What is raised -> exit code, and what it is called in JSON."""
 
 
-METRES = re.compile(r"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) m(?![\w/])")
-"""A length in a message of the library."""
-
 OF_FILE = re.compile(r"\S+\.\w+: ")
 """How a message on what stands in a file begins."""
 

@@ -152,16 +152,14 @@ def asks(
     return command_of
 
 
-def asks_file(
-    study: type[S], *, example: str, note: str = "", flags: Mapping[str, str] | None = None
-) -> Callable[[Callable[[S, Output], None]], Made]:
+def asks_file(study: type[S], *, example: str, note: str = "") -> Callable[[Callable[[S, Output], None]], Made]:
     """Make a command of a function that takes a study: it is read from a file, whose keys the flags override.
 
     Keys that are mappings, or lists of them, have no flag.
     """
     kind = _kind_of(study)
     fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
-    called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
+    called = {key: f"--{key.replace('_', '-')}" for key in fields}
     names = _names(fields, called, ())
     shown = Annotated[str, typer.Argument(metavar="STUDY.yaml", help=f"Study of kind {kind}.", show_default=False)]
     file = inspect.Parameter("study", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=shown)

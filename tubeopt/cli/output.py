@@ -18,6 +18,7 @@ from ..errors import InputError, NotProvedError, SolveError, choice
 from ..files.units import TO_MM, parse_number
 from ..show.plots.style import WIDTH
 from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
+from ..show.reports import report
 from .failures import error_record, failure
 from .messages import warnings
 
@@ -103,6 +104,16 @@ def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()
             typer.launch(str(path))
     if ending is not None:
         raise ending
+
+
+def told(answer: object, output: Output) -> None:
+    """Print what there is to say about what runs until it is stopped, quiet or not, and save nothing."""
+    shown = report(answer)
+    if output.as_json:
+        _print_json(shown, [], None)
+    else:
+        _print_table(shown, [])
+    sys.stdout.flush()
 
 
 def _print_table(answer: Report[Any], files: list[Path]) -> None:

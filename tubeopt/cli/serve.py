@@ -20,11 +20,10 @@ from ..files.units import DEG, MM, to_si
 from ..robots.readings import to_model
 from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, metres, radians
 from ..runs.obstacle_file import Bodies
-from ..show.report import to_text
+from ..show.served_report import Served
 from .flags import asks
 from .interruption import left_alone
-from .messages import warnings
-from .output import Output, can_be_saved
+from .output import Output, can_be_saved, told
 
 
 class ServeEntry(Entry):
@@ -74,11 +73,7 @@ def serve(study: ServeEntry, output: Output) -> None:
 
     def ready() -> None:
         address = f"ws://{server.options.host}:{server.port}"
-        if output.as_json:
-            told = {"url": address, "token": server.token, "robot": robot.name, "warnings": warnings()}
-            print(to_text(told), end="", flush=True)
-        else:
-            print(f"serving {robot.name or 'robot'} at {address}, token {server.token}   (Ctrl-C to stop)", flush=True)
+        told(Served(robot, address, robot.name or "robot", server.token), output)
 
     with left_alone(), suppress(KeyboardInterrupt):
         asyncio.run(server.serve(ready))

@@ -22,14 +22,14 @@ from ..runs.obstacle_file import Bodies
 from ..runs.plan_study import PlanStudy
 from ..runs.stability_studies import EquilibriaStudy, FollowStudy, SnapStudy
 from ..runs.study_file import load_study
-from ..show.report import to_text
+from ..show.served_report import Viewed
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
 from ..show.viewer.playback import Waypoints, load_waypoints, paced
 from .flags import asks
 from .interruption import left_alone
-from .messages import LOGGER, warnings
-from .output import Output, can_be_saved, has_display
+from .messages import LOGGER
+from .output import Output, can_be_saved, has_display, told
 
 
 def _named_study(path: str | PathLike[str]) -> tuple[str, Study]:
@@ -83,11 +83,8 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
         )
 
     def ready(address: str) -> None:
-        if output.as_json:
-            print(to_text({"url": address, "robot": shown.robot.name, "warnings": warnings()}), end="", flush=True)
-            return
-        print(f"showing {shown.robot.name or robot} at {address}   (Ctrl-C to stop)", flush=True)
-        if asked.open and has_display():
+        told(Viewed(shown.robot, address, shown.robot.name or robot), output)
+        if asked.open and has_display() and not output.as_json:
             typer.launch(address)
 
     with left_alone():

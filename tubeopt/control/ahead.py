@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..block.transcription.explicit import explicit_kind
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -69,7 +68,7 @@ class PredictiveServo:
         knots: into how many pieces the way ahead is cut.
 
     Raises:
-        InputError, SolveError: as `Servo` does; fewer than 2 knots; a tube that varies along one of its pieces.
+        InputError, SolveError: as `Servo` does; fewer than 2 knots.
     """
 
     def __init__(
@@ -89,7 +88,6 @@ class PredictiveServo:
         self._guard = self._servo.guard
         self._bodies, self._limits = tuple(obstacles), limits
         self._chart = Chart(self._guard.space)
-        explicit_kind(robot)  # or it raises
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None

@@ -44,6 +44,7 @@ class CLibrary(Displayed):
     name: str
     prefix: str
     files: dict[str, str]
+    """Name of a file -> its text."""
     loads: bool = False
 
 

@@ -30,8 +30,6 @@ ends."""
 WARNING = 0.1
 """Margin above the floor below which a snap is warned of."""
 
-STATES = ("DISABLED", "ENABLED", "PAUSED", "FAULT")
-
 TRANSITIONS = {
     "enable": "ENABLED",
     "disable": "DISABLED",

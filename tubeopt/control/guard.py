@@ -49,6 +49,8 @@ class Guard:
         self.space: JointSpace = joint_space(robot, limits)
         self.scene: Scene = scene_of(tuple(obstacles))
         self.here = seed_posture(self.space, seed)
+        self.sight = 0.0
+        """Distance (m) up to which bodies are looked at where a step leads: once for the guard and the next step."""
         if not self.space.admissible(self.here.q):
             raise InputError("seed lies outside the limits of the joints or the order of the tubes")
         if self.here.margin < options.min_margin:
@@ -72,8 +74,10 @@ class Guard:
             if there is None or there.margin < floor:
                 continue
             posture = Posture(self.space, q, there)
-            if self.scene.bodies and (missing := self._missing(posture)) > 0 and missing > self._missing(here):
-                continue
+            if self.scene.bodies:
+                posture.outline.contacts(self.scene, self.sight)
+                if (missing := self._missing(posture)) > 0 and missing > self._missing(here):
+                    continue
             self.here = posture
             return there, why | (Why.SHORTENED if halving else Why(0))
         return here.equilibrium, why | Why.HELD

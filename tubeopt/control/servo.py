@@ -19,12 +19,11 @@ from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..inverse.goal import NEAR
-from ..inverse.joints import Configuration, JointSpace, configuration
+from ..inverse.joints import Configuration, configuration
 from ..inverse.least_squares import constrained_least_squares
-from ..inverse.posture import Posture
+from ..inverse.posture import Posture, compiled_slopes
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .command import OBJECTIVES, Command, ServoOptions, ServoStep
@@ -39,12 +38,13 @@ DAMPING = 1e-3
 APPROACH = 0.5
 """Share of what is left of margin and clearance that one step may take."""
 
-ROOM, RISE = 0.01, 0.3
-"""Margin above its floor at which the tip slides, as a step along the floor bends away from it; and the share of what
-the joints could do for the margin that a step must do at most."""
+ROOM, APART, RISE = 0.01, 1e-5, 0.3
+"""Margin above its floor, and distance (m) from bodies above the clearance, at which the arm slides along, as a
+straight step bends away from what it slides along; and the share of what the joints could do for these that a step
+must do at most."""
 
-AHEAD = 5.0
-"""Steps, as long as all joints turning and sliding together could make them, within which bodies are looked at."""
+FARTHER = 1.2
+"""By how much farther than this step looks for bodies the next one may look."""
 
 TURN, SHIFT = 0.3, 0.05
 """Longest step whatever the rates: rad, and share of the longest tube."""
@@ -77,7 +77,7 @@ class Servo:
         self.options = options or ServoOptions()
         self.guard = Guard(robot, seed, limits, obstacles, self.options)
         self.space = self.guard.space
-        if self.options.objective == "compliance" and _compiled_slopes(self.equilibrium) is None:
+        if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
             raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
 
     @property
@@ -90,10 +90,10 @@ class Servo:
         """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
         if not (np.isfinite(dt) and dt > 0):
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
-        here, look = self.guard.here, _Look(self.guard.here)
-        rows, bounds, kinds = self._hedges(look, dt)
+        here = self.guard.here
+        rows, bounds, kinds = self._hedges(here, dt)
         told = self.guard.left(command)
-        groups = (self._task(group, command, look, dt) for group in [*self.options.priorities, ""])
+        groups = (self._task(group, command, here, dt) for group in [*self.options.priorities, ""])
         tasks = [task for task in groups if task is not None]
         if not tasks:
             return ServoStep(here.equilibrium, Why(0), *told)
@@ -106,10 +106,10 @@ class Servo:
             why |= kind
         return ServoStep(*self.guard.go(found[0] * self.space.scale, why), *told)
 
-    def _hedges(self, look: _Look, dt: float) -> tuple[Array, Array, list[Why]]:
+    def _hedges(self, here: Posture, dt: float) -> tuple[Array, Array, list[Why]]:
         """Rows and bounds of a step over the joints' scales, and what each stands for; what is missed already must not
         get worse."""
-        space, options, here = self.space, self.options, look.at
+        space, options = self.space, self.options
         n, m = space.robot.n_tubes, len(here.q)
         rate = np.full(m, min(options.turn_rate * dt, TURN))
         rate[n:] = min(options.shift_rate * dt, SHIFT * space.length)
@@ -121,135 +121,116 @@ class Servo:
         bounds = [np.maximum(low, -rate) / space.scale, -np.minimum(high, rate) / space.scale]
         bounds.append(np.minimum(space.least - space.rows @ here.q, 0.0))
         kinds += [Why.ORDER] * len(space.least)
-        if look.margin.any():
-            raised = look.margin * space.scale
+        if here.margin_slope().any():
+            raised = here.margin_slope() * space.scale
             rows.append(raised[None])
             most = RISE * float(np.maximum(-raised * bounds[1], raised * bounds[0]).sum())
             bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), most)]))
             kinds.append(Why.MARGIN)
-        scene = self.guard.scene
-        if scene.bodies:
-            # What the joints could come close to in some steps; the guard sees what is more.
-            swept = AHEAD * (rate[:n].max() * space.length + rate[n:].max(initial=0.0))
-            contacts = here.outline.contacts(scene, options.clearance + min(swept, NEAR * space.length))
-            if len(contacts.distance):
-                rows.append(here.contact_slopes(scene, contacts) * space.scale)
-                bounds.append(np.minimum(APPROACH * (options.clearance - contacts.distance), 0.0))
-                kinds += [Why.OBSTACLE] * len(contacts.distance)
+        if self.guard.scene.bodies:
+            near, least = self._bodies(here, rate)
+            rows.append(near)
+            bounds.append(least)
+            kinds += [Why.OBSTACLE] * len(least)
         return np.vstack(rows), np.concatenate(bounds), kinds
 
-    def _task(self, group: str, command: Command, look: _Look, dt: float) -> tuple[Array, Array, bool] | None:
+    def _bodies(self, at: Posture, rate: Array) -> tuple[Array, Array]:
+        """Rows (c, m), over the joints' scales, and bounds (c,), m, of the distances from bodies that a step within
+        `rate` (m,) could make too small; the guard sees what is more."""
+        scene, clearance = self.guard.scene, self.options.clearance
+        moved = np.linalg.norm(at.along @ self.space.spread, axis=1) @ rate
+        reach = clearance + APART + min(float(moved.max()) / APPROACH, NEAR * self.space.length)
+        self.guard.sight = FARTHER * reach
+        contacts = at.outline.contacts(scene, reach)
+        slope = at.contact_slopes(scene, contacts)
+        least, most = APPROACH * (clearance + APART - contacts.distance), np.abs(slope) @ rate
+        counts = most >= -least
+        return slope[counts] * self.space.scale, np.minimum(least, RISE * most)[counts]
+
+    def _task(self, group: str, command: Command, at: Posture, dt: float) -> tuple[Array, Array, bool] | None:
         """Rows and right-hand sides of a priority, over the joints' scales, and whether it uses up what it moves; None
         where nothing of it is commanded. Of the last, "", the objective."""
         if not group:
-            pull = self._objective(look, dt)
+            pull = self._objective(at, dt)
             return None if pull is None else (np.eye(len(pull)), pull, False)
         rows, right = [], []
         for name in group.split("+"):
             if getattr(command, name) is not None:
-                row, gap = getattr(self, f"_{name}")(getattr(command, name), look, dt)
+                row, gap = getattr(self, f"_{name}")(getattr(command, name), at, dt)
                 rows.append(row * self.space.scale)
                 right.append(gap)
         return (np.vstack(rows), np.concatenate(right), True) if rows else None
 
-    def _position(self, target: Array, look: _Look, dt: float) -> tuple[Array, Array]:
-        gap = target - look.at.tip
+    def _position(self, target: Array, at: Posture, dt: float) -> tuple[Array, Array]:
+        gap = target - at.tip
         most = self.options.speed * dt / max(float(np.linalg.norm(gap)), 1e-300)
-        return look.tip / self.space.length, min(most, 1.0) * gap / self.space.length
+        return at.jacobian[0] / self.space.length, min(most, 1.0) * gap / self.space.length
 
-    def _velocity(self, velocity: Array, look: _Look, dt: float) -> tuple[Array, Array]:
+    def _velocity(self, velocity: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         most = self.options.speed / max(float(np.linalg.norm(velocity)), 1e-300)
-        return look.tip / self.space.length, min(most, 1.0) * velocity * dt / self.space.length
+        return at.jacobian[0] / self.space.length, min(most, 1.0) * velocity * dt / self.space.length
 
-    def _direction(self, direction: Array, look: _Look, dt: float) -> tuple[Array, Array]:
-        here = look.at.direction
+    def _direction(self, direction: Array, at: Posture, dt: float) -> tuple[Array, Array]:
+        here = at.direction
         gap = direction / np.linalg.norm(direction) - here
         # As fast as the tip would turn about a tenth of the robot.
         most = 10 * self.options.speed * dt / self.space.length / max(float(np.linalg.norm(gap)), 1e-300)
-        return np.cross(look.turn, here[:, None], axis=0), min(most, 1.0) * gap
+        return np.cross(at.jacobian[1], here[:, None], axis=0), min(most, 1.0) * gap
 
-    def _pivot(self, pivot: Array, look: _Look, dt: float) -> tuple[Array, Array]:
+    def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         """The arm where it passes the point closest is to come to it, across its tangent."""
-        arm = look.at.equilibrium
+        arm = at.equilibrium
         along = [
             float(np.clip((pivot - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-300), 0, 1))
             for a, b in pairwise(arm.position)
         ]
         feet = [a + x * (b - a) for x, (a, b) in zip(along, pairwise(arm.position), strict=True)]
         k = int(np.argmin([np.linalg.norm(pivot - foot) for foot in feet]))
-        moved = (1 - along[k]) * look.at.along[k] + along[k] * look.at.along[k + 1]
+        moved = (1 - along[k]) * at.along[k] + along[k] * at.along[k + 1]
         across = arm.frame[k][:, :2].T / self.space.length
         gap = across @ (pivot - feet[k])
         most = self.options.speed * dt / self.space.length / max(float(np.linalg.norm(gap)), 1e-300)
         return across @ moved @ self.space.spread, min(most, 1.0) * gap
 
-    def _joints(self, goal: Configuration, look: _Look, dt: float) -> tuple[Array, Array]:
+    def _joints(self, goal: Configuration, at: Posture, dt: float) -> tuple[Array, Array]:
         """Straight there, as fast as the slowest joint allows."""
         space, n = self.space, self.space.robot.n_tubes
-        gap = configuration(space, "joints", goal) - look.at.q
+        gap = configuration(space, "joints", goal) - at.q
         rate = np.where(np.arange(len(gap)) < n, self.options.turn_rate, self.options.shift_rate) * dt
         share = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
         return np.diag(1 / space.scale), gap / max(share, 1.0) / space.scale
 
-    def _objective(self, look: _Look, dt: float) -> Array | None:
+    def _objective(self, at: Posture, dt: float) -> Array | None:
         """(m,) the step over the joints' scales that is best for the objective, as long as `push` of the rates."""
         space, name = self.space, self.options.objective
         if name is None:
             return None
         if name == "margin":
-            pull = look.margin * space.scale
+            pull = at.margin_slope() * space.scale
         elif name == "centre":
-            middle = np.where(np.isfinite(space.lower + space.upper), (space.lower + space.upper) / 2, look.at.q)
-            pull = (middle - look.at.q) / space.scale
+            middle = np.where(np.isfinite(space.lower + space.upper), (space.lower + space.upper) / 2, at.q)
+            pull = (middle - at.q) / space.scale
         else:
-            pull = -look.softness(self.space) * space.scale
+            pull = -_softness(at) * space.scale
         size = float(np.linalg.norm(pull))
         longest = self.options.push * min(self.options.turn_rate * dt, TURN)
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
 
 
-class _Look:
-    """Derivatives at a posture by its joints: of the tip (3, m), its turn vector (3, m) and the margin (m,); by the
-    compiled kernel where it has them."""
-
-    def __init__(self, at: Posture) -> None:
-        self.at = at
-        found = self._compiled()
-        known = (at.jacobian[0], at.jacobian[1], at.margin_slope()) if found is None else found
-        self.tip, self.turn, self.margin = known
-
-    def _compiled(self) -> tuple[Array, Array, Array] | None:
-        """All three by the kernel, of the side to which each joint is free to move; None where it has none."""
-        at, tables = self.at, []
-        blocked = at.space.only_backward(at.q)
-        for side in (1, -1) if blocked.any() else (1,):
-            slopes = _compiled_slopes(at.equilibrium, side)
-            if slopes is None:
-                return None
-            tables.append([part @ at.space.spread for part in (slopes.position, slopes.turn, slopes.margin)])
-        tip, turn, margin = (np.where(blocked, back, on) for on, back in zip(tables[0], tables[-1], strict=True))
-        return tip, turn, margin
-
-    def softness(self, space: JointSpace, turn: float = 1e-4) -> Array:
-        """(m,) relative change of the translational compliance of the tip by the joints, by differences; 0 without a
-        kernel, and where a difference cannot be had."""
-        here = _compiled_slopes(self.at.equilibrium)
-        out = np.zeros(len(self.at.q))
-        for k in range(len(out)) if here is not None else ():
-            q = self.at.q.copy()
-            q[k] += turn * space.scale[k] * (1 if q[k] < space.upper[k] else -1)
-            there = one_step(space.robot, self.at.equilibrium, *space.split(q))
-            slopes = None if there is None else _compiled_slopes(there)
-            if here is not None and slopes is not None:
-                stiff, soft = (float(np.trace(each.compliance[:3, :3])) for each in (here, slopes))
-                out[k] = (soft / stiff - 1) / (q[k] - self.at.q[k])
-        return out
-
-
-def _compiled_slopes(at: Equilibrium, side: int = 1) -> Slopes | None:
-    still = np.zeros(at.robot.n_tubes)
-    arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
-    return slopes_compiled(at.robot, at.rotations, at.translations, Start(*arm, still, at.translations), side)
+def _softness(at: Posture, turn: float = 1e-4) -> Array:
+    """(m,) relative change of the translational compliance of the tip by the joints, by differences; 0 without a
+    kernel, and where a difference cannot be had."""
+    space, here = at.space, compiled_slopes(at.equilibrium)
+    out = np.zeros(len(at.q))
+    for k in range(len(out)) if here is not None else ():
+        q = at.q.copy()
+        q[k] += turn * space.scale[k] * (1 if q[k] < space.upper[k] else -1)
+        there = one_step(space.robot, at.equilibrium, *space.split(q))
+        slopes = None if there is None else compiled_slopes(there)
+        if here is not None and slopes is not None:
+            stiff, soft = (float(np.trace(each.compliance[:3, :3])) for each in (here, slopes))
+            out[k] = (soft / stiff - 1) / (q[k] - at.q[k])
+    return out
 
 
 def _in_turn(

@@ -32,7 +32,7 @@ def tip_deflection(
     change = np.zeros((3, chain.shape[1]))
     if names:
         change += pushed.jacobian(wrt=names).position @ rows
-    return pushed.tip_position - plain.tip_position, change - pose.tip_slopes[0] @ chain
+    return pushed.tip_position - plain.tip_position, change - pose.tip_slope @ chain
 
 
 STRONGEST = 10.0

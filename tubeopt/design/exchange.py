@@ -42,11 +42,17 @@ class Motion:
     """A robot moved along its task poses: margins (W,) at fractions (W,) of each step, snaps, and where it arrives."""
 
     first: int
+    """Number of the task pose that it comes from."""
     second: int
+    """Number of the one that it goes to."""
     fraction: Array
+    """(W,) of the step, where the margins are."""
     margin: Array
+    """(W,) on the way."""
     equilibria: tuple[Equilibrium, ...]
+    """(W,) on the way."""
     snap: float | None
+    """Fraction of the step at which it snaps, None where it does not."""
 
 
 def robot_at(program: Program, x: Array) -> ConcentricRobot:

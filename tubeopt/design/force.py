@@ -1,7 +1,7 @@
 """Designs that no force on the tip can snap: the certificate under bounded force as a requirement.
 
 It is at most the certificate without force, and falls with it. So the floor of that one is raised until the design that
-is best above it keeps the other, which is enclosed anew for every such design (see `stability.loaded_certificate`). The
+is best above it keeps the other, which is computed anew for every such design (see `stability.loaded_certificate`). The
 answer is the best among designs of that certificate without force; another with a smaller one may bear the force too.
 """
 

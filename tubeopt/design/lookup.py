@@ -37,8 +37,8 @@ def at_state(state: State) -> Linear:
             return state.deflection(one.pose, one.at)
         if one.name == "stroke_force":
             return _row(state.stroke_force(one.pose))
-        if one.name == "jacobian":
-            return state.jacobian(one.pose)
+        if one.name in ("jacobian", "turning"):
+            return state.jacobian(one.pose, turning=one.name == "turning")
         if one.name == "clearance":
             return arm_clearance(state, one.pose, one.at[0])
         value, change = _of_pose(state, one, one.pose)
@@ -57,10 +57,10 @@ def _of_pose(state: State, one: Quantity, index: PoseNumber) -> tuple[Array, Arr
     pose = state.pose(index)
     match one.name:
         case "tip_position":
-            return pose.position[-1], pose.tip_slopes[0]
+            return pose.position[-1], pose.tip_slope
         case "tip_direction":
             heading = pose.frame[-1][:, 2]
-            return heading, np.cross(pose.tip_slopes[1], heading[:, None], axis=0)
+            return heading, np.cross(pose.tip_turn, heading[:, None], axis=0)
         case "margin":
             return np.array([pose.margin]), pose.margin_slope[None]
         case "position":

@@ -72,9 +72,14 @@ class PiecePose:
         return self.derivatives.shape
 
     @property
-    def tip_slopes(self) -> tuple[Array, Array]:
-        """(3, L) change of the tip's position and of its frame (turn vector)."""
-        return self.derivatives.tip_position, self.derivatives.tip_rotation
+    def tip_slope(self) -> Array:
+        """(3, L) change of the tip's position."""
+        return self.derivatives.tip_position
+
+    @property
+    def tip_turn(self) -> Array:
+        """(3, L) change of the tip's frame (turn vector)."""
+        return self.derivatives.tip_rotation
 
     @property
     def margin_slope(self) -> Array:

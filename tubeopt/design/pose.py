@@ -98,10 +98,15 @@ class Pose:
         return position, turn, arc
 
     @property
-    def tip_slopes(self) -> tuple[Array, Array]:
-        """(3, L) change of the tip's position and of its frame (turn vector)."""
-        position, turn, _ = self.shape_slopes
-        return position[-1], turn[-1]
+    def tip_slope(self) -> Array:
+        """(3, L) change of the tip's position."""
+        return self.derivatives.tip_position
+
+    @property
+    def tip_turn(self) -> Array:
+        """(3, L) change of the tip's frame (turn vector)."""
+        rate = self.frame[-1][:, :2] @ self.bend[-1]
+        return np.asarray(self.derivatives.turn_ahead[-1] + rate[:, None] * self._moved[-1, -1])
 
     @cached_property
     def margin_slope(self) -> Array:

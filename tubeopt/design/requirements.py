@@ -129,7 +129,9 @@ class Strain:
 class Nesting:
     """Every tube fits into the next with at least this difference of diameters, m."""
 
-    clearance: float = 0.0
+    clearance: Annotated[float, key("clearance_mm"), NOT_NEGATIVE, "least difference of diameters of nested tubes"] = (
+        0.0
+    )
 
     def __post_init__(self) -> None:
         positive("clearance", self.clearance, zero=True)
@@ -139,7 +141,7 @@ class Nesting:
 class Wall:
     """Every tube has at least this wall thickness, m."""
 
-    thickness: float
+    thickness: Annotated[float, key("wall_mm"), POSITIVE, "least wall thickness"]
 
     def __post_init__(self) -> None:
         positive("wall thickness", self.thickness)
@@ -168,7 +170,7 @@ class Length:
 class Stroke:
     """No carriage travels more than this between any two task poses, m."""
 
-    limit: float
+    limit: Annotated[float, key("stroke_mm"), POSITIVE, "longest travel of a carriage between task poses"]
 
     def __post_init__(self) -> None:
         positive("stroke", self.limit)
@@ -179,7 +181,7 @@ class StrokeForce:
     """At every task pose, all of which have given joint values, the tip can push along itself with this force, N,
     before the arm buckles or snaps."""
 
-    limit: float
+    limit: Annotated[float, key("stroke_force_mN"), POSITIVE, "least push along the tip that poses bear"]
 
     def __post_init__(self) -> None:
         if positive("stroke force", self.limit) > 10:
@@ -272,7 +274,12 @@ class Deployment(OwnRequirement):
     """On its way out to every task pose, its tubes drawn back straight, the arm lies where the whole arm will be: to
     within `limit`, m, at SHARES of its length, ALONG it."""
 
-    limit: float
+    limit: Annotated[
+        float,
+        key("deployment_mm"),
+        POSITIVE,
+        "largest distance of arms on their way out to the task poses from the whole arm",
+    ]
     words, unit, factor, size, most = "deviation of the deployment", "mm", 1e3, 1e-3, True
 
     def __post_init__(self) -> None:

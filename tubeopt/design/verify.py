@@ -54,6 +54,7 @@ class Verification:
     """All promises of a design, checked again."""
 
     checks: tuple[Check, ...]
+    """One for each promise."""
 
     @property
     def kept(self) -> bool:

@@ -230,6 +230,7 @@ class Correction:
     posture: Posture | None
     slope: Array
     solves: int
+    """Equilibria."""
 
 
 def correct(

@@ -55,6 +55,17 @@ class Contacts:
         return np.arange(len(self.body)) - np.searchsorted(self.body, self.body)
 
 
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """All contacts within a distance, m; rows of the grid about which bodies come that close, and the least (m) that
+    these distances can be there."""
+
+    within: float
+    contacts: Contacts
+    row: Index
+    at_least: Array
+
+
 NOWHERE = Contacts(np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
 
 
@@ -77,8 +88,12 @@ class Outline:
 
     def at(self, s: Array) -> tuple[Array, Array]:
         """Centreline (p, 3) and radius of the arm (p,) at arc lengths."""
+        return self.centreline(s), self.radius(s)
+
+    def centreline(self, s: Array) -> Array:
+        """(p, 3) at arc lengths."""
         arm = self.equilibrium
-        return _hermite(arm.arc_length, arm.position, arm.frame[:, :, 2], s), self.radius(s)
+        return _hermite(arm.arc_length, arm.position, arm.frame[:, :, 2], s)
 
     def radius(self, s: Array) -> Array:
         """(p,) radius of the arm at arc lengths: of the outermost tube, or of what holds tubes beside each other."""
@@ -93,6 +108,10 @@ class Outline:
         """
         if not scene.bodies:
             return np.inf
+        if scene in self._known and enough <= self._known[scene].within:
+            near = self._known[scene]
+            least = min(near.within, float(near.contacts.distance.min(initial=np.inf)))
+            return min(least, self._between(scene, near.row[near.at_least < min(enough, least)]))
         known, exact = self._clear.get(scene, (-np.inf, False))
         if not exact and known < enough:
             self._clear[scene] = known, _ = self._clearance(scene, enough)
@@ -103,16 +122,37 @@ class Outline:
         """Clearances from scenes, and whether each is exact, not a bound."""
         return {}
 
+    @cached_property
+    def _points(self) -> Array:
+        """(p, 3) of the centreline at the grid."""
+        return self.centreline(self.grid)
+
+    @cached_property
+    def _radii(self) -> Array:
+        """(p,) at the grid."""
+        return self.radius(self.grid)
+
+    @cached_property
+    def _few(self) -> Index:
+        """Rows of the grid that are looked at first: also those at which the radius falls."""
+        last, ends = len(self.grid) - 1, self.equilibrium.tube_end
+        return np.union1d(
+            np.arange(0, last, STRIDES[0]), np.append(np.searchsorted(self.grid, ends).clip(0, last), last)
+        )
+
+    def _window(self, rows: Index, stride: int) -> tuple[Array, Array]:
+        """How far the stretch that every so many-th point stands for reaches from rows (r,) of the grid, and how thick
+        the arm is there at most, m: it grows thinner towards its tip."""
+        grid, half = self.grid, (stride + 1) // 2
+        first, end = np.maximum(rows - half, 0), grid[np.minimum(rows + half, len(grid) - 1)]
+        return np.maximum(grid[rows] - grid[first], end - grid[rows]), self._radii[first]
+
     def _clearance(self, scene: Scene, enough: float) -> tuple[float, bool]:
         """The clearance and True, or a bound that is enough and False."""
-        grid, least, last = self.grid, np.inf, len(self.grid) - 1
-        rows = np.union1d(np.arange(0, last, STRIDES[0]), np.append(self._changes, last))
+        grid, least, rows = self.grid, np.inf, self._few
         for stride, finer in zip(STRIDES, (*STRIDES[1:], 0), strict=True):
-            half = (stride + 1) // 2
-            begin, end = grid[np.maximum(rows - half, 0)], grid[np.minimum(rows + half, last)]
-            points, radius = self.at(grid[rows])
-            # The arm grows thinner towards its tip.
-            thick, reach = self.radius(begin), np.maximum(grid[rows] - begin, end - grid[rows])
+            points, radius = self.centreline(grid[rows]), self._radii[rows]
+            reach, thick = self._window(rows, stride)
             least = min(least, float((scene.at_most(points) - radius).min()))
             interesting = min(max(least, 0.0), enough + AHEAD) + reach + thick + BEYOND
             distance = scene.nearest(points, interesting)
@@ -122,8 +162,13 @@ class Outline:
                 return float(bound.min()), False
             rows = rows[bound <= least]
             if finer:
-                rows = np.unique(np.clip(rows[:, None] + np.arange(-half, half + 1, finer), 0, last))
+                rows = np.unique(self._around(rows, stride, finer))
         return min(least, self._between(scene, rows)), True
+
+    def _around(self, rows: Index, stride: int, finer: int) -> Index:
+        """(r, k) every `finer`-th row of the stretches that rows (r,) stand for."""
+        half = (stride + 1) // 2
+        return np.asarray(np.clip(rows[:, None] + np.arange(-half, half + 1, finer), 0, len(self.grid) - 1))
 
     def _at_least(self, scene: Scene, distance: Array, reach: Array) -> Array:
         """(r,) the least that the distance of the centreline from bodies can be within `reach` (r,) along it of points
@@ -144,11 +189,6 @@ class Outline:
         """Curvature of the arm at most, 1/m: with room for what is between its points."""
         return 1.2 * float(np.linalg.norm(self.equilibrium.curvature, axis=1).max(initial=0.0))
 
-    @cached_property
-    def _changes(self) -> Index:
-        """Rows of the grid at which the radius falls."""
-        return np.flatnonzero(np.isin(self.grid, self.equilibrium.tube_end))
-
     def _between(self, scene: Scene, rows: Index) -> float:
         """Least distance between points of the grid and their neighbours, m: near a small body the arm comes closer
         there than a clearance may be off."""
@@ -165,28 +205,45 @@ class Outline:
         """Where the arm comes closest to each of the bodies, if closer than `within`, m: body by body, of each at most
         MOST_CONTACTS, the closest first."""
         known = self._known.get(scene)
-        if known is None or known[0] < within:
-            known = self._known[scene] = within, self._contacts(scene, within)
-        return known[1].chosen(known[1].distance <= within)
+        if known is None or known.within < within:
+            known = self._known[scene] = self._near(scene, within)
+        return known.contacts.chosen(known.contacts.distance <= within)
 
     @cached_property
-    def _known(self) -> dict[Scene, tuple[float, Contacts]]:
-        """Contacts with scenes, up to a distance."""
+    def _known(self) -> dict[Scene, _Near]:
+        """What is known of scenes."""
         return {}
 
-    def _contacts(self, scene: Scene, within: float) -> Contacts:
-        few, radius = self.at(self.grid[:: STRIDES[0]])
-        bodies = scene.close(few, within + radius.max() + STRIDES[0] * self._step)
-        if not bodies:
-            return NOWHERE
-        points, radius = self.at(self.grid)
-        distance = scene.distances(bodies, points) - radius
-        beyond = np.full((len(bodies), 1), np.inf)
-        padded = np.concatenate([beyond, distance, beyond], axis=1)
-        body, row = np.nonzero((distance <= padded[:, :-2]) & (distance <= padded[:, 2:]))
-        order = np.lexsort((row, distance[body, row], body))
-        body, row = body[order], row[order]
-        found = Contacts(np.array(bodies)[body], self.grid[row], points[row], distance[body, row])
+    def _near(self, scene: Scene, within: float) -> _Near:
+        """Bodies and stretches of the arm that are far from each other are left out in pairs, first by points far
+        apart."""
+        few = self._few
+        reach, thick = self._window(few, STRIDES[0])
+        body, at = scene.pairs(self.centreline(self.grid[few]), within + reach + thick + BEYOND)
+        row, distance, bound = few[at], np.zeros(0), np.zeros(0)
+        for stride, finer in zip(STRIDES, (*STRIDES[1:], 0), strict=True):
+            if not len(body):
+                return _Near(within, NOWHERE, row, bound)
+            reach, thick = self._window(row, stride)
+            distance = scene.pair_distances(body, self._points[row], within + reach + thick + BEYOND)
+            bound = self._at_least(scene, distance, reach) - thick
+            near = bound <= within
+            body, row, distance, bound = body[near], row[near], distance[near], bound[near]
+            if finer:
+                body, row = _once(body, self._around(row, stride, finer), len(self.grid))
+        return _Near(within, self._closest(scene, body, row, distance - self._radii[row]), row, bound)
+
+    def _closest(self, scene: Scene, body: Index, row: Index, distance: Array) -> Contacts:
+        """Contacts from pairs (k,) in order of bodies, then rows of the grid: those closer than their neighbours."""
+        size = len(self.grid) + 1
+        key = np.concatenate([[-9], body * size + row, [-9]])
+        padded = np.concatenate([[np.inf], distance, [np.inf]])
+        before = np.where(key[:-2] == key[1:-1] - 1, padded[:-2], np.inf)
+        after = np.where(key[2:] == key[1:-1] + 1, padded[2:], np.inf)
+        least = np.flatnonzero((distance <= before) & (distance <= after))
+        least = least[np.lexsort((row[least], distance[least], body[least]))]
+        body, row = body[least], row[least]
+        found = Contacts(body, self.grid[row], self._points[row], distance[least])
         first = found.rank < MOST_CONTACTS
         return self._closer(scene, found.chosen(first), row[first])
 
@@ -195,8 +252,9 @@ class Outline:
         low, high = self.grid[np.maximum(row - 1, 0)], self.grid[np.minimum(row + 1, len(self.grid) - 1)]
         finer = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, FINER)
         points, radius = self.at(finer.ravel())
-        points, radius = points.reshape(*finer.shape, 3), radius.reshape(finer.shape)
-        between = scene.distances(contacts.body.tolist(), points) - radius
+        within = np.repeat(contacts.distance, FINER) + radius
+        between = scene.pair_distances(np.repeat(contacts.body, FINER), points, within) - radius
+        points, between = points.reshape(*finer.shape, 3), between.reshape(finer.shape)
         every, best = np.arange(len(row)), between.argmin(1)
         closer = between[every, best] < contacts.distance
         out = Contacts(
@@ -206,6 +264,16 @@ class Outline:
             np.where(closer, between[every, best], contacts.distance),
         )
         return out.chosen(np.lexsort((out.distance, out.body)))
+
+
+def _once(body: Index, rows: Index, count: int) -> tuple[Index, Index]:
+    """Pairs of bodies (k,) and rows (k, r) of `count`, each once, in order, by a table: to sort takes longer."""
+    known = np.zeros(body.max() + 1, dtype=bool)
+    known[body] = True
+    table = np.zeros((np.count_nonzero(known), count), dtype=bool)
+    table[(np.cumsum(known) - 1)[body][:, None], rows] = True
+    one, row = np.nonzero(table)
+    return np.flatnonzero(known)[one], row
 
 
 def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:

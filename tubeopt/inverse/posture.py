@@ -18,9 +18,16 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
 from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
 from ..robots.robot import is_general
-from ..typing import Array, Mask
+from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
+from ..typing import Array
 from .joints import JointSpace
 from .outline import Contacts, Outline
+
+_Slopes = tuple[tuple[Array, Array, Array], Array]
+"""Of tip, turn vector and margin by the joints, and of the shape points by rotations and translations."""
+
+EDGE = 1e-9
+"""Distance (m) along the arm from the end of a tube up to which a contact is at it."""
 
 SAME_TIP = 1e-7
 """Distance (m) of two tips at the same joint values that are one equilibrium."""
@@ -55,14 +62,9 @@ class Posture:
         return polish(self.equilibrium, DEFAULT_DISCRETISATION)
 
     @cached_property
-    def _forward(self) -> Derivatives | GeneralMotion:
-        """Derivatives for translations that grow, where they differ to either side."""
-        return self._derivatives(1)
-
-    @property
     def derivatives(self) -> Derivatives | GeneralMotion:
-        """Those by rotations and translations, which grow."""
-        return self._forward
+        """Those by rotations and translations, which grow, where they differ to either side: of all that there is."""
+        return self._derivatives(1)
 
     def _derivatives(self, side: int) -> Derivatives | GeneralMotion:
         if is_general(self.space.robot):
@@ -73,39 +75,49 @@ class Posture:
         return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin, problem=own)
 
     @cached_property
+    def _forward(self) -> _Slopes:
+        return self._slopes(1)
+
+    def _slopes(self, side: int) -> _Slopes:
+        """Those that are asked for all the time, by the compiled kernel where it has them."""
+        found, spread = compiled_slopes(self.equilibrium, side), self.space.spread
+        if found is not None and found.along is not None:
+            return (found.position @ spread, found.turn @ spread, found.margin @ spread), found.along
+        of = self.derivatives if side > 0 else self._derivatives(side)
+        return (of.tip_position @ spread, of.tip_rotation @ spread, of.margin @ spread), of.position
+
+    @cached_property
     def jacobian(self) -> tuple[Array, Array, Array]:
         """(3, m) of the tip, (3, m) of its turn vector, (m,) of the margin, with respect to q.
 
         Where breakpoints coincide, as where one tube ends in its order at the end of another, derivatives differ to
         either side: each joint has those of the side to which it is free to move.
         """
-        forward = _reduced(self._forward, self.space)
-        blocked = self.space.only_backward(self.q)
-        return self._mixed(blocked, forward) if blocked.any() else forward
+        forward, blocked = self._forward[0], self.space.only_backward(self.q)
+        if not blocked.any():
+            return forward
+        a, b, c = (np.where(blocked, low, high) for low, high in zip(self.backward, forward, strict=True))
+        return a, b, c
 
     @cached_property
     def backward(self) -> tuple[Array, Array, Array]:
         """As `jacobian`, with the derivatives of translations that shrink."""
-        return _reduced(self._derivatives(-1), self.space)
-
-    def _mixed(self, backward: Mask, forward: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        a, b, c = (np.where(backward, low, high) for low, high in zip(self.backward, forward, strict=True))
-        return a, b, c
+        return self._slopes(-1)[0]
 
     @property
     def along(self) -> Array:
         """(p, 3, 2n) change of the shape points by rotations and translations."""
-        return self._forward.position
+        return self._forward[1]
 
     @cached_property
     def bend(self) -> float:
         """int |u|^2 ds, 1/m."""
-        return self._forward.total_bend
+        return self.derivatives.total_bend
 
     @cached_property
     def bend_slope(self) -> Array:
         """(m,) change of `bend` per joint."""
-        return np.asarray(self._forward.bend @ self.space.spread)
+        return np.asarray(self.derivatives.bend @ self.space.spread)
 
     def margin_slope(self) -> Array:
         """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
@@ -117,10 +129,15 @@ class Posture:
         return Outline(self.equilibrium)
 
     def contact_slopes(self, scene: Scene, contacts: Contacts) -> Array:
-        """(c, m) change of the distances of contacts with q."""
-        away = scene.gradients(contacts.body.tolist(), contacts.point)
-        moved = _between(self.equilibrium.arc_length, self.along, contacts.place)
-        return np.asarray((away[:, None] @ moved)[:, 0] @ self.space.spread)
+        """(c, m) change of the distances of contacts with q. A contact at the edge where a tube ends moves along with
+        it."""
+        away, arm = scene.gradients(contacts.body, contacts.point), self.equilibrium
+        slope = (away[:, None] @ _between(arm.arc_length, self.along, contacts.place))[:, 0]
+        # The end of the arm is the last of the shape points, which moves along by itself.
+        ends = np.where((arm.tube_end > 0) & (arm.tube_end < arm.arc_length[-1] - EDGE), arm.tube_end, np.nan)
+        ahead = (away * _between(arm.arc_length, arm.frame[:, :, 2], contacts.place)).sum(1)
+        slope[:, len(ends) :] += ahead[:, None] * (np.abs(contacts.place[:, None] - ends) <= EDGE)
+        return np.asarray(slope @ self.space.spread)
 
     def to(self, q: Array) -> Posture | None:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
@@ -169,5 +186,9 @@ def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
 
 
-def _reduced(of: Derivatives | GeneralMotion, space: JointSpace) -> tuple[Array, Array, Array]:
-    return of.tip_position @ space.spread, of.tip_rotation @ space.spread, of.margin @ space.spread
+def compiled_slopes(at: Equilibrium, side: int = 1) -> Slopes | None:
+    """The derivatives of an equilibrium by the compiled kernel, of translations that move towards `side`; None where it
+    has none. Of a margin that two modes share, those of one of them."""
+    still = np.zeros(at.robot.n_tubes)
+    arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
+    return slopes_compiled(at.robot, at.rotations, at.translations, Start(*arm, still, at.translations), side)

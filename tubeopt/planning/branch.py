@@ -16,8 +16,11 @@ half of the time nearer to the other end is reached from there. Every bound is i
 rotations. Then, |u| being known to within what e and curved paths of theta make of it, the points of the arm are no
 farther than `off` from the straight line between where they are at both ends.
 
-Tubes that are chains of arcs and helices of constant stiffness change nothing of this. Their natural turn is linear
-along each, and so linear in t at a fixed fraction of a section: added to both sides of F = 0, it leaves F_tt as it is.
+Of tubes made of pieces theta~ is linear but for their natural turn, which is known: it is added to both sides of F = 0.
+Along arcs and helices of constant stiffness it is linear too, and nothing else changes. Where precurvature or stiffness
+varies along a tube, a place at a fixed fraction of a section moves along it, by no more than `Intervals.moved`; what
+that adds to the derivatives by time of moments, of u and of 1 / kt is `Drift`. All else is as for the least stiffness
+and the largest bend of each section.
 """
 
 from __future__ import annotations
@@ -61,15 +64,16 @@ class _Bounds:
 
     def __init__(self, intervals: Intervals, stiffness: Array) -> None:
         self.intervals, self.bending, self.stiffness = intervals, intervals.bending, stiffness
-        self.kt, self.offset = intervals.torsional, intervals.arms.constants.offset
-        """kt (B, K, n), that of section 0 also where the tubes are held; offset (n,)."""
-        self.long = linear(*intervals.length)
-        self.transmission = linear(*intervals.transmission)
-        reach = [np.cumsum(length[..., None] / self.kt, axis=1) for length in intervals.length]
-        own = np.sqrt(np.maximum(*reach) + (self.transmission.v / self.kt[:, 0])[:, None])
+        self.drift, self.offset = intervals.drift, intervals.arms.constants.offset
+        self.ease, self.long = self.drift.ease, linear(*intervals.length)
+        """1 / kt (B, K, n); h (B, K)."""
+        self.transmission = intervals.transmission
+        reach = [np.cumsum(length[..., None] * self.ease.v, axis=1) for length in intervals.length]
+        own = np.sqrt(np.maximum(*reach) + self.transmission.v[:, None])
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
         """|y_i| <= sqrt((|beta_i| + s) / kt_i) and so on, for |y| = 1 in the norm of torsional energy."""
         self.torque = self.bending.pairs.sum(3)
+        self.zero = np.zeros_like(self.torque)
 
     def steps(self) -> Jet:
         """(B, K, 1) lengths of the pieces."""
@@ -92,20 +96,29 @@ class _Bounds:
             (b.pairs * one[1] * other[1]).sum(3) + mixed + self.torque * (kk + 2 * k[0] * k[1])[..., None]
         )
 
-    def twist(self, moment: Jet) -> tuple[Jet, Jet]:
-        """w (B, K, n) at both ends of every section, of moments with these bounds."""
+    def moment(self, turn: Turn) -> Jet:
+        """(B, K, n) of the moment M along theta~."""
+        first, second = self.drift.moment(turn[1], _both(self.drift.bow)[1])
+        return Jet(self.torque, self.torque_change(turn) + first, self.torque_second(turn, turn) + second)
+
+    def bent(self, turn: Turn) -> Jet:
+        """(B, K) of u along theta~."""
+        b, (first, second) = self.bending, self.drift.bend(turn[0], self.drift.bow)
+        return Jet(b.most, b.change(turn[0]) + first, b.second(turn[0], turn[0]) + second)
+
+    def torques(self, moment: Jet) -> tuple[Jet, Jet]:
+        """(B, K, n) what tubes bear at both ends of every section, N m, of moments with these bounds."""
         gain = self.steps() * moment
         begin = gain.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
-        end = Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd)
-        return begin.over(self.kt), end.over(self.kt)
+        return begin, Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd)
 
     def rotation(self, moment: Jet, stretch: Jet) -> Jet:
         """|beta| w(0) + int h (1 + stretch) w (B, K, n) at the end of every section, and so all over it."""
-        begin, end = self.twist(moment)
+        begin, end = self.torques(moment)
         half = np.array(0.5)
         mean = Jet((begin.v + end.v) * half, (begin.d + end.d) * half, (begin.dd + end.dd) * half)
         one = Jet(1 + stretch.v, stretch.d, stretch.dd)
-        along = (self.steps() * (one * mean)).map(lambda bound: np.cumsum(bound, axis=1))
+        along = (self.steps() * (one * mean * self.ease)).map(lambda bound: np.cumsum(bound, axis=1))
         base = self.transmission * begin.map(lambda bound: bound[:, 0])
         return along + base.map(lambda bound: bound[:, None])
 
@@ -114,14 +127,13 @@ class _Bounds:
 
     def energy(self, turn: Turn) -> Array:
         """(B,) norm, in torsional energy, of (DF - 1) of what turns theta by at most this."""
-        zero = np.zeros_like(self.torque)
-        begin, end = self.twist(Jet(self.torque_change(turn), zero, zero))
-        whole = self.twist(Jet(self.torque, zero, zero))[0].v
+        begin, end = self.torques(Jet(self.torque_change(turn), self.zero, self.zero))
+        whole = self.torques(Jet(self.torque, self.zero, self.zero))[0].v
         grown = 1 + self._stretch(self.bending.most)
         more = self._stretch(self.bending.change(turn[0])) * whole
         a, b = grown * begin.v + more, grown * end.v + more
-        along = (self.long.v[..., None] * self.kt * (a**2 + a * b + b**2) / 3).sum((1, 2))
-        held = (self.kt[:, 0] * self.transmission.v * begin.v[:, 0] ** 2).sum(1)
+        along = (self.long.v[..., None] * self.ease.v * (a**2 + a * b + b**2) / 3).sum((1, 2))
+        held = (self.transmission.v * begin.v[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt(along + held))
 
     def response(self, turn: Turn) -> Turn:
@@ -140,20 +152,25 @@ class _Bounds:
         """By how much theta differs between both ends, sampled, with what lies between samples: a function differs from
         its chord by at most an eighth of the square of their distance times its second derivative."""
         own, pair = self.intervals.changes
+        # Samples are interpolated; and the natural turn is not quite linear in time.
+        least = _both(self.intervals.interpolated[:, None] + self.drift.bow / 2)
+        own, pair = own + least[0], pair + least[1]
         more = self._between((own, pair))
-        wide = own + 2 * more, pair + 2 * (more[..., :, None] + more[..., None, :])
+        wide = own + 2 * more, pair + 2 * _both(more)[1]
         # The bound is linear in what it bounds: if it holds for more than it gives, it holds.
         sure = (self._between(wide) <= 2 * more + 1e-15).all((1, 2))
         return wide, np.asarray(sure)
 
     def _between(self, turn: Turn) -> Array:
         """(B, K, n) an eighth of the square of a stretch times the change of d^2 theta / dx^2 = h d (h g w) / ds."""
-        h, torque = self.steps(), Jet(self.torque, self.torque_change(turn), np.zeros_like(self.torque))
+        h, moment = self.steps(), self.moment(turn)
         u, du = self.bending.most, self.bending.change(turn[0])
-        g = Jet(1 + self._stretch(u), self._stretch(du), np.zeros_like(self.torque))
-        second = h * h * g * torque.over(self.kt)
+        g = Jet(1 + self._stretch(u), self._stretch(du), self.zero)
+        second = h * h * g * moment * self.ease
+        if not self.drift.still:
+            second = second + h * h * (self.torques(moment)[0] * self.drift.eased + self.drift.wound)
         if self.offset.any():
-            w = self.twist(torque)[0]
+            w = self.torques(moment)[0] * self.ease
             speed = h * g * w
             bent = Jet(self.bending.change(speed.v), self.bending.second(turn[0], speed.v), np.zeros_like(u))
             bent = Jet(bent.v, bent.d + self.bending.change(speed.d), bent.dd)
@@ -162,18 +179,16 @@ class _Bounds:
 
     def error(self, turn: Turn) -> tuple[Array, Mask]:
         """(B, K, n) bound of |e|, and (B,) whether the ball is mapped into itself."""
-        b, zero = self.bending, np.zeros_like(self.torque)
-        u, du = b.change(turn[0]), np.zeros_like(b.most)
-        stretch = Jet(b.most, u, b.second(turn[0], turn[0])).map(self._stretch)
-        moment = Jet(self.torque, self.torque_change(turn), self.torque_second(turn, turn))
-        residual = self.rotation(moment, stretch).dd / 8
+        b, du = self.bending, np.zeros_like(self.bending.most)
+        residual = self.rotation(self.moment(turn), self.bent(turn).map(self._stretch)).dd / 8
         first = self.norm(self.response(_both(residual)))
         # What DF(theta~, t) - DF(theta_0) makes of |y| <= weight by half of the time, and what e adds to it per unit.
         added = []
         for by, moving in ((turn, True), (self.weight, False)):
             y = self.weight
             dy, ddy = b.change(y[0]), b.second(y[0], by[0])
-            varied = Jet(self.torque_change(y), self.torque_second(y, by), zero)
+            drifting = self.drift.gain(y[1]) if moving else 0.0
+            varied = Jet(self.torque_change(y), self.torque_second(y, by) + drifting, self.zero)
             gained = Jet(dy, ddy, du).map(self._stretch)
             made = self._varied(varied, gained, by, moving)
             added.append(self.norm(self.response(_both(made))))
@@ -186,12 +201,11 @@ class _Bounds:
     def _varied(self, varied: Jet, gained: Jet, by: Turn, moving: bool) -> Array:
         """(B, K, n) first derivative, as theta turns `by` (and sections and transmissions move), of DF - 1 applied to
         what changes moments by `varied` and stretch by `gained`."""
-        b, zero = self.bending, np.zeros_like(self.torque)
-        still = self if moving else _Still(self)
-        plain = Jet(self._stretch(b.most), self._stretch(b.change(by[0])), zero)
+        b, still = self.bending, self if moving else _Still(self)
+        plain = Jet(self._stretch(b.most), self._stretch(b.change(by[0])), self.zero)
         made = still.rotation(varied, plain).d
         if self.offset.any():
-            twist = still.twist(Jet(self.torque, self.torque_change(by), zero))[0]
+            twist = still.torques(Jet(self.torque, self.torque_change(by), self.zero))[0] * still.ease
             made = made + (still.steps() * gained * twist).map(lambda bound: np.cumsum(bound, axis=1)).d
         return np.asarray(made)
 
@@ -202,8 +216,7 @@ class _Bounds:
         bounds |phi| and Phi its derivative; an eighth of it is off the line. What e makes of u adds its lever.
         """
         b, h = self.bending, self.long
-        u = Jet(b.most, b.change(turn[0]), b.second(turn[0], turn[0]))
-        bent = h * u
+        bent = h * self.bent(turn)
         w = np.cumsum(bent.d, axis=1)
         w0 = w - bent.d
         phi = np.cumsum((w + w0) / 2 * bent.d + bent.dd, axis=1)
@@ -220,10 +233,12 @@ class _Still(_Bounds):
 
     def __init__(self, other: _Bounds) -> None:
         self.__dict__.update(other.__dict__)
-        self.long = Jet(other.long.v, np.zeros_like(other.long.v), other.long.dd)
-        self.transmission = Jet(other.transmission.v, np.zeros_like(other.transmission.v), other.transmission.dd)
+        self.long, self.transmission, self.ease = (
+            Jet(jet.v, np.zeros_like(jet.v), np.zeros_like(jet.v))
+            for jet in (other.long, other.transmission, other.ease)
+        )
 
 
 def _both(own: Array) -> Turn:
     """Bounds of theta_i as those of their differences."""
-    return own, own[..., :, None] + own[..., None, :]
+    return own, own[..., :, None] + own[..., None, :] if own.ndim else own

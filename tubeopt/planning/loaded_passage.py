@@ -16,7 +16,7 @@ from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
-from ..stability.loaded_following import LoadedEvent, walk_loaded
+from ..stability.loaded_following import LoadedEvent, loaded_motion_along
 from ..typing import Array, Index
 from .branch import Branch
 from .loaded_branch import loaded_branch
@@ -77,7 +77,7 @@ class LoadedFollower(Follower):
         begin = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
         family = JointFamily(JointPath(self.robot, begin, joints, LOADED_DISCRETISATION), self.load, self.load)
         try:
-            points = walk_loaded(family, replace(loaded_point(here.equilibrium), t=0.0))
+            points = loaded_motion_along(family, replace(loaded_point(here.equilibrium), t=0.0))
             snap = next((point for point in points if isinstance(point, LoadedEvent)), None)
         except SolveError:
             snap = None

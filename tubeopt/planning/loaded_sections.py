@@ -12,8 +12,9 @@ from ..equilibrium.result import Equilibrium
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..typing import Array, Index
+from .cross_sections import Bending, Constants, Drift
 from .jets import Jet
-from .sections import JUMP, PARTS, SHAPE_ERROR, Arms, Bending, Constants, Intervals
+from .sections import JUMP, PARTS, SHAPE_ERROR, Arms, Intervals
 
 
 def uncovered(load: Load) -> str:
@@ -71,32 +72,37 @@ class LoadedArms(Arms):
     @cached_property
     def _sides(self) -> tuple[Index, Index]:
         """Stretches (P, n) in which points lie, as seen from the tip and from the plate."""
-        s, cuts = self.arc_length, self.breakpoints[self._owner]
+        s, cuts = self.arc_length, self.breakpoints[self.owner]
         before = np.where(s > JUMP, s - JUMP, s + JUMP)
         return self.constants.stretch(s + JUMP, cuts), self.constants.stretch(before, cuts)
 
     @cached_property
-    def _owner(self) -> Index:
-        return np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
+    def _values(self) -> tuple[Array, Array]:
+        """(6, P, n) what tubes are like at the points, as seen from the tip and from the plate; where they have ended
+        with neither precurvature nor bending stiffness."""
+        tables, sides = [], (np.array(1.0), np.where(self.arc_length > JUMP, -1.0, 1.0)[:, None])
+        for side, stretch in zip(sides, self._sides, strict=True):
+            table = self.along(side, np.arange(len(stretch)))
+            table[[0, 2, 3, 4]] *= stretch < self.constants.ended
+            tables.append(table)
+        return tables[0], tables[1]
 
-    def _pulls(self, stretch: Index) -> tuple[Array, Array]:
+    def _pulls(self, values: Array) -> tuple[Array, Array]:
         """a_i (P, n, 2), N m, and K (P,), N m^2."""
-        c = self.constants
-        angle = self.rotation + c.at(np.pad(c.steps.phase, ((0, 0), (0, 1))), stretch)
-        size = c.at(c.moment, stretch)
-        return np.stack([size * np.cos(angle), size * np.sin(angle)], axis=-1), c.at(c.bending, stretch).sum(-1)
+        stiffness, _, x, y, *_ = values
+        cos, sin = np.cos(self.rotation), np.sin(self.rotation)
+        return stiffness[..., None] * np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1), stiffness.sum(-1)
 
     @cached_property
     def torque(self) -> Array:
         """(P, n) what each tube bears, N m."""
-        c, before = self.constants, self._sides[1]
-        natural = c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), before)
-        return np.asarray((self.torsion - natural) * c.at(c.torsional, before) * (before < c.ended))
+        _, kt, _, _, twist, _ = self._values[1]
+        return np.asarray((self.torsion - twist) * kt * (self._sides[1] < self.constants.ended))
 
     @cached_property
     def moment(self) -> Array:
         """(P, 2) bending moment of the load, in the Bishop frame, N m."""
-        pulls, stiffness = self._pulls(self._sides[1])
+        pulls, stiffness = self._pulls(self._values[1])
         bent = np.concatenate([e.curvature for e in self.equilibria])
         return np.asarray(stiffness[:, None] * bent - pulls.sum(1))
 
@@ -104,10 +110,10 @@ class LoadedArms(Arms):
     def slopes(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """d torque / ds (P, n) and d moment / ds (P, 2), towards the tip and from the plate."""
         frame = np.concatenate([e.frame for e in self.equilibria])
-        force = np.einsum("pij,pi->pj", frame, self.pull.on(self.arc_length, self.ends[self._owner]))
+        force = np.einsum("pij,pi->pj", frame, self.pull.on(self.arc_length, self.ends[self.owner]))
         sides = []
-        for stretch in self._sides:
-            pulls, stiffness = self._pulls(stretch)
+        for values in self._values:
+            pulls, stiffness = self._pulls(values)
             straight = np.where(stiffness > 0, stiffness, 1.0)[:, None]
             x, y = ((self.moment + pulls.sum(1)) / straight).T
             torsion = self.torque.sum(1)
@@ -129,11 +135,10 @@ class LoadedArms(Arms):
     def shape_error(self) -> Array:
         """(E,) bound of the distance of `points` from the centreline, m: |p'''| <= |u|^2 + |u'|."""
         out = np.array([e.tip_error for e in self.equilibria])
-        inner = np.flatnonzero(self._owner[1:] == self._owner[:-1])
-        h, middle = np.diff(self.arc_length)[inner], (self.arc_length[inner] + self.arc_length[inner + 1]) / 2
-        c, owner = self.constants, self._owner[inner]
-        stretch = c.stretch(middle, self.breakpoints[owner])
-        bend, ends = Bending.of(c, stretch), self.ends[owner]
+        c, inner = self.constants, self.inner
+        h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
+        bend, ends = Bending.of(c, *self.crossed), self.ends[owner]
+        drift = Drift.of(c, np.array(1.0), *self.crossed)
         force = np.linalg.norm(self.pull.on(self.arc_length[inner], ends), axis=1)
         force = np.maximum(force, np.linalg.norm(self.pull.on(self.arc_length[inner + 1], ends), axis=1))
         # No moment is larger than the forces ahead make on a straight arm; torque grows by |u| |a| per length.
@@ -141,10 +146,10 @@ class LoadedArms(Arms):
         u = bend.most + moment / bend.stiffness
         gain = h[:, None] * u[:, None] * bend.moment
         torque = np.maximum(np.abs(self.torque[inner]), np.abs(self.torque[inner + 1])) + gain
-        natural = np.abs(c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), stretch))
-        turning = torque / c.at(c.torsional, stretch) + natural
+        turning = torque / c.least(c.bounds.torsional, *self.crossed) + c.most(c.bounds.twist[0], *self.crossed)
         third = u**2 + (u * torque.sum(1) + force) / bend.stiffness + bend.change(turning)
-        np.maximum.at(out, owner, SHAPE_ERROR[0] * h**3 * third + out[owner])
+        third = third + drift.bend(turning, np.zeros(()))[0] + moment * drift.give.d
+        np.maximum.at(out, owner, np.where(self.wide, np.inf, SHAPE_ERROR[0] * h**3 * third + out[owner]))
         return out
 
     @cached_property
@@ -189,7 +194,7 @@ class LoadedIntervals(Intervals):
     def twist(self) -> Array:
         """(B, K, n) natural twist, 1/m, by size."""
         c = self.arms.constants
-        return np.asarray(np.abs(c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), self.stretch)))
+        return c.most(c.bounds.twist[0], self.stretch)
 
     @cached_property
     def loads(self) -> tuple[Array, Array, Array]:

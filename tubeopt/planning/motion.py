@@ -95,7 +95,9 @@ class Motion:
 
     time: Array
     joints: Array
+    """(K, m) at the knots."""
     powers: Array
+    """(d, K - 1, m) coefficients in between."""
     samples: int = LEAST_SAMPLES
 
     @property

@@ -21,11 +21,12 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
 from ..robots.robot import Robot
-from ..stability.following import Event, walk
+from ..stability.following import Event, motion_along
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared
-from .sections import SWAPPED, Arms, Constants, Intervals
+from .cross_sections import Constants
+from .sections import SWAPPED, Arms, Intervals
 
 TURN = 0.04
 """Largest turn (rad) of a joint between two equilibria, to begin with."""
@@ -167,7 +168,7 @@ class Follower:
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
         begin = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
-        points = walk(JointPath(self.robot, begin, joints), polish(here.equilibrium))
+        points = motion_along(JointPath(self.robot, begin, joints), polish(here.equilibrium))
         try:
             snap = next((point for point in points if isinstance(point, Event)), None)
         except SolveError:

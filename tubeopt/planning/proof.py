@@ -36,11 +36,11 @@ from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array, Sentence
 from .clearing import Wanted
+from .cross_sections import Constants
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .loaded_passage import LoadedFollower
 from .motion import RateLimits
 from .passage import TOLERANCE, Follower, Passage, follow
-from .sections import Constants
 
 SAMPLES = 5
 """Equilibria that are integrated once more."""
@@ -94,7 +94,9 @@ class Proof(Displayed):
     largest_rotation_rate: float
     largest_translation_rate: float
     largest_rotation_acceleration: float
+    """rad/s^2"""
     largest_translation_acceleration: float
+    """m/s^2"""
     largest_tip_step: float
     tip_length: float
     largest_tip_rate: float

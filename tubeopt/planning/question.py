@@ -19,7 +19,6 @@ from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..robots.steps import steps_of
 from ..stability.deflection import under_any_force
 from ..typing import Array
 from .loaded_chart import LoadedChart
@@ -55,7 +54,6 @@ def asked(
     kind_of("options", options, PlanOptions)
     clock = Clock(options.time_limit)
     check_robot(robot)
-    steps_of(robot.tubes, "planning")
     kind_of("limits", limits, JointLimits, optional=True)
     kind_of("rate_limits", rate_limits, RateLimits)
     bodies = checked_obstacles(obstacles)

@@ -52,6 +52,7 @@ class Roadmap(Displayed):
     edges: Index = field(repr=False)
     known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
     asked_with: tuple[Any, ...] = field(default=(), repr=False)
+    """What `known` was found with: the last question."""
 
     def __len__(self) -> int:
         return len(self.points)

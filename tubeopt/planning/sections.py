@@ -1,8 +1,4 @@
-"""Many equilibria as one set of arrays, and the sections that neighbours among them share.
-
-What `Bending` bounds is written here by hand, apart from the physics by which motions are found, since it is part of
-their proof: whatever the rotations, in intervals of translations. Tests hold it against equilibria in between.
-"""
+"""Many equilibria as one set of arrays, and the sections that neighbours among them share."""
 
 from __future__ import annotations
 
@@ -14,9 +10,9 @@ from typing import Self
 import numpy as np
 
 from ..equilibrium.result import Equilibrium
-from ..robots.robot import Robot
-from ..robots.steps import Steps, steps_of
 from ..typing import Array, Index, Mask
+from .cross_sections import Bending, Constants, Drift
+from .jets import Jet, linear
 
 SWAPPED = 1e-9
 """Breakpoints (m) may be so much out of order at the ends of an interval, which is round-off."""
@@ -29,67 +25,6 @@ PARTS = 4
 
 SHAPE_ERROR = 1 / 96, 1 / 384
 """Error of cubic Hermite interpolation over a step h is at most these times h^3 |p'''| and h^4 |p''''| (Peano)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Constants:
-    """What no joint changes of n tubes of C stretches: `steps` of the tubes; kb and |kb u*_xy| (n, C + 1), 0 where a
-    tube has ended, and kt; (n,) offset and its direction (n, 2), outer radius of the arm.
-    """
-
-    steps: Steps
-    bending: Array
-    torsional: Array
-    moment: Array
-    offset: Array
-    direction: Array
-    radius: Array
-
-    @staticmethod
-    def of(robot: Robot) -> Constants:
-        """Those of a robot.
-
-        Raises:
-            InputError: tubes made of pieces that vary along their length.
-        """
-        home, steps = robot.assembly(robot.home_translations), steps_of(robot.tubes, "planning")
-        return Constants(
-            steps=steps,
-            bending=np.pad(steps.bending, ((0, 0), (0, 1))),
-            torsional=np.pad(steps.torsional, ((0, 0), (0, 1)), mode="edge"),
-            moment=np.pad(steps.bending * steps.curvature, ((0, 0), (0, 1))),
-            offset=np.abs(home.offset),
-            direction=home.across[:, ::-1] * [1.0, -1.0],
-            radius=np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + home.offset,
-        )
-
-    @property
-    def ended(self) -> int:
-        """The stretch behind the end of a tube, C."""
-        return int(self.steps.cuts.shape[1])
-
-    def breakpoints(self, translations: Array) -> Array:
-        """(..., C n) places where stretches of tubes at translations (..., n) end, behind the plate below 0."""
-        beta = np.minimum(translations - self.steps.cuts[:, 0], 0.0)
-        places = beta[..., None, :] + self.steps.cuts.T
-        return np.asarray(places.reshape(*places.shape[:-2], -1))
-
-    def stretch(self, s: Array, breakpoints: Array) -> Index:
-        """(..., n) in which stretch of each tube arc lengths (...) lie, whose breakpoints are (..., C n)."""
-        places = breakpoints.reshape(*breakpoints.shape[:-1], self.ended, -1)
-        return np.asarray((s[..., None, None] >= places).sum(-2), dtype=np.intp)
-
-    def at(self, table: Array, stretch: Index) -> Array:
-        """(..., n) of a table (n, C + 1) in these stretches."""
-        return np.asarray(table[np.arange(len(table)), stretch])
-
-    def transmission(self, translations: Array) -> Array:
-        """(..., n) int ds / kt from where tubes are held to the plate, times kt at the plate, m."""
-        held = np.maximum(self.steps.cuts[:, 0] - translations, 0.0)
-        begin = np.pad(self.steps.cuts, ((0, 0), (1, 0)))[:, :-1]
-        inside = np.clip(held[..., None] - begin, 0.0, self.steps.cuts - begin)
-        at = np.minimum((held[..., None] >= self.steps.cuts).sum(-1), self.ended - 1)
-        return np.asarray((inside / self.steps.torsional).sum(-1) * self.at(self.torsional, at))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,14 +73,28 @@ class Arms:
         return self.arc_length + owner * stride, stride
 
     @cached_property
+    def owner(self) -> Index:
+        """(P,) equilibrium of every point."""
+        return np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
+
+    def along(self, side: float | Array, rows: Index) -> Array:
+        """(6, P, n) what tubes are like at points (P,), as seen from one side: `Lengthwise.values`."""
+        held = self.constants.held(self.translations)[self.owner[rows]]
+        s = self.arc_length[rows, None]
+        return self.constants.along.values(s - held, s + side * JUMP - held)
+
+    @cached_property
     def _onwards(self) -> Array:
         """theta' at the points on the side away from the plate, where it jumps between pieces of a tube."""
-        c, owner = self.constants, np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
-        cuts, kt, twist = self.breakpoints[owner], c.torsional, np.pad(c.steps.twist, ((0, 0), (0, 1)))
-        sides = [c.stretch(self.arc_length + side * JUMP, cuts) for side in (-1, 1)]
-        torque = (self.torsion - c.at(twist, sides[0])) * c.at(kt, sides[0])
-        jumps = (sides[0] != sides[1]) & (self.arc_length > JUMP)[:, None]
-        return np.where(jumps, torque / c.at(kt, sides[1]) + c.at(twist, sides[1]), self.torsion)
+        c, cuts = self.constants, self.breakpoints[self.owner]
+        before, after = (c.stretch(self.arc_length + side * JUMP, cuts) for side in (-1, 1))
+        jumps = (before != after) & (self.arc_length > JUMP)[:, None]
+        rows, out = np.flatnonzero(jumps.any(1)), self.torsion.copy()
+        (_, kt, *_, twist, _), (_, other, *_, ahead, _) = self.along(-1, rows), self.along(1, rows)
+        there, later = (stretch[rows] < c.ended for stretch in (before, after))
+        onwards = (out[rows] - twist * there) * kt / other + ahead * later
+        out[rows] = np.where(jumps[rows], onwards, out[rows])
+        return out
 
     def hermite(self, which: Index, s: Array, value: Array, slopes: tuple[Array, Array]) -> Array:
         key, stride = self._key
@@ -166,85 +115,78 @@ class Arms:
         return self.hermite(which, s, self.rotation, (self._onwards, self.torsion))
 
     @cached_property
-    def shape_error(self) -> Array:
-        """(E,) bound of the distance of `points` from the centreline, m: of interpolation, and as solved for.
+    def inner(self) -> Index:
+        """Points that are followed by another of the same equilibrium."""
+        return np.flatnonzero(self.owner[1:] == self.owner[:-1])
+
+    @cached_property
+    def crossed(self) -> tuple[Index, ...]:
+        """Stretches (S, n) in which what follows an `inner` point lies: where something varies, up to three."""
+        c, s, cuts = self.constants, self.arc_length, self.breakpoints[self.owner[self.inner]]
+        a, b = s[self.inner], s[self.inner + 1]
+        if c.still:
+            return (c.stretch((a + b) / 2, cuts),)
+        low, high = c.stretch(a + JUMP, cuts), c.stretch(b - JUMP, cuts)
+        return low, np.maximum((low + high) // 2, low), np.maximum(high, low)
+
+    @property
+    def wide(self) -> Mask:
+        """(S,) whether what follows an `inner` point lies in more stretches than that."""
+        return np.asarray((self.crossed[-1] - self.crossed[0] >= len(self.crossed)).any(1))
+
+    @cached_property
+    def _errors(self) -> tuple[Array, Array]:
+        """`shape_error` and `turn_error`.
 
         p'' = R (u_y, -u_x, 0), so that |p'''| <= |u|^2 + |u'| and |p''''| <= |u|^3 + 3 |u| |u'| + |u''|; and u' follows
         from torsion, which is largest at an end of a step but for what it gains in it.
         """
-        c, owner = self.constants, np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
-        out = np.array([e.tip_error for e in self.equilibria])
-        inner = np.flatnonzero(owner[1:] == owner[:-1])
-        if not len(inner):
-            return out
-        h, middle = np.diff(self.arc_length)[inner], (self.arc_length[inner] + self.arc_length[inner + 1]) / 2
-        stretch = c.stretch(middle, self.breakpoints[owner[inner]])
-        bend = Bending.of(c, stretch)
-        gain = bend.pairs.sum(2) / c.at(c.torsional, stretch)
-        speed = np.maximum(np.abs(self._onwards[inner]), np.abs(self.torsion[inner + 1])) + h[:, None] * gain
+        c, n = self.constants, self.constants.offset.size
+        out, turned = np.array([e.tip_error for e in self.equilibria]), np.zeros((len(self.equilibria), n))
+        if not len(self.inner):
+            return out, turned
+        h, owner = np.diff(self.arc_length)[self.inner], self.owner[self.inner]
+        bend, drift = Bending.of(c, *self.crossed), Drift.of(c, np.array(1.0), *self.crossed)
+        most, kt = bend.pairs.sum(2), c.least(c.bounds.torsional, *self.crossed)
+        torque = self._torque(h[:, None] * most)
+        gain = most / kt + torque * drift.ease.d + drift.wound.v
+        speed = np.maximum(np.abs(self._onwards[self.inner]), np.abs(self.torsion[self.inner + 1])) + h[:, None] * gain
+        pair = speed[:, :, None] + speed[:, None, :]
+        faster = ((bend.pairs * pair).sum(2) + drift.moment(pair, np.zeros(()))[0]) / kt
+        if not c.still:
+            faster += 2 * most * drift.ease.d + torque * drift.ease.dd + drift.wound.d
         # Tubes off the centreline: theta' = g w, whose change along the arm has that of g as well.
         gain = gain * (1 + c.offset * bend.most[:, None])
-        u = bend.most
-        du = bend.change(speed)
+        u, (first, second) = bend.most, drift.bend(speed, np.zeros(()))
+        du = bend.change(speed) + first
         gain += speed * c.offset * du[:, None] / (1 - c.offset * u[:, None])
-        ddu = bend.second(speed, speed) + bend.change(gain)
+        ddu = bend.second(speed, speed) + bend.change(gain) + second
         third, fourth = u**2 + du, u**3 + 3 * u * du + ddu
         error = np.minimum(SHAPE_ERROR[0] * h**3 * third, SHAPE_ERROR[1] * h**4 * fourth)
-        np.maximum.at(out, owner[inner], error + out[owner[inner]])
-        return out
+        np.maximum.at(out, owner, np.where(self.wide, np.inf, error + out[owner]))
+        np.maximum.at(turned, owner, np.where(self.wide[:, None], np.inf, SHAPE_ERROR[0] * h[:, None] ** 3 * faster))
+        return out, turned
 
+    def _torque(self, gain: Array) -> Array:
+        """(S, n) the most along what follows the `inner` points, N m, on which it gains at most `gain`; 0 where nothing
+        varies and none is asked for."""
+        if self.constants.still:
+            return np.zeros(())
+        torque = []
+        for side, slope, rows in ((1, self._onwards, self.inner), (-1, self.torsion, self.inner + 1)):
+            _, kt, _, _, twist, _ = self.along(side, rows)
+            torque.append(np.abs(slope[rows] - twist) * kt)
+        return np.asarray(np.maximum(*torque) + gain)
 
-@dataclass(frozen=True, eq=False)
-class Bending:
-    """Bounds of the curvature u of cross-sections (...), whatever the rotations, and of how it changes with them.
+    @property
+    def shape_error(self) -> Array:
+        """(E,) bound of the distance of `points` from the centreline, m: of interpolation, and as solved for."""
+        return self._errors[0]
 
-    u k(u) = S, S = sum m_i e(theta_i), k = sum kb_i / g_i, g_i = 1 + d_i u.a_i; where d = 0, k is a constant. k is
-    convex, so that k >= k(0) - |grad k(0)| |u|; between tubes that lie evenly around the centreline grad k(0) = 0.
-
-    Attributes:
-        moment: (..., n) m_i, 0 where tube i is not curved.   pairs: (..., n, n) bounds of m_i m_j / k, i unlike j.
-        most: (...) bound of |u|.   stiffness: of k from below.   slope, bow: of |grad k| and of its derivative.
-        yielding: of |d(u k)| over |du| from below.
-    """
-
-    moment: Array
-    pairs: Array
-    most: Array
-    stiffness: Array
-    slope: Array
-    bow: Array
-    yielding: Array
-
-    @staticmethod
-    def of(c: Constants, stretch: Index) -> Bending:
-        """Of cross-sections in these stretches (..., n) of the tubes."""
-        moment, kb = c.at(c.moment, stretch), c.at(c.bending, stretch)
-        # Where no tube is present there is nothing to bend.
-        straight = np.where((stretch < c.ended).any(-1), kb.sum(-1), 1.0)
-        tilt = np.linalg.norm(kb @ c.direction, axis=-1)
-        pull = moment.sum(-1)
-        most = pull / straight
-        for _ in range(50 if tilt.any() else 0):
-            most = pull / np.maximum(straight - tilt * most, 1e-300)
-        stiffness = straight - tilt * most
-        squeeze = np.maximum(1 - c.offset * most[..., None], 0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bow = np.where(kb * c.offset > 0, 2 * kb * c.offset**2 / squeeze**3, 0.0).sum(-1)
-        slope = tilt + most * bow
-        yielding = stiffness - most * slope
-        pairs = moment[..., :, None] * moment[..., None, :] / stiffness[..., None, None]
-        n = moment.shape[-1]
-        pairs[..., np.arange(n), np.arange(n)] = 0.0
-        return Bending(moment, pairs, most, stiffness, slope, bow, yielding)
-
-    def change(self, turn: Array) -> Array:
-        """(...) bound of |du| where theta_i changes by at most turn (..., n)."""
-        return np.asarray((self.moment * turn).sum(-1) / self.yielding)
-
-    def second(self, one: Array, other: Array) -> Array:
-        """(...) bound of the second derivative of u in directions that turn theta_i by at most these (..., n)."""
-        curving = (2 * self.slope + self.most * self.bow) * self.change(one) * self.change(other)
-        return np.asarray(((self.moment * one * other).sum(-1) + curving) / self.yielding)
+    @property
+    def turn_error(self) -> Array:
+        """(E, n) bound of the error of interpolation of `rotations`, rad, of tubes on the centreline."""
+        return self._errors[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,15 +228,38 @@ class Intervals:
         return Bending.of(self.arms.constants, self.stretch)
 
     @cached_property
-    def torsional(self) -> Array:
-        """(B, K, n) kt, N m^2."""
-        return self.arms.constants.at(self.arms.constants.torsional, self.stretch)
+    def moved(self) -> Array:
+        """(B, K, n) by how much places at fixed fractions of sections move along each tube at most, m."""
+        c, shift = self.arms.constants, self.arms.translations
+        held = c.held(shift[self.other]) - c.held(shift[self.one])
+        ends = np.abs((self.end - self.begin)[:, :, None] - held[:, None])
+        return np.asarray(np.maximum(ends[:, :-1], ends[:, 1:]))
 
     @cached_property
-    def transmission(self) -> tuple[Array, Array]:
-        """(B, n) at either end: int ds / kt from where tubes are held to the plate, times kt there, m."""
-        constants, shift = self.arms.constants, self.arms.translations
-        return constants.transmission(shift[self.one]), constants.transmission(shift[self.other])
+    def drift(self) -> Drift:
+        """What moving along tubes that vary adds, (B, K)."""
+        return Drift.of(self.arms.constants, self.moved, self.stretch)
+
+    @cached_property
+    def torsional(self) -> Array:
+        """(B, K, n) kt from below, N m^2."""
+        return self.arms.constants.least(self.arms.constants.bounds.torsional, self.stretch)
+
+    @cached_property
+    def transmission(self) -> Jet:
+        """(B, n) of int ds / kt from where tubes are held to the plate, 1/(N m); its rate is 1 / kt in section 0."""
+        c = self.arms.constants
+        whole = c.along.compliant(-c.held(self.arms.translations))
+        plain = linear(whole[self.one], whole[self.other])
+        if self.drift.still:
+            return plain
+        moved = self.drift.eased.v[:, 0] * self.moved[:, 0] ** 2
+        return Jet(plain.v, plain.d + moved / 2, moved)
+
+    @property
+    def interpolated(self) -> Array:
+        """(B, n) bound of the error of `changes` by interpolation, rad, of tubes on the centreline."""
+        return np.asarray(self.arms.turn_error[self.one] + self.arms.turn_error[self.other])
 
     @cached_property
     def radius(self) -> Array:

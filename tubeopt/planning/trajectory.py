@@ -63,6 +63,7 @@ class Trajectory(Displayed):
     _brief = ("robot", "status", "time")
 
     robot: Robot
+    """That moves."""
     time: Array
     rotations: Array
     translations: Array

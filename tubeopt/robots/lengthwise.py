@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -67,6 +67,11 @@ class Lengthwise:
         """Number of tubes n."""
         return len(self.breaks)
 
+    @cached_property
+    def _even(self) -> bool:
+        """Whether GJ is the same all along every panel."""
+        return not self.coefficients[:, :, 1, 1:].any()
+
     def panel(self, place: Array) -> NDArray[np.intp]:
         """(X, n) panel of each tube at arc lengths (X, n) from its held end, m; those outside are of the nearest."""
         last = np.isfinite(self.breaks).sum(1) - 2
@@ -101,15 +106,17 @@ class Lengthwise:
         return np.asarray(((table @ basis[..., None])[..., 0] * (2 / (high - low))[..., None]).transpose(2, 0, 1))
 
     def compliant(self, place: Array) -> Array:
-        """(n,) int ds / GJ of each tube from its held end to an arc length (n,), 1/(N m)."""
-        tube = np.arange(self.n_tubes)
-        panel = self.panel(place[None])[0]
+        """(..., n) int ds / GJ of each tube from its held end to arc lengths (..., n), 1/(N m)."""
+        tube, at = np.arange(self.n_tubes), place.reshape(-1, self.n_tubes)
+        panel = self.panel(at)
         low = self.breaks[tube, panel]
-        high = np.clip(place, low, self.breaks[tube, panel + 1])
-        nodes, weights = gauss_rule()
-        s = low + (high - low) * nodes[:, None]
-        rate = 1 / self.values(s, np.broadcast_to((low + high) / 2, s.shape))[1]
-        return np.asarray(self.compliance[tube, panel] + (high - low) * (weights @ rate))
+        high = np.clip(at, low, self.breaks[tube, panel + 1])
+        nodes, weights = (np.array([0.5]), np.ones(1)) if self._even else gauss_rule()
+        s = low + (high - low) * nodes[:, None, None]
+        inside = np.broadcast_to((low + high) / 2, s.shape)
+        rate = 1 / self.values(s.reshape(-1, self.n_tubes), inside.reshape(-1, self.n_tubes))[1].reshape(s.shape)
+        whole = self.compliance[tube, panel] + (high - low) * np.tensordot(weights, rate, 1)
+        return np.asarray(whole.reshape(place.shape))
 
     def at(self, place: Array, inside: Array, present: Mask) -> CrossSections:
         """The tubes at arc lengths (X, n) from their held ends; `inside` as in `values`; (X, n) which are there."""

@@ -61,6 +61,10 @@ class Series:
     def _hash(self) -> int:
         return hash((self.breaks, self.coefficients))
 
+    @cached_property
+    def _arrays(self) -> tuple[Array, Array]:
+        return np.array(self.breaks), padded(self.coefficients)
+
     def __hash__(self) -> int:
         return self._hash
 
@@ -73,10 +77,10 @@ class Series:
         """Values at arc lengths (any shape), m; those outside are of the nearest end."""
         shape = np.shape(arc_length)
         s = np.clip(np.asarray(arc_length, dtype=float).ravel(), 0.0, self.length)
-        panel = np.clip(np.searchsorted(self.breaks, s, side="right") - 1, 0, len(self.coefficients) - 1)
-        low, high = np.array(self.breaks)[panel], np.array(self.breaks)[panel + 1]
+        breaks, table = self._arrays
+        panel = np.clip(np.searchsorted(breaks, s, side="right") - 1, 0, len(table) - 1)
+        low, high = breaks[panel], breaks[panel + 1]
         x = (2 * s - low - high) / (high - low)
-        table = padded(self.coefficients)
         return np.asarray((table[panel] * chebyshev.chebvander(x, table.shape[1] - 1)).sum(-1).reshape(shape))
 
     def stretched(self, factor: float) -> Series:

@@ -1,4 +1,8 @@
-"""Tubes along which everything goes in steps: straight parts, arcs, helices, each with constant stiffnesses."""
+"""Tubes along which everything goes in steps: straight parts, arcs, helices, each with constant stiffnesses.
+
+A piece that varies along its length is cut into equal steps, each with the mean precurvature, bending stiffness and
+torsional compliance of where it is. Its curve is off by no more than about |du*/ds| L h^2 / 12 in steps of h.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, positive
 from ..typing import Array
-from .concentric import ConcentricRobot
 from .pieces import Piece
 from .series import Quantity, Series
 from .tubes import Tube, stretches
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 """By which means along a step are taken."""
+
+LEAST_STEPS, MOST_STEPS, OFF = 4, 12, 5e-5
+"""Steps of a piece that varies; share of its length by which its curve may be off where fewer than the most do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,23 +48,13 @@ class Steps:
         return np.cumsum(lengths / self.torsional, axis=1) - lengths / self.torsional
 
 
-def steps_of(tubes: Sequence[Tube], what: str) -> Steps:
-    """The stretches of tubes; `what` says for whom anything else is too much.
-
-    Raises:
-        InputError: curvature, twist or stiffness varies along a piece.
-    """
+def steps_of(tubes: Sequence[Tube]) -> Steps:
+    """The stretches of tubes; of those that vary along a piece, to some 0.01 % of their length."""
     rows = []
-    for i, tube in enumerate(tubes, start=1):
+    for tube in map(_in_steps, tubes):
         chain = stretches(tube)
         if tube.straight_length == 0:
             chain = [(0.0, (0.0, 0.0, 0.0), *chain[0][2:]), *chain]
-        for _, u, bending, torsional in chain:
-            if any(isinstance(q, Series) for q in (*u, bending, torsional)):
-                raise InputError(
-                    f"tube {i} has a piece that varies along its length; {what} takes straight pieces, arcs and "
-                    "helices of constant stiffness: `in_steps` (steps_mm of a plan) makes such of it"
-                )
         rows.append([(length, *u, bending, torsional) for length, u, bending, torsional in chain])
     most = max(2, *(len(row) for row in rows))
     table = np.array([[*row, *[(0.0, *row[-1][1:])] * (most - len(row))] for row in rows], dtype=float)
@@ -68,43 +63,23 @@ def steps_of(tubes: Sequence[Tube], what: str) -> Steps:
     return Steps(np.cumsum(length, axis=1), bending, torsional, np.hypot(x, y), np.arctan2(y, x), z, wound)
 
 
-def in_steps(robot: ConcentricRobot, longest: float) -> ConcentricRobot:
-    """The robot with every piece that varies along its length cut into equal steps, of at most `longest` (m), each with
-    the mean precurvature, bending stiffness and torsional compliance of where it is.
-
-    What is found of it is about that robot. Its tips are off by the square of the step: how far, forward kinematics of
-    both tells.
-
-    Raises:
-        InputError: `longest` is not above 0, or a tube in steps is none.
-
-    Examples:
-        >>> import numpy as np, tubeopt
-        >>> varying = tubeopt.Piece(0.06, lambda s: 8 + 100 * s)
-        >>> robot = tubeopt.ConcentricRobot((tubeopt.Tube.of_pieces(1e-3, 0.8e-3, [varying]),))
-        >>> rough = tubeopt.in_steps(robot, 5e-3)
-        >>> len(rough.tubes[0].pieces)
-        12
-        >>> tips = [tubeopt.forward_kinematics(one, [0.0]).tip_position for one in (robot, rough)]
-        >>> round(float(np.linalg.norm(tips[1] - tips[0])) * 1e6, 1)
-        12.3
-    """
-    positive("longest step", longest)
-    return replace(robot, tubes=tuple(_tube_in_steps(tube, longest) for tube in robot.tubes))
+def varies(tubes: Sequence[Tube]) -> bool:
+    """Whether anything varies along a piece of a tube."""
+    return any(isinstance(q, Series) for tube in tubes for _, u, *stiff in stretches(tube) for q in (*u, *stiff))
 
 
-def _tube_in_steps(tube: Tube, longest: float) -> Tube:
-    pieces = [part for piece in tube.pieces for part in _piece_in_steps(piece, longest)]
+def _in_steps(tube: Tube) -> Tube:
+    pieces = [part for piece in tube.pieces for part in _steps(piece)]
     if len(pieces) == len(tube.pieces):
         return tube
     return replace(tube, curvature=max(piece.largest_curvature for piece in pieces), pieces=tuple(pieces))
 
 
-def _piece_in_steps(piece: Piece, longest: float) -> list[Piece]:
+def _steps(piece: Piece) -> list[Piece]:
     parts = *piece.precurvature, piece.bending_stiffness, piece.torsional_stiffness
     if not any(isinstance(part, Series) for part in parts):
         return [piece]
-    count = max(2, int(np.ceil(piece.length / longest - 1e-9)))
+    count = _count(piece)
     places = (np.arange(count)[:, None] + (NODES + 1) / 2) * (piece.length / count)
     x, y, z, kb = (_means(part, places) for part in parts[:4])
     kt = _means(piece.torsional_stiffness, places, -1)
@@ -112,6 +87,15 @@ def _piece_in_steps(piece: Piece, longest: float) -> list[Piece]:
         replace(piece, length=piece.length / count, precurvature=u, bending_stiffness=b, torsional_stiffness=t)
         for u, b, t in zip(zip(x, y, z, strict=True), kb, kt, strict=True)
     ]
+
+
+def _count(piece: Piece) -> int:
+    """Steps of a piece that varies."""
+    s = np.linspace(0.0, piece.length, 8 * MOST_STEPS + 1)
+    x, y, z = (q(s) if isinstance(q, Series) else np.full(len(s), q) for q in piece.precurvature)
+    turned = np.hypot(x, y).max() * np.ptp(z) / 2
+    fast = float(np.hypot(np.gradient(x, s), np.gradient(y, s)).max() + turned)
+    return int(np.clip(np.ceil(piece.length * np.sqrt(fast / (12 * OFF))), LEAST_STEPS, MOST_STEPS))
 
 
 def _means(quantity: Quantity | None, places: Array, power: int = 1) -> list[Any]:

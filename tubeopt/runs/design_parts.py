@@ -183,20 +183,18 @@ class AvoidEntry(Part):
         return Avoid(self.obstacles, to_si(self.clearance_mm, MM), self.deployed)
 
 
+NUMBERS = [(kind, one) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for one in described(kind)]
+"""Requirements that are one number each, and what that is."""
+
+
+@extended({one.key: (one.annotation | None, Field(None, description=one.about)) for _, one in NUMBERS})
 class Requirements(Part):
     """What a design must keep."""
 
     snap_free: SnapFreeEntry | None = None
     snap_free_in_use: InUseEntry | None = None
     strain: StrainEntry | None = None
-    clearance_mm: NotNegative | None = Field(None, description="least difference of diameters of nested tubes")
-    wall_mm: Positive | None = Field(None, description="least wall thickness")
-    deployment_mm: Positive | None = Field(
-        None, description="largest distance of arms on their way out to the task poses from the whole arm"
-    )
     lengths: list[LengthEntry] = Field([])
-    stroke_force_mN: Positive | None = Field(None, description="least push along the tip that poses bear")
-    stroke_mm: Positive | None = Field(None, description="longest travel of a carriage between task poses")
     reach: list[TargetEntry] = Field([])
     coverage: CoverageEntry | None = None
     poses: list[PoseEntry] = Field([])
@@ -208,14 +206,8 @@ class Requirements(Part):
         out: list[Requirement] = []
         for entry in (self.snap_free, self.snap_free_in_use, self.strain, *self.lengths):
             out += [] if entry is None else [entry.build()]
-        singles = (
-            (Nesting, self.clearance_mm),
-            (Wall, self.wall_mm),
-            (Stroke, self.stroke_mm),
-            (Deployment, self.deployment_mm),
-        )
-        out += [kind(to_si(number, MM)) for kind, number in singles if number is not None]
-        out += [] if self.stroke_force_mN is None else [StrokeForce(to_si(self.stroke_force_mN, UNITS["mN"]))]
+        given = [(kind, one, getattr(self, one.key)) for kind, one in NUMBERS]
+        out += [kind(one.read(number)) for kind, one, number in given if number is not None]
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
         out += [] if self.coverage is None else [self.coverage.build()]
         if self.poses:

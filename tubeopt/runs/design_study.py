@@ -59,7 +59,9 @@ class DesignAnswer(Displayed):
     """A design, and what was asked besides: its spread in manufacture, the front it lies on, the choice from stock."""
 
     solution: DesignSolution
+    """The design."""
     tolerance: ToleranceAnalysis | None
+    """Its spread in manufacture, None where that was not asked for."""
     front: ParetoFront | None
     stock: StockChoice | None
 

@@ -41,6 +41,7 @@ class Fabrication(Displayed):
 
     robot: Robot
     parts: tuple[TubeParts, ...]
+    """One for each tube that is made."""
     left_out: tuple[str, ...]
 
 

@@ -27,8 +27,11 @@ class LedHeating(Displayed):
     """A heating that a sensor leads, and the board that runs it.   frequency: Hz, of the board's pulses."""
 
     plan: HeatingPlan
+    """The schedule."""
     feedback: Feedback
+    """The law that leads it, and what it keeps."""
     wiring: Wiring
+    """Board, pins and parts."""
     frequency: float
 
 

@@ -48,6 +48,7 @@ class Heating(Displayed):
     tables: tuple[HeatingPlan, ...] = ()
     band: Band | None = None
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    """What the band is over."""
     scale: float = 1.0
 
 

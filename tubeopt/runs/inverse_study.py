@@ -35,7 +35,9 @@ class Postures(Displayed):
     """Answers for one target, best first."""
 
     robot: Robot
+    """That was asked."""
     solutions: tuple[InverseSolution, ...]
+    """One or several configurations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +64,11 @@ class TargetTable(Displayed):
     """Answers for a table of targets."""
 
     robot: Robot
+    """That was asked."""
     rows: tuple[Row, ...]
+    """One for each target, in their order."""
     followed: bool = False
+    """Whether each was looked for near the one before."""
 
 
 class InverseStudy(LoadedStudy):

@@ -33,7 +33,9 @@ class Bearing(Displayed):
 
     robot: Robot
     rotations: Array
+    """(n,) rad"""
     translations: Array
+    """(n,) m"""
     load: Load
     limit: LoadLimit | None
     up_to: float

@@ -30,6 +30,7 @@ class Ranking(Displayed):
     """Mold materials for a tube, best first.   heat: the heating that they are for."""
 
     ratings: tuple[MaterialRating, ...]
+    """One for each material."""
     tube: Tube
     heat: HeatSpec
 

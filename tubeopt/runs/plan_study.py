@@ -9,15 +9,12 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
-from ..errors import InputError
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import Part, entry_of
 from ..files.units import MM, UNITS, to_si
 from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
-from ..robots.concentric import ConcentricRobot
-from ..robots.steps import in_steps
 from ..typing import Array
 from .anatomy_file import AnatomyKey
 from .base import OnePerTube, Progress, RobotPath, metres, radians
@@ -63,12 +60,6 @@ class PlanStudy(LoadedStudy):
         Decimal(0),
         description="margin and clearance under any force on the tip of up to this size, in any direction",
         examples=["F"],
-    )
-    steps_mm: Positive | None = Field(
-        None,
-        description="plan with tubes that vary along a piece as arcs, each of at most this length; by default such "
-        "tubes are refused",
-        examples=["MM"],
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
     rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
@@ -135,10 +126,6 @@ class PlanStudy(LoadedStudy):
         }
         start, goal = self._ends()
         robot = self.robot
-        if self.steps_mm is not None:
-            if not isinstance(robot, ConcentricRobot):
-                raise InputError("steps_mm is given; it is for tubes made of pieces, of a concentric robot")
-            robot = in_steps(robot, to_si(self.steps_mm, MM))
         if self.tip_path_mm is not None:
             given = start if self.start_deg is not None or self.start_mm is not None else None
             path = [point(row) for row in self.tip_path_mm]

@@ -44,7 +44,9 @@ class Equilibria(Displayed):
 
     robot: Robot
     rotations: Array
+    """(n,) rad"""
     translations: Array
+    """(n,) m"""
     equilibria: tuple[Equilibrium, ...]
 
 
@@ -76,10 +78,12 @@ class Way(Displayed):
     """
 
     robot: Robot
+    """That moves."""
     start: tuple[Array, Array]
     end: tuple[Array, Array]
     snap: Snap | None
     arrived: Equilibrium | None
+    """The equilibrium at the end; None where it snaps before."""
 
 
 class SnapStudy(LoadedStudy):
@@ -125,6 +129,7 @@ class Motion(Displayed):
 
     robot: Robot
     path: Path
+    """Its equilibria and snaps."""
 
 
 class FollowStudy(LoadedStudy):
@@ -244,6 +249,7 @@ class RobotMap(Displayed):
 
     robot: Robot
     translations: Array
+    """(n,) m, of the whole map."""
     map: StabilityMap
 
 

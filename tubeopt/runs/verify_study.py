@@ -29,8 +29,11 @@ class Checked(Displayed):
     """A trajectory of whatever origin, and what was found on it."""
 
     file: str
+    """That it was read from."""
     joints: TimedJoints
+    """Joint values over time."""
     proof: Proof
+    """What was found."""
 
 
 def _read(path: str | PathLike[str], robot: Robot | None) -> tuple[str, TimedJoints]:

@@ -17,7 +17,7 @@ from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
 from .quantities import Quantity, line
-from .report import Drawing, Report, drawing, grid, report, two_columns
+from .report import Drawing, Report, drawing, grid, two_columns
 from .snap_report import SNAP
 from .words import degrees, flag
 
@@ -308,6 +308,3 @@ def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:
             "would a snap be certain."
         ]
     return []
-
-
-report.register(Certification, CertificationReport)

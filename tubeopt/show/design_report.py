@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Group
@@ -26,10 +26,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
 from .quantities import Quantity, within
-from .report import Drawing, Report, drawing, file_name, grid, report, two_columns
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from .report import Drawing, Report, drawing, file_name, grid, two_columns
 
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
@@ -279,7 +276,7 @@ class DesignReport(Report[DesignAnswer]):
         return "\n".join(lines) + "\n"
 
 
-def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Figure:
+def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
     """The maps of margins before and after, which take longer than all else to compute."""
     from ..stability import stability_map
     from .plots.design import plot_before_after
@@ -296,6 +293,3 @@ def _key(one: AnyObjective) -> str:
 def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     return lines + [f"| {' | '.join(row)} |" for row in rows]
-
-
-report.register(DesignAnswer, DesignReport)

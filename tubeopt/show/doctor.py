@@ -21,7 +21,7 @@ from ..robots.tubes import Tube
 from ..solvers.compiled.library import cache_directory, library
 from ..solvers.compiled.packaged import FOLDER
 from .quantities import Quantity, line
-from .report import Report, report
+from .report import Report
 
 LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
 
@@ -121,9 +121,6 @@ class DoctorReport(Report[Doctor]):
         if not self.answer.test.passed:
             off = self.answer.test.difference
             raise SolveError(f"the self-test failed: re-integration moves the tip by {off:.1e} m")
-
-
-report.register(Doctor, DoctorReport)
 
 
 def examine() -> Doctor:

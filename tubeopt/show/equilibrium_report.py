@@ -15,7 +15,7 @@ from ..typing import Array
 from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
-from .report import Drawing, Report, drawing, report
+from .report import Drawing, Report, drawing
 from .words import margin_in_words, millimetres
 
 VERIFICATION: tuple[Quantity[Verification], ...] = (
@@ -116,6 +116,3 @@ class EquilibriumReport(Report[Equilibrium]):
         from .plots import plot_shape, plot_torsion  # Matplotlib takes longer to load than a solve
 
         return {"shape": drawing(plot_shape, self.answer), "torsion": drawing(plot_torsion, self.answer)}
-
-
-report.register(Equilibrium, EquilibriumReport)

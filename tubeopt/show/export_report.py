@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from ..control.c_library import CLibrary
 from .quantities import Quantity
-from .report import Report, report
+from .report import Report
 
 LIBRARY: tuple[Quantity[CLibrary], ...] = (
     Quantity("name", "of the robot"),
@@ -28,10 +26,3 @@ class CLibraryReport(Report[CLibrary]):
     def title(self) -> str:
         """The robot's name."""
         return f"{self.answer.name} in C"
-
-    def save(self, directory: Path) -> list[Path]:
-        """Write the record."""
-        return [self.save_record(directory)]
-
-
-report.register(CLibrary, CLibraryReport)

@@ -15,7 +15,7 @@ from ..runs.rig_file import save_rig
 from .heat_report import HEATING, HeatingReport, held_duties, missed
 from .mold_report import MOLD, MoldReport
 from .quantities import Quantity
-from .report import Drawing, Report, grid, remarks, report
+from .report import Drawing, Report, grid, remarks
 
 TUBE: tuple[Quantity[TubeParts], ...] = (
     Quantity("tube", "which tube, from 1", lambda part: part.number),
@@ -115,6 +115,3 @@ class FabricationReport(Report[Fabrication]):
         faults = _faults(self.answer)
         if faults:
             raise SolveError("; ".join(faults))
-
-
-report.register(Fabrication, FabricationReport)

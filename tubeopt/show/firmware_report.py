@@ -7,14 +7,13 @@ from pathlib import Path
 from rich.console import Group
 
 from ..errors import SolveError
-from ..files.files import write_text
 from ..runs.firmware_study import LedHeating
 from ..shaping.firmware.parts import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.feedback import Contribution, Feedback
 from .heat_report import missed
 from .quantities import Quantity, line, within
-from .report import Drawing, Report, drawing, grid, remarks, report, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, two_columns
 
 CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
     Quantity("name", "what is not known"),
@@ -89,8 +88,7 @@ class LedHeatingReport(Report[LedHeating]):
     def save(self, directory: Path) -> list[Path]:
         """Write law.json, parts.csv and the sketch."""
         answer = self.answer
-        write_text(directory / self.file, to_text(self.record()))
-        return [directory / self.file, *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
+        return [self.save_record(directory), *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
 
     def pictures(self) -> dict[str, Drawing]:
         """Temperatures of uncertain rigs, and how the board is wired."""
@@ -103,6 +101,3 @@ class LedHeatingReport(Report[LedHeating]):
         answer = self.answer
         if not answer.plan.feasible and answer.feedback.probability < 0.5:
             raise SolveError(missed(answer.plan))
-
-
-report.register(LedHeating, LedHeatingReport)

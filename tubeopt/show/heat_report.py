@@ -23,7 +23,7 @@ from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
 from ..shaping.heating.trials import TrialFit
 from .quantities import Quantity, line, within
-from .report import Drawing, Report, drawing, grid, remarks, report, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of the temperatures of uncertain rigs that are told."""
@@ -354,8 +354,3 @@ class TrialFitReport(Report[TrialFit]):
         """Write calibration.json and the calibrated rig.yaml."""
         save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to trials.")
         return [self.save_record(directory), directory / "rig.yaml"]
-
-
-report.register(Heating, HeatingReport)
-report.register(RigFit, RigFitReport)
-report.register(TrialFit, TrialFitReport)

@@ -25,7 +25,7 @@ from ..runs.target_file import DIRECTION, POSITION
 from ..typing import Array
 from .quantities import Quantity, line, rows, within
 from .readings import readings
-from .report import Drawing, Report, drawing, grid, report, two_columns
+from .report import Drawing, Report, drawing, grid, two_columns
 from .words import counted, degrees, millimetres, row
 
 NOTES = 10
@@ -267,7 +267,3 @@ class TargetTableReport(Report[TargetTable]):
         given = _given(self.answer)
         if not _reached(self.answer):
             raise SolveError(f"none of {len(given)} targets was reached; the first: {_why(given[0])}")
-
-
-report.register(Postures, PosturesReport)
-report.register(TargetTable, TargetTableReport)

@@ -16,7 +16,7 @@ from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
-from .report import Drawing, Report, drawing, report, two_columns
+from .report import Drawing, Report, drawing, two_columns
 from .snap_report import JOINTS, STATE
 from .words import counted, in_a_word, millimetres, row
 
@@ -176,7 +176,3 @@ class ForceReport(Report[ForceRecord]):
             numbers = np.concatenate([e.force, np.sqrt(np.diag(e.covariance))]) * TO_MILLI
             square = e.covariance[upper] * TO_MILLI**2
             yield [k + 1, *turns, *(f"{v:.9g}" for v in (*numbers, *square, e.residual * TO_MM))]
-
-
-report.register(Bearing, BearingReport)
-report.register(ForceRecord, ForceReport)

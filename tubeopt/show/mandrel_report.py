@@ -14,7 +14,7 @@ from ..shaping.mold.checks import pressing_strain
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube
 from ..shaping.mold.mandrel_files import write_mandrel
 from .quantities import Quantity
-from .report import Drawing, Report, drawing, remarks, report, two_columns
+from .report import Drawing, Report, drawing, remarks, two_columns
 
 
 def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
@@ -49,7 +49,6 @@ MANDREL: tuple[Quantity[Mandrel], ...] = (
 )  # fmt: skip
 
 
-@report.register(Mandrel)
 class MandrelReport(Report[Mandrel]):
     """What is said and saved about the mandrel for one tube of a robot."""
 

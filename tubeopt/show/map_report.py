@@ -10,7 +10,7 @@ from ..files.files import save_arrays
 from ..runs.stability_studies import RobotMap
 from ..typing import Array
 from .quantities import Quantity, line
-from .report import Drawing, Report, drawing, report
+from .report import Drawing, Report, drawing
 from .words import degrees
 
 
@@ -76,6 +76,3 @@ class RobotMapReport(Report[RobotMap]):
         from .plots import plot_stability_map  # Matplotlib takes longer to load than a solve
 
         return {"stability_map": drawing(plot_stability_map, self.answer.map, title=self.answer.robot.name)}
-
-
-report.register(RobotMap, RobotMapReport)

@@ -14,7 +14,7 @@ from ..robots.path_file import joint_columns
 from ..typing import Array, Mask
 from ..validation import Placement
 from .quantities import Quantity, in_units
-from .report import Report, grid, report, two_columns
+from .report import Report, grid, two_columns
 from .validation_report import SUFFIXES
 
 
@@ -77,6 +77,3 @@ def _write(path: Path, p: Placement, rows: Array | Mask) -> Path:
     )
     write_text(path, to_csv([*turns, *shifts], cells))
     return path
-
-
-report.register(Placement, PlacementReport)

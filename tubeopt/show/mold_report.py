@@ -24,7 +24,7 @@ from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.robot import RobotMold
 from ..shaping.mold.springback import Calibration, Springback
 from .quantities import Quantity, within
-from .report import Drawing, Report, drawing, grid, remarks, report, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, two_columns
 
 CLAMP: tuple[Quantity[Clamp], ...] = (
     Quantity("end", "proximal or distal"),
@@ -308,8 +308,3 @@ class RankingReport(Report[Ranking]):
         from .plots.mold import plot_materials
 
         return {"materials": drawing(plot_materials, self.answer.ratings)}
-
-
-report.register(RobotMold, MoldReport)
-report.register(Calibration, CalibrationReport)
-report.register(Ranking, RankingReport)

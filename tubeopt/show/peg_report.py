@@ -10,7 +10,7 @@ from rich.console import Group
 from ..shaping.mold.peg_files import write_pegs
 from ..shaping.mold.pegs import Peg, PegBoard
 from .quantities import Quantity
-from .report import Drawing, Report, drawing, grid, remarks, report, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, two_columns
 
 PEG: tuple[Quantity[Peg], ...] = (
     Quantity("hole", "row from below by letter, place in the row from the left"),
@@ -38,7 +38,6 @@ PEGS: tuple[Quantity[PegBoard], ...] = (
 )
 
 
-@report.register(PegBoard)
 class PegReport(Report[PegBoard]):
     """What is said and saved about the pegs for one tube of a robot."""
 

@@ -25,7 +25,7 @@ from ..typing import Array
 from .equilibrium_report import by_history
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
-from .report import Drawing, Report, drawing, report, two_columns
+from .report import Drawing, Report, drawing, two_columns
 
 BEYOND = "assuming no other load and no friction"
 
@@ -249,7 +249,3 @@ class CheckedReport(Report[Checked]):
         """Raise SolveError where something does not hold."""
         if not self.answer.proof.holds:
             raise SolveError(f"{self.answer.file}: {'; '.join(self.answer.proof.faults)}")
-
-
-report.register(Trajectory, TrajectoryReport)
-report.register(Checked, CheckedReport)

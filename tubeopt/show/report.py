@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
 from pydantic_core import to_json
 from rich.console import RenderableType
@@ -64,6 +64,11 @@ class Report(Generic[A]):
 
     file: ClassVar[str] = ""
     """Name under which the record is saved; "" where it is not."""
+
+    def __init_subclass__(cls) -> None:
+        """A class of reports is that on the answers which it names in its brackets."""
+        for base in cls.__dict__.get("__orig_bases__", ()):
+            report.register(get_args(base)[0], cls)
 
     def record(self) -> dict[str, Any]:
         """What `--json` prints: plain numbers, text, lists and mappings; keys carry their unit."""
@@ -132,7 +137,7 @@ class Report(Generic[A]):
 
 @functools.singledispatch
 def report(answer: object) -> Report[Any]:
-    """The report on an answer; every kind of answer registers its own."""
+    """The report on an answer: of the class `Report[...]` of its kind."""
     raise TypeError(f"there is no report on a {type(answer).__name__}")
 
 

@@ -36,12 +36,13 @@ MODULES = {
     "plan_report": ("Trajectory", "Checked"),
     "rig_page": ("HeatingRun",),
     "robot_report": ("ConcentricRobot", "EccentricRobot", "SegmentedEccentricRobot"),
+    "served_report": ("Viewed", "Served"),
     "snap_report": ("Equilibria", "Way", "Motion"),
     "sweep_report": ("Sweep",),
     "validation_report": ("Comparison", "Validation", "Fit"),
     "workspace_report": ("Findings",),
 }
-"""Modules that register reports -> the classes of their answers: each is imported when there is such an answer."""
+"""Modules with reports -> the classes of their answers: each is imported when there is such an answer."""
 
 PAGE = "docs/json.md"
 

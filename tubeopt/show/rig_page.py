@@ -12,7 +12,7 @@ from ..errors import SolveError
 from ..runs.heating_run import LOG_FILE, HeatingRun, HeatingRunStudy, run_heating
 from ..shaping.firmware.leader import Leader
 from .quantities import Quantity
-from .report import Report, report, two_columns
+from .report import Report, two_columns
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
 WIDTH = 60
@@ -96,6 +96,3 @@ def _curve(readings: list[float]) -> str:
     shown = readings[:: max(1, -(-len(readings) // WIDTH))]
     top = max(max(shown), 1.0)
     return "".join(BLOCKS[round(max(value, 0.0) / top * (len(BLOCKS) - 1))] for value in shown)
-
-
-report.register(HeatingRun, HeatingRunReport)

@@ -13,7 +13,7 @@ from ..robots.fit import clearances, fit_warnings
 from ..robots.robot import Robot
 from ..robots.tubes import OfCrossSection, Tube
 from .quantities import Quantity, within
-from .report import Report, grid, remarks, report
+from .report import Report, grid, remarks
 
 TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("outer_diameter_mm", "outer diameter", digits=9),
@@ -60,7 +60,7 @@ def _nested(robot: Robot) -> list[Nested]:
     return [Nested(tube, gaps[i][1] / TO_MM if i in gaps else None) for i, tube in enumerate(robot.tubes)]
 
 
-class RobotReport(Report[Robot]):
+class RobotReport(Report[AnyRobot]):
     """What is said and saved about a robot."""
 
     command = "robot show"
@@ -88,6 +88,3 @@ def _cell(value: float | str | None) -> str:
     if value is None:
         return "–"
     return value if isinstance(value, str) else f"{value:.4g}"
-
-
-report.register(AnyRobot, RobotReport)

@@ -18,7 +18,7 @@ from ..robots.path_file import joint_columns
 from ..runs.stability_studies import Equilibria, Motion, Way
 from ..stability import Snap
 from .quantities import Quantity, line, record, rows
-from .report import Drawing, Report, drawing, grid, report, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, to_text, two_columns
 from .words import counted, degrees, in_a_word, millimetres, row
 
 JOINTS: tuple[Quantity[Any], ...] = (
@@ -247,8 +247,3 @@ class MotionReport(Report[Motion]):
         from .plots import plot_path  # Matplotlib takes longer to load than a solve
 
         return {"path": drawing(plot_path, self.answer.path)}
-
-
-report.register(Equilibria, EquilibriaReport)
-report.register(Way, WayReport)
-report.register(Motion, MotionReport)

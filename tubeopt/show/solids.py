@@ -24,7 +24,8 @@ from ..typing import Array
 from .plots.mesh import Centreline
 from .plots.shape import exposed
 from .plots.style import tube_colour
-from .viewer.surfaces import Surface, rgb, tube_surface
+from .surfaces import Surface
+from .viewer.surfaces import rgb, tube_surface
 
 SIDES = 48
 """Facets around a tube: its volume is 0.3 % small."""

@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from ..errors import SolveError
 from ..runs.sweeping import Sweep
 from .quantities import Quantity
-from .report import Report, report
+from .report import Report
 
 SHOWN = 3
 """Failures that are told; the table has all."""
@@ -79,6 +79,3 @@ class SweepReport(Report[Sweep]):
         a = self.answer
         if len(a.failures) == a.points:
             raise SolveError(f"all {a.points} points failed; the first: {a.failures[0][1]}")
-
-
-report.register(Sweep, SweepReport)

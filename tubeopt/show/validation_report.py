@@ -18,7 +18,7 @@ from ..typing import Array
 from ..validation import Comparison, ErrorGroup, ErrorSummary, Estimate, Fit, Parity, Registration, Step, Validation
 from . import quantities
 from .quantities import Quantity, in_units, line
-from .report import Drawing, Report, drawing, grid, remarks, report, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, two_columns
 
 ERRORS = ("mean", "rms", "p95", "max")
 """What an error summary tells, in mm and in percent of the arm's length."""
@@ -348,8 +348,3 @@ class EffectsReport(Report[Comparison]):
 
         rest = {} if self.answer.fit is None else FitReport(self.answer.fit).pictures()
         return {"effects": drawing(plot_effects, self.answer)} | rest
-
-
-report.register(Comparison, EffectsReport)
-report.register(Validation, ValidationReport)
-report.register(Fit, FitReport)

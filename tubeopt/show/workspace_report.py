@@ -14,7 +14,7 @@ from ..workspaces import SnappingLoss, save_workspace
 from ..workspaces.findings import Findings
 from ..workspaces.volume import Volume
 from .quantities import Quantity, line, within
-from .report import Drawing, Report, drawing, report
+from .report import Drawing, Report, drawing
 
 LOSS: tuple[Quantity[SnappingLoss], ...] = (
     Quantity("equilibria", "equilibria of all kinds that were found"),
@@ -139,6 +139,3 @@ class WorkspaceReport(Report[Findings]):
 
         a = self.answer
         return {"workspace": drawing(plot_workspace, a.workspace, loss=a.loss, size=a.voxels.size)}
-
-
-report.register(Findings, WorkspaceReport)

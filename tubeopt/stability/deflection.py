@@ -28,14 +28,13 @@ from ..errors import InputError
 from ..robots.robot import Robot
 from ..typing import Array
 from .certificate import snap_free_certificate
-from .loaded_certificate import Bundle, bundle_of, bundle_of_box, cells_of, largest_eigenvalue
+from .loaded_certificate import Bundle, bundle_of, bundle_of_box
 
 GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the polynomials of degree 4 that are integrated on every section."""
 
-BOX, MOST_BOXES, ROUGHLY = 2e-3, 16, 1e-4
-"""Length, m, of the boxes in which a way of translations is taken; most of them; and to what the margin is enclosed,
-from below, in each."""
+BOX, MOST_BOXES = 2e-3, 16
+"""Length, m, of the boxes in which a way of translations is taken, and most of them."""
 
 
 def deflection_bound(
@@ -139,7 +138,7 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> 
         bundle = bundle_of_box(robot, inside.min(0), inside.max(0))
         margin = 1.0
         if bundle.total_length:
-            margin -= largest_eigenvalue(cells_of(bundle, max_force, pairs=True), within=ROUGHLY)
+            margin -= bundle.softened(max_force, pairs=True)
         found.append((margin, _farthest(bundle, margin, max_force)))
     least, most = np.array(found).T
     return ForceBound(max_force, float(least.min()), float(most.max()))

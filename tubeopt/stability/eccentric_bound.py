@@ -120,9 +120,9 @@ def _form(matrix: Array) -> Array:
     return np.stack([matrix[..., 0, 0], (matrix[..., 0, 1] + matrix[..., 1, 0]) / 2, matrix[..., 1, 1]])
 
 
-def all_rotations(count: int = GRID) -> Array:
-    """(count^3, 3) rotations of three tubes on a grid over a turn of each, rad."""
-    axis = np.arange(count) * 2 * np.pi / count
+def all_rotations() -> Array:
+    """(GRID^3, 3) rotations of three tubes on a grid over a turn of each, rad."""
+    axis = np.arange(GRID) * 2 * np.pi / GRID
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

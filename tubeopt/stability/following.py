@@ -99,6 +99,7 @@ class Path(Displayed):
     """What a robot does along a path: one stable equilibrium per waypoint, and the snaps on the way."""
 
     equilibria: tuple[Equilibrium, ...]
+    """(T,) at the waypoints."""
     snaps: tuple[Snap, ...]
 
     @property
@@ -172,13 +173,13 @@ def follow(
     solution = polish(first)
     own = np.concatenate([first.rotations, first.translations])
     if not np.allclose(own, joints[0], rtol=0, atol=1e-12):
-        for event_or_point in walk(JointPath(robot, own, joints[0]), solution):
+        for event_or_point in motion_along(JointPath(robot, own, joints[0]), solution):
             if isinstance(event_or_point, Point):
                 solution = event_or_point.solution
     equilibria, snaps = [_finish(robot, solution, joints[0], "start")], []
     for k in range(len(joints) - 1):
         path = JointPath(robot, joints[k], joints[k + 1])
-        for step in walk(path, solution):
+        for step in motion_along(path, solution):
             if isinstance(step, Point):
                 solution = step.solution
             else:
@@ -276,7 +277,7 @@ def _finish(robot: Robot, solution: Solution, joint: Array, start: str) -> Equil
     return to_equilibrium(robot, solution, translations, ("newton", start, 0.0))
 
 
-def walk(path: JointPath, solution: Solution) -> Iterator[Point | Event]:
+def motion_along(path: JointPath, solution: Solution) -> Iterator[Point | Event]:
     """Points of the motion from a stable solution at the start of a path; an event wherever the robot snaps.
 
     The last point is at the end of the path.
@@ -289,7 +290,7 @@ def walk(path: JointPath, solution: Solution) -> Iterator[Point | Event]:
             here = points[-1] if points else here
             if reached:
                 break
-            event = lose(path, here, goal)
+            event = leave_branch(path, here, goal)
             if isinstance(event, Event):
                 yield event
                 here = event.landed
@@ -298,7 +299,7 @@ def walk(path: JointPath, solution: Solution) -> Iterator[Point | Event]:
             yield here
 
 
-def lose(path: JointPath, here: Point, goal: float) -> Event | Point:
+def leave_branch(path: JointPath, here: Point, goal: float) -> Event | Point:
     """What happens where the stable branch ends: a snap, or a smooth change to a neighbouring branch."""
     fold = polish_fold(path, here)
     if fold is None or not here.t - 1e-6 <= fold.t <= min(goal, here.t + 1e-2):

@@ -21,7 +21,7 @@ from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
 from ..solvers.parallel.blas import small
 from ..typing import Sentence
-from .loaded_events import Loss, fall, lose
+from .loaded_events import Loss, branch_end, fall
 
 PAST = 1e-4
 """Part of the factor by which a bifurcation is left behind: at the limit itself the robot has not yet moved."""
@@ -146,7 +146,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily,
         family = LoadFamily(problem, alpha, shift)
         point = reach(family, point, 1.0)
         if point.t < 1.0:
-            loss = lose(family, point, 1.0)
+            loss = branch_end(family, point, 1.0)
             if loss is not None:
                 return family, loss, goal
             raise SolveError(

@@ -44,7 +44,7 @@ class Loss:
     direction: Array
 
 
-def lose(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
+def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
     if bifurcates(last):
         found = bifurcation(family, last, goal) or fold(family, last)

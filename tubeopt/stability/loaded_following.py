@@ -19,7 +19,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
 from ..typing import Array
-from .loaded_events import Loss, fall, lose
+from .loaded_events import Loss, branch_end, fall
 
 SMOOTH_TURN = 0.05
 """A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
@@ -37,7 +37,7 @@ class LoadedEvent:
     landed: LoadedPoint
 
 
-def walk_loaded(family: JointFamily, start: LoadedPoint) -> Iterator[LoadedPoint | LoadedEvent]:
+def loaded_motion_along(family: JointFamily, start: LoadedPoint) -> Iterator[LoadedPoint | LoadedEvent]:
     """Points of the motion from a stable one at t = 0; an event wherever the robot snaps. The last point is at t = 1.
 
     Raises:
@@ -59,7 +59,7 @@ def walk_loaded(family: JointFamily, start: LoadedPoint) -> Iterator[LoadedPoint
 
 def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
     """What happens where the stable branch is lost: a snap, or a smooth change to a neighbouring branch."""
-    loss = lose(family, last, 1.0)
+    loss = branch_end(family, last, 1.0)
     if loss is None:
         # Close to where breakpoints meet the exact fold may not be told; the last stable point is next to it.
         loss = Loss(last.t, last, "fold", np.linalg.eigh(last.state.hessian)[1][:, 0])
@@ -112,7 +112,7 @@ def loaded_legs(
         family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
         point = LoadedPoint(0.0, point.member, point.state, point.margin)
         snaps = []
-        for step in walk_loaded(family, point):
+        for step in loaded_motion_along(family, point):
             if isinstance(step, LoadedPoint):
                 point = step
                 continue

@@ -21,7 +21,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
 from .equilibria import find_equilibria
-from .following import Event, walk
+from .following import Event, motion_along
 from .snapping import find_snap
 
 
@@ -292,7 +292,8 @@ def _map_job(job: tuple[Robot, Array, tuple[int, int], Array, bool]) -> Array:
                 row[:] = snap.rotations[list(tubes)]
             continue
         here, snaps = Point(0.0, start), 0
-        for step in walk(JointPath(robot, np.concatenate([np.zeros(n), shift]), np.concatenate([goal, shift])), start):
+        path = JointPath(robot, np.concatenate([np.zeros(n), shift]), np.concatenate([goal, shift]))
+        for step in motion_along(path, start):
             if isinstance(step, Event):
                 snaps += 1
             else:

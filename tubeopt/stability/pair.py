@@ -82,7 +82,7 @@ class _Curve:
                 raise SolveError("the equilibria of two coupled tubes could not be followed to the fold")
         return _Point(phi, turn, z, float(step[-1, 1]), np.asarray(step[:-1, 1]))
 
-    def walk(self, here: _Point, end: float) -> Iterator[_Point]:
+    def points(self, here: _Point, end: float) -> Iterator[_Point]:
         """Points after `here` up to phi = end."""
         while here.phi < end:
             rate = self.size(np.append(here.z_slope, here.turn_slope))
@@ -104,7 +104,7 @@ def pair_fold(problem: ReducedProblem, coupled: Index, start: Array) -> PairFold
     """
     curve, relaxed = _curve(problem, coupled, start)
     before = relaxed
-    for here in curve.walk(relaxed, np.pi):
+    for here in curve.points(relaxed, np.pi):
         if here.turn_slope < 0:
             break
         before = here
@@ -121,9 +121,9 @@ def pair_fold(problem: ReducedProblem, coupled: Index, start: Array) -> PairFold
 def _beyond(curve: _Curve, fold: _Point) -> Array:
     """z (U,) at the turn of the fold on the branch past the opposed pose, the mirror image of that before it."""
     before = fold
-    for here in curve.walk(fold, 2 * np.pi - fold.phi):
+    for here in curve.points(fold, 2 * np.pi - fold.phi):
         before = here
-    for here in curve.walk(before, 2 * np.pi):
+    for here in curve.points(before, 2 * np.pi):
         if here.turn > fold.turn:
             break
         before = here

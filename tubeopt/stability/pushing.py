@@ -17,7 +17,7 @@ from ..errors import InputError, SolveError
 from ..robots.load import Load, between
 from ..solvers.parallel.blas import small
 from .following import Path, Snap, snap_between
-from .loaded_following import walk_loaded
+from .loaded_following import loaded_motion_along
 
 
 @small
@@ -45,7 +45,7 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         here = np.concatenate([alpha, shift])
     family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
     point, snaps = replace(loaded_point(equilibrium), t=0.0), list[Snap]()
-    for step in walk_loaded(family, point):
+    for step in loaded_motion_along(family, point):
         if isinstance(step, LoadedPoint):
             point = step
             continue

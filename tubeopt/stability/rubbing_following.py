@@ -63,13 +63,13 @@ def rubbing_legs(
         snaps: list[RubbingSnap] = []
         begin = own if k == 0 else joints[k - 1]
         if k or not np.allclose(own, joints[0], rtol=0, atol=1e-12):
-            for found in _walk(JointPath(robot, begin, joints[k]), held):
+            for found in _along(JointPath(robot, begin, joints[k]), held):
                 held = found.after if isinstance(found, RubbingSnap) else found
                 snaps += [found] if isinstance(found, RubbingSnap) else []
         yield held, snaps
 
 
-def _walk(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
+def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
     """States along a straight path of joint values, and snaps; the last is at its end."""
     t, longest, far = 0.0, path.largest_step(), -1.0
     for goal in path.events():

@@ -24,7 +24,7 @@ from ..solvers.parallel.blas import small
 from ..solvers.problem import Problem
 from ..solvers.problem_status import ProblemStatus
 from ..typing import Array
-from .following import Event, Snap, lose, snap_of, to_snap
+from .following import Event, Snap, leave_branch, snap_of, to_snap
 from .loaded_following import loaded_legs
 
 Configuration = tuple[ArrayLike, ArrayLike | None]
@@ -80,7 +80,7 @@ def find_snap(
             here = points[-1] if points else here
             if reached:
                 break
-            event = lose(path, largest_fraction(path, here, goal), goal)
+            event = leave_branch(path, largest_fraction(path, here, goal), goal)
             if isinstance(event, Event):
                 return to_snap(path, event, 0)
             here = event

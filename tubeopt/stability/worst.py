@@ -139,7 +139,9 @@ class WorstCertificate(Displayed):
 
     certificate: Certificate
     lower: Array
+    """(n,) least translations of the box, m."""
     upper: Array
+    """(n,) largest translations of the box, m."""
     evaluations: int
 
 

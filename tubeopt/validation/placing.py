@@ -58,6 +58,7 @@ class Placement(Displayed):
     """
 
     robot: Robot
+    """That is to be measured."""
     rotations: Array
     translations: Array
     measured: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]

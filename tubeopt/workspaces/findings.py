@@ -22,9 +22,12 @@ class Findings(Displayed):
 
     workspace: Workspace
     voxels: Voxels
+    """That the tips reach."""
     volume: Volume
     meridian: Volume | None
+    """Volume of a body of revolution."""
     alpha: Volume | None
+    """Volume of an alpha shape."""
     loss: SnappingLoss | None
 
 

@@ -37,6 +37,7 @@ class SnappingLoss(Displayed):
     """
 
     robot: Robot
+    """Whose workspace it is."""
     size: float
     equilibria: int
     unstable: int

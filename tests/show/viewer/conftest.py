@@ -13,7 +13,7 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.show.viewer import View
 from tubeopt.show.viewer.playback import Waypoints
 
-from .browser import CHROMIUM, FLAGS, Tab, served
+from .browser import CHROMIUM, FLAGS, LITTLE_DRAWING, Tab, served
 
 
 @pytest.fixture(scope="session")
@@ -33,7 +33,9 @@ def context() -> Iterator[Any]:
     api = pytest.importorskip("playwright.sync_api", reason="NOT TESTED: the viewer's page needs playwright")
     with api.sync_playwright() as player:
         browser = player.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield browser.new_context(viewport={"width": 900, "height": 620}, device_scale_factor=0.5)
+        context = browser.new_context(viewport={"width": 900, "height": 620}, device_scale_factor=0.5)
+        context.add_init_script(LITTLE_DRAWING)
+        yield context
         browser.close()
 
 

@@ -14,11 +14,12 @@ from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.planning.file import load_trajectory
 from tubeopt.show.plots.mesh import Centreline
+from tubeopt.show.surfaces import Surface, obstacle_surface
 from tubeopt.show.viewer import export, plots, words
 from tubeopt.show.viewer.cut import Plane, cut_parts, cut_words
 from tubeopt.show.viewer.playback import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
-from tubeopt.show.viewer.surfaces import Surface, between, margin_colour, obstacle_surface, plate_part, robot_parts
+from tubeopt.show.viewer.surfaces import between, margin_colour, plate_part, robot_parts
 from tubeopt.show.viewer.swept import swept_volume
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")

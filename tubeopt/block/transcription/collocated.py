@@ -65,6 +65,7 @@ class Piece:
     """
 
     grid: Grid
+    """Its points, and what is modelled there."""
     theta: Any
     twist: Any
     inner: Any

@@ -6,9 +6,9 @@ equilibrium, stable or not, is one point (tip rotations, translations), and ever
 several equilibria have the same joint values, these points tell them apart; a continuous path of points is a branch.
 
 The integrator takes `STEPS` steps of order 4 per section, of which there are 2 n with lengths that may be 0, and more
-of tubes that are chains of arcs and helices: breakpoints are sorted by comparisons, so that one function serves every
-translation. One step is a function of its
-own, called for all of them: it is written out once, however many tubes and steps there are. The margin enters as in
+of tubes made of pieces, which are taken as chains of arcs and helices (`robots.steps`): breakpoints are sorted by
+comparisons, so that one function serves every translation. One step is a function of its own, called for all of them:
+it is written out once, however many tubes and steps there are. The margin enters as in
 `inverse_program`, by the determinants of the Jacobi fields of softened tubes, for tubes off the centreline those of
 their own equations.
 """
@@ -27,7 +27,7 @@ from ...physics.matrix import determinant
 from ...physics.shape import exponential
 from ...physics.torsion import section_functions
 from ...robots.robot import Robot, is_general
-from ...robots.steps import steps_of
+from ...robots.steps import steps_of, varies
 from ...typing import Array
 
 STEPS = 4
@@ -35,8 +35,6 @@ STEPS = 4
 
 TURNED = 1.5
 """Natural turn (rad) of a helix for which STEPS are as good as for an arc."""
-
-WHOM = "what starts from the tips of the tubes"
 
 EXPANDED = 200_000
 """Operations up to which all steps are written out, which is a tenth faster than calls; beyond, that takes seconds."""
@@ -72,13 +70,11 @@ class Kind:
 
 
 def explicit_kind(robot: Robot, *, steps: int = STEPS) -> Kind:
-    """Which function a robot's arm is.
-
-    Raises:
-        InputError: a tube varies along one of its pieces.
-    """
+    """Which function a robot's arm is; that of tubes that vary along a piece, which is cut into steps, in half as many
+    per section."""
     if is_general(robot):
-        known = steps_of(robot.tubes, WHOM)
+        known = steps_of(robot.tubes)
+        steps = (steps + 1) // 2 if varies(robot.tubes) else steps
         lengths = np.diff(known.cuts, axis=1, prepend=0.0)
         most = float(np.abs(known.twist * lengths * (known.curvature > 0)).max())
         return Kind(robot.n_tubes, False, known.cuts.shape[1], steps * max(1, int(np.ceil(most / TURNED))))
@@ -94,7 +90,7 @@ def explicit_parameters(robot: Robot) -> Array:
     home = robot.assembly(robot.home_translations)
     tubes = robot.tubes
     if home.general:
-        known = steps_of(tubes, WHOM)
+        known = steps_of(tubes)
         begin = np.pad(known.cuts, ((0, 0), (1, 0)))[:, :-1]
         lead = known.phase + known.wound - known.twist * begin
         end = known.wound[:, -1] + known.twist[:, -1] * (known.cuts - begin)[:, -1]

@@ -7,6 +7,6 @@ static int look_ahead(tubeopt_memory *m, int exact) {
         if (step_to(m, &same)) return 1;
         accept(m, &same);
     }
-    return !slopes_of(CARRIAGES, 1, &m->work, m->answers + m->here, &m->slopes);
+    return !slopes_of(CARRIAGES, 1, &m->work, m->answers + m->here, &m->slopes, NULL);
 }
 

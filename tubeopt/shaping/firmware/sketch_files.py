@@ -192,11 +192,11 @@ def board_header(wiring: Wiring, frequency: float) -> str:
 """
 
 
-def schedules(plan: HeatingPlan, feedback: Feedback, charges: Sequence[float] = CHARGES) -> list[tuple[float, Array]]:
+def schedules(plan: HeatingPlan, feedback: Feedback) -> list[tuple[float, Array]]:
     """Voltage at rest and counts of effect for several states of charge, the fullest battery first."""
     law, lost = feedback.law, COUNTS * plan.rig.circuit.lost_share
     found = [(plan.rig.battery.voltage, law.planned)]
-    for charge in sorted({c for c in charges if c < plan.rig.battery.state_of_charge - 0.05}, reverse=True):
+    for charge in sorted({c for c in CHARGES if c < plan.rig.battery.state_of_charge - 0.05}, reverse=True):
         other = at_charge(plan, charge)
         found.append((other.rig.battery.voltage, np.maximum(prolonged(other, len(law.planned)) - lost, 0.0)))
     return found

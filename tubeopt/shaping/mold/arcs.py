@@ -96,8 +96,8 @@ class Stretch:
         nodes, weights = _GAUSS
         angle = self.headings((middle[:, None] + half[:, None] * nodes).ravel()).reshape(len(half), -1)
         steps = np.column_stack([(np.cos(angle) @ weights) * half, (np.sin(angle) @ weights) * half])
-        walked = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
-        return self.start + walked[np.searchsorted(knots, s)]
+        corners = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
+        return self.start + corners[np.searchsorted(knots, s)]
 
     def arcs(self) -> list[Piece]:
         """The stretch as tangent arcs."""

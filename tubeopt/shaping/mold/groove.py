@@ -121,8 +121,10 @@ class Centreline:
     """
 
     lead_in: Line
+    """Before the bend."""
     bend: tuple[Piece, ...]
     lead_out: Line
+    """Behind the bend."""
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -168,15 +170,15 @@ class Centreline:
         return np.asarray(np.min([piece.distance(points) for piece in self.pieces], axis=0))
 
 
-def bend_at(curvature: float, length: float, apex: Point = (0.0, 0.0)) -> Piece:
-    """A bend of this curvature (1/m, its size counts) and length (m), symmetric about the vertical through its top.
+def bend_at(curvature: float, length: float) -> Piece:
+    """A bend of this curvature (1/m, its size counts) and length (m), symmetric about the vertical; its top is at 0.
 
     It runs from left to right and turns right; one that is straight runs along x.
     """
     if abs(curvature) <= STRAIGHT:
-        return Line((apex[0] - length / 2, apex[1]), (apex[0] + length / 2, apex[1]))
+        return Line((-length / 2, 0.0), (length / 2, 0.0))
     radius, angle = 1 / abs(curvature), length * abs(curvature)
-    return Arc((apex[0], apex[1] - radius), radius, math.pi / 2 + angle / 2, -angle)
+    return Arc((0.0, -radius), radius, math.pi / 2 + angle / 2, -angle)
 
 
 def with_leads(bend: Sequence[Piece], lead_in: float, lead_out: float) -> Centreline:

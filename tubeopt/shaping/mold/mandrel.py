@@ -65,6 +65,7 @@ class Mandrel(Displayed):
     tube: Tube
     held: Tube
     spec: MoldSpec
+    """What was asked for."""
     body: Cylinder | Block
     winding: Winding
     width: float

@@ -16,12 +16,12 @@ import numpy as np
 import scipy
 
 from ...errors import InputError, SolveError
-from ...files.files import atomic_write, left_out_where_missing, write_text
+from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
 from .channel import channel
 from .mandrel import Cylinder, Mandrel
-from .stl import manifold, trimesh
+from .stl import manifold, trimesh, write_solid
 
 TOLERANCE = 1e-5
 """Greatest distance (m) of the groove in a file from the curve."""
@@ -46,7 +46,8 @@ def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path
     out = Path(directory)
     paths = []
     with left_out_where_missing():
-        paths.append(_write_stl(mandrel, out / "mandrel.stl"))
+        stl = out / "mandrel.stl"
+        paths.append(write_solid(_solid(mandrel), stl, lambda path: check_mandrel_stl(mandrel, path, name=str(stl))))
     if isinstance(mandrel.body, Cylinder):
         text = mandrel_gcode(mandrel)
         for path, content, rows in (
@@ -139,16 +140,6 @@ def _must_follow(mandrel: Mandrel, rows: Array, path: Path) -> None:
     off = float(own.query(bend)[0].max())
     if off > TOLERANCE:
         raise SolveError(f"{path}: the groove lies {off * 1e6:.3g} um from the curve")
-
-
-def _write_stl(mandrel: Mandrel, path: Path) -> Path:
-    library = trimesh()
-    mesh = _solid(mandrel).to_mesh()
-    faces = library.Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(faces.export(file_type="stl"))
-        check_mandrel_stl(mandrel, temporary, name=str(path))
-    return path
 
 
 def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str = "") -> float:

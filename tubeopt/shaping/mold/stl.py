@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -38,14 +39,18 @@ def write_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> P
         SolveError: the solid read back is not watertight, or its volume is off by more than 0.1 %.
     """
     choice("part", part, PARTS)
-    library = trimesh()
     solid = _base(mold) if part == "base" else _lid(mold)
+    return write_solid(solid, path, lambda written: check_stl(mold, written, part=part, name=str(path)))
+
+
+def write_solid(solid: Any, path: str | PathLike[str], check: Callable[[Path], object]) -> Path:
+    """Write a solid as STL, checked before it has its name."""
     mesh = solid.to_mesh()
     # Vertices as STL holds them; what then coincides is one vertex, so that the file closes as the solid does.
-    faces = library.Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
+    faces = trimesh().Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
     with atomic_write(path) as temporary:
         temporary.write_bytes(faces.export(file_type="stl"))
-        check_stl(mold, temporary, part=part, name=str(path))
+        check(temporary)
     return Path(path)
 
 

@@ -81,12 +81,12 @@ def bend_in_space(held: Tube) -> Winding:
                 hat = np.array([[0.0, -uz, uy], [uz, 0.0, -ux], [-uy, ux, 0.0]])
                 return np.concatenate([frame[:, 2], (frame @ hat).ravel()])
 
-            walked = scipy.integrate.solve_ivp(
+            found = scipy.integrate.solve_ivp(
                 rate, (low, high), rows[-1], method="DOP853", t_eval=places, rtol=1e-11, atol=1e-13
             ).y.T
             begin = s[-1]
             s += (begin + places[1:] - low).tolist()
-            rows += list(walked[1:])
+            rows += list(found[1:])
     table = np.array(rows)
     tangents = table[:, 3:].reshape(-1, 3, 3)[:, :, 2]
     tangents = tangents / np.linalg.norm(tangents, axis=1)[:, None]

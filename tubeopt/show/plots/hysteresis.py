@@ -68,13 +68,13 @@ def plot_hysteresis(
         ("stability margin", lambda e: e.margin),
     ]
     for panel, (name, quantity) in zip(panels, quantities, strict=True):
-        for walked, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
-            _draw_way(panel, walked, along, way, quantity)
+        for followed, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
+            _draw_way(panel, followed, along, way, quantity)
         panel.set_ylabel(name)
         panel.grid(color="#E6E8EB", lw=0.5)
         panel.set_axisbelow(True)
-    for walked, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
-        _name_snaps(panels[0], walked, along, way, quantities[0][1])
+    for followed, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
+        _name_snaps(panels[0], followed, along, way, quantities[0][1])
     figure.align_ylabels(panels)
     panels[0].set_title(title, loc="left")
     panels[0].legend(loc="best")
@@ -98,31 +98,31 @@ def snap_angle(snap: Snap, angles: Array) -> float:
     return float(angles[snap.index] + snap.fraction * (angles[snap.index + 1] - angles[snap.index]))
 
 
-def stretches(walked: Path, angles: Array) -> list[tuple[Array, list[Equilibrium]]]:
+def stretches(followed: Path, angles: Array) -> list[tuple[Array, list[Equilibrium]]]:
     """A path cut at its snaps: angles and equilibria of each stretch, up to and from the very snap."""
     out: list[tuple[Array, list[Equilibrium]]] = []
-    where, what, done = [float(angles[0])], [walked.equilibria[0]], 1
-    for snap in walked.snaps:
+    where, what, done = [float(angles[0])], [followed.equilibria[0]], 1
+    for snap in followed.snaps:
         until = snap.index + 1
         here = snap_angle(snap, angles)
         where += [*angles[done:until].tolist(), here]
-        what += [*walked.equilibria[done:until], snap.before]
+        what += [*followed.equilibria[done:until], snap.before]
         out.append((np.array(where), what))
         where, what, done = [here], [snap.after], max(done, until)
-    out.append((np.array([*where, *angles[done:].tolist()]), [*what, *walked.equilibria[done:]]))
+    out.append((np.array([*where, *angles[done:].tolist()]), [*what, *followed.equilibria[done:]]))
     return out
 
 
 def _draw_way(
     axes: Axes,
-    walked: Path,
+    followed: Path,
     angles: Array,
     way: tuple[str, str, float, str],
     quantity: Callable[[Equilibrium], float],
 ) -> None:
     """One way: its stretches, and an arrow for each snap between them."""
     name, colour, width, line = way
-    parts = [(where, np.array([quantity(e) for e in what])) for where, what in stretches(walked, angles)]
+    parts = [(where, np.array([quantity(e) for e in what])) for where, what in stretches(followed, angles)]
     for k, (where, values) in enumerate(parts):
         axes.plot(where, values, color=colour, lw=width, ls=line, label=name if k == 0 else "_", zorder=3)
     for (where, values), (_, following) in pairwise(parts):
@@ -135,14 +135,14 @@ def _draw_way(
 
 def _name_snaps(
     axes: Axes,
-    walked: Path,
+    followed: Path,
     angles: Array,
     way: tuple[str, str, float, str],
     quantity: Callable[[Equilibrium], float],
 ) -> None:
     """Angle, jump of the tip and energy of each snap, beside it: ahead of the way on which it happens."""
     side = 1 if angles[-1] > angles[0] else -1
-    for snap in walked.snaps:
+    for snap in followed.snaps:
         x = snap_angle(snap, angles)
         y = (quantity(snap.before) + quantity(snap.after)) / 2
         text = f"{x:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm\n{snap.energy_released * TO_MILLI:.2f} mJ released"

@@ -11,17 +11,16 @@ import numpy as np
 
 from ...bodies.corridors import Corridor, MeshObstacle
 from ...bodies.distance_field import DistanceField
-from ...bodies.obstacles import Box as BoxObstacle
-from ...bodies.obstacles import Capsule, HalfSpace, Sphere
+from ...bodies.obstacles import HalfSpace, Obstacle
 from ...bodies.placed import Turned
-from ...bodies.surface_net import surface_net
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
-from .mesh import Centreline, Mesh, quads, tube_mesh
+from ..surfaces import obstacle_surface, swept
+from .mesh import Centreline, Mesh, tube_mesh
 from .shape import exposed
 from .stage import Box, View, draw_box, facets, widest_view
 from .style import FAINT, INK, headed, new_figure, number, picture, styled, tube_colour
@@ -37,6 +36,9 @@ SHOWN = 9
 
 FRAMES = 48
 """Pictures of the film."""
+
+SIDES = 20
+"""Facets around what is round."""
 
 OBSTACLE = np.array([0.55, 0.55, 0.58, 0.35])
 VESSEL = np.array([0.80, 0.47, 0.65, 0.10])
@@ -188,70 +190,23 @@ def arm_mesh(arm: Equilibrium, strong: float) -> Mesh:
     return Mesh.join(parts)
 
 
-def body_mesh(obstacle: object) -> Mesh | None:
+def body_mesh(obstacle: Obstacle) -> Mesh | None:
     """An obstacle as facets; None for a half-space, which has no bounds."""
-    if isinstance(obstacle, Sphere):
-        return _swept(np.array([obstacle.centre, obstacle.centre]), np.full(2, obstacle.radius), OBSTACLE)
-    if isinstance(obstacle, Capsule):
-        return _swept(np.array([obstacle.start, obstacle.end]), np.full(2, obstacle.radius), OBSTACLE)
+    body = obstacle.body if isinstance(obstacle, Turned) else obstacle
+    if isinstance(body, HalfSpace):
+        return None
     if isinstance(obstacle, Corridor):
-        return _swept(np.array(obstacle.centreline), obstacle.radii, VESSEL, capped=False)
-    if isinstance(obstacle, BoxObstacle):
-        return _cuboid(np.array(obstacle.low), np.array(obstacle.high))
-    if isinstance(obstacle, MeshObstacle):
-        corners = np.array(obstacle.vertices)[np.array(obstacle.faces)][:, [0, 1, 2, 2]]
-        return _mesh(corners, OBSTACLE)
-    if isinstance(obstacle, Turned):
-        inner = body_mesh(obstacle.body)
-        return None if inner is None else inner.placed(obstacle.frame.inverse)
-    if isinstance(obstacle, DistanceField):
-        vertices, faces = surface_net(obstacle)
-        return _mesh(vertices[faces], OBSTACLE if obstacle.bounded else VESSEL)
-    if not isinstance(obstacle, HalfSpace):
-        raise TypeError(f"there is no picture of a {type(obstacle).__name__}")
-    return None
-
-
-def _swept(line: Array, radii: Array, colour: Array, *, capped: bool = True) -> Mesh:
-    """The surface at distances (k,) from the points (k, 3) of a polyline, with half balls at its ends if `capped`."""
-    step = np.diff(line, axis=0)
-    tangent = np.array([s / max(np.linalg.norm(s), 1e-12) for s in step] or [[0, 0, 1.0]])
-    if not step.any():
-        tangent = np.array([[0.0, 0.0, 1.0]])
-    aside = np.cross(tangent[0], np.eye(3)[int(np.argmin(np.abs(tangent[0])))])
-    rings = []
-    angle = np.linspace(0, 2 * np.pi, 21)
-    ends = [(line[0], tangent[0], -1.0), (line[-1], tangent[-1], 1.0)]
-    lifts = np.linspace(0, np.pi / 2, 7)
-    places = [(line[0], tangent[0], radii[0])]
-    for k in range(1, len(line) - 1):
-        mean = tangent[k - 1] + tangent[k]
-        places.append((line[k], mean / max(float(np.linalg.norm(mean)), 1e-12), radii[k]))
-    places.append((line[-1], tangent[-1], radii[-1]))
-    if capped:
-        first, along, _ = ends[0]
-        last, onwards, _ = ends[1]
-        front = [(first - radii[0] * np.sin(x) * along, along, radii[0] * np.cos(x)) for x in lifts[:0:-1]]
-        back = [(last + radii[-1] * np.sin(x) * onwards, onwards, radii[-1] * np.cos(x)) for x in lifts[1:]]
-        places = [*front, *places, *back]
-    for centre, normal, size in places:
-        x = aside - (aside @ normal) * normal
-        x = x / max(float(np.linalg.norm(x)), 1e-12)
-        aside, y = x, np.cross(normal, x)
-        rings.append(centre + size * (np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y))
-    return _mesh(quads(np.array(rings)), colour)
-
-
-def _cuboid(low: Array, high: Array) -> Mesh:
-    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * (high - low) + low
-    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    return _mesh(corner[np.array(sides)], OBSTACLE)
+        surface = swept(np.array(obstacle.centreline), obstacle.radii, sides=SIDES, capped=False)
+    else:
+        surface = obstacle_surface(obstacle, 0.0, sides=SIDES)
+    around = isinstance(body, Corridor) or (isinstance(body, DistanceField) and not body.bounded)
+    triangles = isinstance(body, MeshObstacle)
+    faces = surface.faces[:, [0, 1, 2, 2]] if triangles else surface.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]
+    return _mesh(surface.vertices[faces], VESSEL if around else OBSTACLE)
 
 
 def _mesh(corners: Array, colour: Array) -> Mesh:
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal = np.where(np.linalg.norm(normal, axis=1, keepdims=True) > 0, normal, flat)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     return Mesh(corners, normal / np.where(length > 0, length, 1.0), np.tile(colour, (len(corners), 1)))
 

@@ -10,8 +10,9 @@ import numpy as np
 from ...bodies.obstacles import Obstacle, nearest_distance
 from ...files.units import TO_MM
 from ...typing import Array
+from ..surfaces import Faces, Surface
 from .scene import obstacle_parts
-from .surfaces import Faces, Part, Surface
+from .surfaces import Part
 
 CELLS = 200
 """Cells of the filled section along the longer side of what is cut."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 
@@ -97,14 +96,14 @@ def paced(rotations: Array, translations: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(turn, slide), 1e-3))])
 
 
-def make_playback(robot: Robot, waypoints: Waypoints, progress: Callable[[int], object] | None = None) -> Playback:
+def make_playback(robot: Robot, waypoints: Waypoints) -> Playback:
     """Follow the waypoints, from their start.
 
     Raises:
         SolveError: the branch was lost on the way.
     """
     way = waypoints.rotations, waypoints.translations
-    return Playback(waypoints, follow(robot, *way, start=waypoints.start, progress=progress))
+    return Playback(waypoints, follow(robot, *way, start=waypoints.start))
 
 
 def play_to(session: Session, playback: Playback, time: float, *, since: float | None = None) -> Session:

@@ -87,6 +87,7 @@ class Bearing:
 
     deflection: float
     limit: LoadLimit | None
+    """Where the branch ends."""
 
 
 def bearing_of(equilibrium: Equilibrium) -> Bearing | None:

@@ -17,18 +17,9 @@ from ...equilibrium.result import Equilibrium
 from ...stability import Snap
 from ...typing import Array
 from ...workspaces import Workspace
+from ..surfaces import Surface, join, obstacle_surface
 from .session import Session
-from .surfaces import (
-    Part,
-    Surface,
-    arrow_surface,
-    between,
-    join,
-    margin_colour,
-    obstacle_surface,
-    plate_part,
-    robot_parts,
-)
+from .surfaces import Part, arrow_surface, between, margin_colour, plate_part, robot_parts
 
 SCALE = 10.0
 """Units of the scene per metre."""

@@ -165,10 +165,10 @@ def move(session: Session, rotations: ArrayLike, translations: ArrayLike) -> Ses
     alpha = vector("rotations", rotations, robot.n_tubes)
     shift = vector("translations", translations, robot.n_tubes)
     check(robot, alpha, shift, here=session.q)
-    return _walk(session, alpha, shift)
+    return _moved(session, alpha, shift)
 
 
-def _walk(session: Session, rotations: Array, translations: Array) -> Session:
+def _moved(session: Session, rotations: Array, translations: Array) -> Session:
     here = session.equilibrium
     if np.array_equal(rotations, here.rotations) and np.array_equal(translations, here.translations):
         return session
@@ -200,7 +200,7 @@ def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str
 def go_home(session: Session) -> Session:
     """Straight back to where `open_session` begins, with whatever happens on the way."""
     robot = session.robot
-    return _walk(session, np.zeros(robot.n_tubes), robot.home_translations)
+    return _moved(session, np.zeros(robot.n_tubes), robot.home_translations)
 
 
 def moved_along(session: Session, path: Path) -> Session:

@@ -1,4 +1,4 @@
-"""Surfaces as triangles with shared vertices, which is what graphics hardware wants: tubes, plate, bodies.
+"""Surfaces of the robot as triangles: tubes, plate, arrows.
 
 The number of vertices does not change with the shape, so that a motion sends coordinates and nothing else.
 """
@@ -6,24 +6,17 @@ The number of vertices does not change with the shape, so that a motion sends co
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...bodies.corridors import Corridor, MeshObstacle
-from ...bodies.distance_field import DistanceField
-from ...bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
-from ...bodies.surface_net import surface_net
 from ...equilibrium.result import Equilibrium
-from ...errors import InputError
 from ...typing import Array
 from ..plots.mesh import Centreline
 from ..plots.shape import exposed, plate_radius
 from ..plots.style import tube_colour
 from ..slots import shade, slotted
+from ..surfaces import Surface, axes_about, grid_faces, join
 
-Faces = NDArray[np.uint32]
 Colour = tuple[int, int, int]
 
 SIDES = 20
@@ -39,14 +32,6 @@ PLATE_COLOUR: Colour = (198, 203, 211)
 BORE_COLOUR: Colour = (30, 30, 30)
 SHEATH_COLOUR: Colour = (158, 173, 194)
 SHEATH_OPACITY = 0.22
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """Vertices (v, 3) m and triangles (f, 3) by their corners, counter-clockwise from outside."""
-
-    vertices: Array
-    faces: Faces
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,23 +123,6 @@ def ring_surface(
     return Surface(corners.reshape(-1, 3), grid_faces(2, sides))
 
 
-@lru_cache(maxsize=64)
-def grid_faces(rows: int, columns: int, closed: bool = True) -> Faces:
-    """Triangles between neighbours of a grid of vertices; `closed`, the last column is next to the first."""
-    k, j = np.meshgrid(np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij")
-    ahead = (j + 1) % columns
-    a, b, c, d = k * columns + j, k * columns + ahead, (k + 1) * columns + ahead, (k + 1) * columns + j
-    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
-    return faces.reshape(-1, 3).astype(np.uint32)
-
-
-def join(surfaces: list[Surface]) -> Surface:
-    """All of them as one."""
-    start = np.cumsum([0] + [len(each.vertices) for each in surfaces])
-    faces = [each.faces + np.uint32(first) for each, first in zip(surfaces, start, strict=False)]
-    return Surface(np.concatenate([each.vertices for each in surfaces]), np.concatenate(faces))
-
-
 def plate_part(equilibrium: Equilibrium) -> Part:
     """The base plate, its upper face at z = 0."""
     radius = plate_radius(equilibrium)
@@ -178,72 +146,13 @@ def _revolved(profile: Array, *, sides: int = 32) -> Surface:
     return Surface(vertices.reshape(-1, 3), faces)
 
 
-def obstacle_surface(obstacle: Obstacle, reach: float) -> Surface:
-    """A body as triangles; of one without end, what lies within `reach` (m) of the plate; of a vessel, its wall.
-
-    Raises:
-        InputError: a body of unknown kind.
-    """
-    if isinstance(obstacle, Sphere):
-        return _capsule(np.array(obstacle.centre), np.array(obstacle.centre), obstacle.radius, obstacle.radius)
-    if isinstance(obstacle, Capsule):
-        return _capsule(np.array(obstacle.start), np.array(obstacle.end), obstacle.radius, obstacle.radius)
-    if isinstance(obstacle, Box):
-        return _box(np.array(obstacle.low), np.array(obstacle.high))
-    if isinstance(obstacle, HalfSpace):
-        return _plane(np.array(obstacle.point), np.array(obstacle.normal), reach)
-    if isinstance(obstacle, Corridor):
-        line, radii = np.array(obstacle.centreline), obstacle.radii.tolist()
-        return join([_capsule(*each) for each in zip(line[:-1], line[1:], radii[:-1], radii[1:], strict=True)])
-    if isinstance(obstacle, MeshObstacle):
-        return Surface(np.array(obstacle.vertices), np.array(obstacle.faces, dtype=np.uint32))
-    if isinstance(obstacle, DistanceField):
-        vertices, faces = surface_net(obstacle)
-        return Surface(vertices, faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.uint32))
-    raise InputError(f"there is no picture of a {type(obstacle).__name__}")
-
-
-def _capsule(start: Array, end: Array, radius: float, end_radius: float) -> Surface:
-    length = float(np.linalg.norm(end - start))
-    angle = np.linspace(0, np.pi / 2, 9)
-    top = np.column_stack([end_radius * np.sin(angle), length + end_radius * np.cos(angle)])
-    bottom = np.column_stack([radius * np.cos(angle), -radius * np.sin(angle)])
-    body = _revolved(np.concatenate([top, bottom]))
-    axes = _axes((end - start) / length if length else np.array([0.0, 0.0, 1.0]))
-    return Surface(start + body.vertices @ axes, body.faces)
-
-
 def arrow_surface(start: Array, end: Array) -> Surface:
     """An arrow from one place to another."""
     length = float(np.linalg.norm(end - start))
     shaft, head, tall = 0.015 * length, 0.05 * length, 0.8 * length
     profile = [(0.0, length), (head, tall), (head, tall), (shaft, tall), (shaft, 0.0), (shaft, 0.0), (0.0, 0.0)]
     body = _revolved(np.array(profile))
-    return Surface(start + body.vertices @ _axes((end - start) / length), body.faces)
-
-
-def _axes(z: Array) -> Array:
-    """(3, 3) rows of a right-handed frame whose third axis is `z`."""
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-    x /= np.linalg.norm(x)
-    return np.array([x, np.cross(z, x), z])
-
-
-def _box(low: Array, high: Array) -> Surface:
-    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    # Corners are not shared between sides, so that edges stay sharp.
-    vertices = np.concatenate([corner[list(side)] for side in sides])
-    faces = np.array([[4 * k + a for a in triangle] for k in range(6) for triangle in ((0, 1, 2), (0, 2, 3))])
-    return Surface(low + vertices * (high - low), faces.astype(np.uint32))
-
-
-def _plane(point: Array, normal: Array, reach: float) -> Surface:
-    x, y, z = _axes(normal / np.linalg.norm(normal))
-    foot = z * float(point @ z)
-    corners = [foot + reach * (a * x + b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    faces = np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]], dtype=np.uint32)
-    return Surface(np.array(corners), faces)
+    return Surface(start + body.vertices @ axes_about((end - start) / length), body.faces)
 
 
 def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilibrium]:

@@ -12,8 +12,8 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...typing import Array
 from ..plots.mesh import Centreline
+from ..surfaces import Surface
 from .playback import Playback, snaps_between, state_at
-from .surfaces import Surface
 
 STEP = np.radians(20.0)
 """Largest turn of a tube between shapes whose common hull is taken."""

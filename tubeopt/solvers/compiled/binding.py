@@ -7,11 +7,13 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...block.transcription.collocated import STEPS
+from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise
 from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
@@ -42,12 +44,23 @@ class Start:
     translations: Array
 
 
+class Kernel(Protocol):
+    """A compiled function that needs memory: how much, and what it answers."""
+
+    @property
+    def answer(self) -> np.dtype[np.void]:
+        """Fields of its answer."""
+
+    @property
+    def workspace_size(self) -> int:
+        """Bytes that it works in."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, what it answers, whole and by field; where both are."""
+    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are."""
 
     workspace: Array
-    answer: Any
     fields: dict[str, Any]
     at: tuple[int, int]
 
@@ -55,13 +68,13 @@ class _Room:
 _rooms = threading.local()
 
 
-def _room(kernel: Library) -> _Room:
+def room_of(kernel: Kernel) -> _Room:
     rooms: dict[Any, _Room] = _rooms.__dict__
     if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
         workspace = np.zeros(kernel.workspace_size // 8 + 1)
-        rooms[kernel] = _Room(workspace, answer, fields, (_at(workspace), _at(answer)))
+        rooms[kernel] = _Room(workspace, fields, (_at(workspace), _at(answer)))
     return rooms[kernel]
 
 
@@ -192,7 +205,7 @@ def solve_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room = _room(kernel)
+    room = room_of(kernel)
     _memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
     return room.fields if status == SOLVED else None
@@ -201,13 +214,15 @@ def solve_compiled(
 @dataclass(frozen=True, eq=False)
 class Slopes:
     """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
-    2n), tip rotations (n, 2n) and margin (2n,); and the compliance (6, 6) of the tip at no load."""
+    2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load; and derivatives of the
+    shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm with another mesh."""
 
     position: Array
     turn: Array
     tip_rotations: Array
     margin: Array
     compliance: Array
+    along: Array | None
 
 
 def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: Start, side: int = 1) -> Slopes | None:
@@ -222,12 +237,15 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
     if solve_compiled(robot, rotations, translations, start) is None:
         return None
     n = robot.n_tubes
-    out = np.zeros(14 * n + 2 * n * n + 36)
-    if not kernel.differentiate(_at(_carriages(robot)), side, *_room(kernel).at, _at(out)):
+    room = room_of(kernel)
+    places = room.fields["arc_length"][: int(room.fields["pieces"]) * STEPS + 1]
+    out, along = np.zeros(14 * n + 2 * n * n + 36), np.zeros((len(places), 3, 2 * n))
+    if not kernel.differentiate(_at(_carriages(robot)), side, *room.at, _at(out), _at(along)):
         return None
-    parts = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
-    shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
-    return Slopes(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+    same = len(places) == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF)
+    tip, turn, ends, margin, compliance = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
+    parts = tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, compliance.reshape(6, 6)
+    return Slopes(*parts, along if same else None)
 
 
 @lru_cache(maxsize=64)
@@ -253,7 +271,7 @@ def solve_many_compiled(
     if prepared is None:
         return None
     kernel, _, tubes = prepared
-    room, count = _room(kernel), len(rotations)
+    room, count = room_of(kernel), len(rotations)
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (_at(a) for a in (alpha, shift, table, declined))

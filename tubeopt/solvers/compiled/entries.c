@@ -12,8 +12,8 @@ int solve(const Tubes *tubes, const Method *method, const double *alpha, const d
 size_t slopes_size(void) { return sizeof(Slopes); }
 
 /* `slopes_of` what `solve` has just left. */
-int differentiate(const long long *carriage, int side, Workspace *w, const Answer *out, Slopes *slopes) {
-    return slopes_of(carriage, side, w, out, slopes);
+int differentiate(const long long *carriage, int side, Workspace *w, const Answer *out, Slopes *slopes, Along *along) {
+    return slopes_of(carriage, side, w, out, slopes, along);
 }
 #endif
 

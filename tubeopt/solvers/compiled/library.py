@@ -271,10 +271,15 @@ def _general_constants() -> str:
 
 
 def _slope_constants() -> str:
-    """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes."""
+    """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes; at
+    the shape points, the basis integrated once."""
     fine = tableau("gauss", DEGREE)
     return c_tables(
-        {"TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2), "POSE_INSIDE": hermite(fine.family, fine.degree)}
+        {
+            "TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2),
+            "POSE_INSIDE": hermite(fine.family, fine.degree),
+            "ONCE_UP_TO": fine.lagrange(ENDS, integrals=1),
+        }
     )
 
 
@@ -382,6 +387,6 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     differentiate = None
     if not (eccentric or general):
         differentiate = loaded.differentiate
-        differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 3]
+        differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 4]
     parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size()
     return Library(n, path, *parts, differentiate)

@@ -7,7 +7,6 @@ linear algebra, sweeps along the arm and the loops of Newton's method and of the
 from __future__ import annotations
 
 import ctypes
-import threading
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -26,6 +25,7 @@ from ...physics.torsion import section_functions
 from ...typing import Array, Mask
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
+from .binding import room_of
 from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, kernel_path, load_library
 from .text import c_text
 
@@ -233,27 +233,6 @@ def _at(array: NDArray[Any]) -> int:
     return int(array.ctypes.data)
 
 
-@dataclass(frozen=True, eq=False)
-class _Room:
-    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are."""
-
-    workspace: Array
-    fields: dict[str, Any]
-    at: tuple[int, int]
-
-
-_rooms = threading.local()
-
-
-def _room(kernel: _Kernel) -> _Room:
-    rooms: dict[Any, _Room] = _rooms.__dict__
-    if kernel not in rooms:
-        answer, workspace = np.zeros((), kernel.answer), np.zeros(kernel.workspace_size // 8 + 1)
-        fields = {name: answer[name] for name in kernel.answer.names or ()}
-        rooms[kernel] = _Room(workspace, fields, (_at(workspace), _at(answer)))
-    return rooms[kernel]
-
-
 def _usable(rules: LoadedRules) -> _Kernel | None:
     """The kernel for a problem; None where there is none."""
     problem = rules.problem
@@ -276,7 +255,7 @@ def solve_loaded_compiled(
     problem, kernel = rules.problem, _usable(rules)
     if kernel is None:
         return None
-    room, n = _room(kernel), problem.torsion.assembly.n_tubes
+    room, n = room_of(kernel), problem.torsion.assembly.n_tubes
     theta, curvature = start
     memory = np.concatenate([*joints, theta.ravel(), *([] if curvature is None else [curvature.ravel()])])
     at = _at(memory)
@@ -310,7 +289,7 @@ def solve_many_loaded_compiled(
     kernel, count = _usable(rules), len(rotations)
     if kernel is None:
         return None
-    room = _room(kernel)
+    room = room_of(kernel)
     given = [np.ascontiguousarray(a, dtype=float) for a in (rotations, *starts)]
     summary, compliance = np.zeros((count, 18 + rotations.shape[1])), np.zeros((count, 6, 6))
     declined = np.zeros(count, dtype=np.uint8)

@@ -21,7 +21,11 @@ typedef struct {
     double lean[MOST_POINTS][N], form; /* gradient of y'V''y by theta, weighted, at the collocated points; its integral */
     Profile mode, change;              /* y times 1 - margin */
     double moments[MOST_PIECES][MOST_DEGREE * N], kicks[MOST_PIECES + 1][N];
+    double shift[MOST_SHAPE][3]; /* of the shape points by a joint */
 } Around;
+
+/* (m, 3, 2 N) of the shape points by joints, as the tip's. */
+typedef double Along[3][2 * N];
 
 /* A breakpoint that a carriage moves: the piece that begins there; tubes that are there, and those that bend, on the
    stretch that it uncovers and on what was there. */
@@ -192,28 +196,45 @@ static void lean_of_margin(const Unknowns *q, const State *state, const double *
     }
 }
 
-/* Turn and shift of the tip (6: position, turn) by a->change, and by bends of `sway` (or NULL) beside it at the points. */
-static void tip_change(const Unknowns *q, const Answer *out, const Around *a, const double (*sway)[2], double *tip) {
+/* Shift and turn of the tip (6: position, turn) by a->change, and by bends of `sway` (or NULL) beside it at the points;
+   into `shift` (or NULL) that of the shape points, at fixed arc lengths. Up to s the arm turns by int R du, and a point
+   there moves by that turn x p(s) less int R du x p. */
+static void tip_change(const Unknowns *q, const Answer *out, const Around *a, const double (*sway)[2], double *tip,
+                       double (*shift)[3]) {
     const Layout *l = q->layout;
     int k = q->tableau->degree;
-    const double *end = out->position[l->pieces * STEPS];
-    memset(tip, 0, 6 * sizeof(double));
-    for (int p = 0; p < l->pieces; p++)
+    double turned[6] = {0}; /* int R du x p, int R du */
+    for (int r = 0; r < 3 && shift; r++) shift[0][r] = 0;
+    for (int p = 0; p < l->pieces; p++) {
+        double rate[MOST_DEGREE][6] = {{0}}, begun[6];
+        memcpy(begun, turned, sizeof begun);
         for (int b = 0; b < k; b++) {
             int x = p * k + b;
-            double u[2] = {sway ? sway[x][0] : 0, sway ? sway[x][1] : 0}, turn[3], lever[3];
-            double weight = l->length[p] * q->tableau->weights[b];
+            double u[2] = {sway ? sway[x][0] : 0, sway ? sway[x][1] : 0};
             for (int i = 0; i < N; i++) {
                 double by = inside(q, &a->change, p, b, i);
                 for (int j = 0; j < 2; j++) u[j] += a->bend_slope[x][2 * i + j] * by;
             }
-            for (int r = 0; r < 3; r++) {
-                turn[r] = weight * (a->frame[x][3 * r] * u[0] + a->frame[x][3 * r + 1] * u[1]);
-                lever[r] = end[r] - a->position[x][r];
-                tip[3 + r] += turn[r];
-            }
-            add_cross(turn, lever, tip);
+            for (int r = 0; r < 3; r++)
+                rate[b][3 + r] = l->length[p] * (a->frame[x][3 * r] * u[0] + a->frame[x][3 * r + 1] * u[1]);
+            add_cross(rate[b] + 3, a->position[x], rate[b]);
+            for (int r = 0; r < 6; r++) turned[r] += q->tableau->weights[b] * rate[b][r];
         }
+        for (int e = 1; e <= STEPS && shift; e++) {
+            int at = p * STEPS + e;
+            double up_to[6];
+            memcpy(up_to, begun, sizeof begun);
+            for (int b = 0; b < k; b++)
+                for (int r = 0; r < 6; r++) up_to[r] += ONCE_UP_TO[e * k + b] * rate[b][r];
+            for (int r = 0; r < 3; r++) shift[at][r] = -up_to[r];
+            add_cross(up_to + 3, out->position[at], shift[at]);
+        }
+    }
+    for (int r = 0; r < 3; r++) {
+        tip[r] = -turned[r];
+        tip[3 + r] = turned[3 + r];
+    }
+    add_cross(turned + 3, out->position[l->pieces * STEPS], tip);
 }
 
 /* Whether a carriage that moves towards `side` takes the end of the arm along. */
@@ -238,8 +259,10 @@ static int ending(const Layout *l, int tube) {
 
 /* The change a->change and `tip` (6) as column c of all slopes; `formed`: what y'V''y gains beside theta. */
 static void put_column(const Unknowns *q, const Answer *out, const Around *a, const double *tip, double formed, int c,
-                       double share, Slopes *slopes) {
-    int k = q->tableau->degree;
+                       double share, Slopes *slopes, Along *along) {
+    int k = q->tableau->degree, last = q->layout->pieces * STEPS;
+    for (int at = 0; at <= last && along; at++)
+        for (int r = 0; r < 3; r++) along[at][r][c] = share * (at < last ? a->shift[at][r] : tip[r]);
     for (int r = 0; r < 3; r++) {
         slopes->position[r][c] = share * tip[r];
         slopes->turn[r][c] = share * tip[3 + r];
@@ -252,26 +275,28 @@ static void put_column(const Unknowns *q, const Answer *out, const Around *a, co
     slopes->margin[c] = -share * (1 - out->margin) / a->form * formed;
 }
 
+/* What a turn of the arm beyond shape point `from` shifts the point `at` by, added to `shift`. */
+static void swing(const Answer *out, const double *turn, int from, int at, double *shift) {
+    double lever[3];
+    for (int r = 0; r < 3; r++) lever[r] = out->position[at][r] - out->position[from][r];
+    add_cross(turn, lever, shift);
+}
+
 static void by_carriage(const Unknowns *q, const State *state, const Profile *arm, const Answer *out, const double *h,
-                        const long long *carriage, long long own, int side, Around *a, Slopes *slopes) {
+                        const long long *carriage, long long own, int side, Around *a, Slopes *slopes, Along *along) {
     const Layout *l = q->layout;
     const Tubes *t = q->tubes;
     Jump jumps[2 * N];
-    double base[N], tip[6], bent[6] = {0}, formed = 0, released = 1 - out->margin;
+    double base[N], tip[6], turn[2 * N][3], formed = 0, released = 1 - out->margin;
     int count = jumps_of(q, carriage, own, side, jumps), last = l->pieces * STEPS, size = 0;
     memset(a->moments, 0, sizeof a->moments);
     memset(a->kicks, 0, sizeof a->kicks);
     for (int k = 0; k < count; k++) {
-        double kick[N], u[2], turn[3], lever[3];
+        double kick[N], u[2];
         int p = jumps[k].piece, at = p * STEPS;
         formed += gains_of(t, jumps + k, side, out->rotation[at], a->mode.rotation[p], kick, u);
         for (int i = 0; i < N; i++) a->kicks[p][i] += kick[i];
-        for (int r = 0; r < 3; r++) {
-            turn[r] = out->frame[at][3 * r] * u[0] + out->frame[at][3 * r + 1] * u[1];
-            lever[r] = out->position[last][r] - out->position[at][r];
-            bent[3 + r] += turn[r];
-        }
-        add_cross(turn, lever, bent);
+        for (int r = 0; r < 3; r++) turn[k][r] = out->frame[at][3 * r] * u[0] + out->frame[at][3 * r + 1] * u[1];
     }
     for (int i = 0; i < N; i++) {
         int mine = carriage[i] == own;
@@ -280,11 +305,16 @@ static void by_carriage(const Unknowns *q, const State *state, const Profile *ar
         if (mine) formed += t->kt[i] * a->mode.twist[0][i] * a->mode.twist[0][i] * released;
     }
     respond(q, state, h, base, a);
-    tip_change(q, out, a, NULL, tip);
-    for (int r = 0; r < 6; r++) tip[r] += bent[r];
+    tip_change(q, out, a, NULL, tip, along ? a->shift : NULL);
+    for (int k = 0; k < count; k++) {
+        int from = jumps[k].piece * STEPS;
+        for (int r = 0; r < 3; r++) tip[3 + r] += turn[k][r];
+        swing(out, turn[k], from, last, tip);
+        for (int at = from; at < last && along; at++) swing(out, turn[k], from, at, a->shift[at]);
+    }
     for (int r = 0; r < 3 && pushes(q, out, carriage, own, side); r++) tip[r] += out->frame[last][3 * r + 2];
     for (int i = 0; i < N; i++)
-        if (carriage[i] == own) put_column(q, out, a, tip, formed, N + i, 1.0 / size, slopes);
+        if (carriage[i] == own) put_column(q, out, a, tip, formed, N + i, 1.0 / size, slopes, along);
 }
 
 /* Column v of the compliance: a unit force (v < 3) or moment at the tip. */
@@ -315,7 +345,7 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
     }
     if (v >= 3) a->kicks[l->pieces][held] = -out->frame[last][3 * (v - 3) + 2] / q->tubes->kt[held];
     respond(q, state, h, none, a);
-    tip_change(q, out, a, (const double(*)[2])sway, tip);
+    tip_change(q, out, a, (const double(*)[2])sway, tip, NULL);
     for (int r = 0; r < 6; r++) {
         double twisted = r < 3 ? 0 : out->frame[last][3 * (r - 3) + 2] * a->change.rotation[l->pieces][held];
         slopes->compliance[r][v] = tip[r] + twisted;
@@ -324,9 +354,9 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
 
 /* All slopes at a solved state, its arm and the mode of its margin; translations move towards `side`, 1 or -1, where
    breakpoints coincide. Tubes of one `carriage` (n) move together and share its slope. 0 where the second variation, for
-   which `h` is room, is singular. */
+   which `h` is room, is singular. Into `along`, where not NULL, those of the shape points. */
 static int all_slopes(const Unknowns *q, const State *state, const Profile *arm, double *mode, const Answer *out,
-                      const long long *carriage, int side, double *h, Around *a, Slopes *slopes) {
+                      const long long *carriage, int side, double *h, Around *a, Slopes *slopes, Along *along) {
     double sway[MOST_POINTS][2];
     second_variation(q, state, h);
     if (!cholesky(h, q->size, STRIDE)) return 0;
@@ -348,10 +378,10 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
         memset(a->moments, 0, sizeof a->moments);
         memset(a->kicks, 0, sizeof a->kicks);
         respond(q, state, h, base, a);
-        tip_change(q, out, a, NULL, tip);
-        put_column(q, out, a, tip, 0, i, 1, slopes);
+        tip_change(q, out, a, NULL, tip, along ? a->shift : NULL);
+        put_column(q, out, a, tip, 0, i, 1, slopes, along);
         for (int j = 0; j < i; j++) first &= carriage[j] != carriage[i];
-        if (first) by_carriage(q, state, arm, out, h, carriage, carriage[i], side, a, slopes);
+        if (first) by_carriage(q, state, arm, out, h, carriage, carriage[i], side, a, slopes, along);
     }
     for (int v = 0; v < 6; v++) by_wrench(q, state, out, h, v, a, sway, slopes);
     return 1;

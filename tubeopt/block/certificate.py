@@ -1,0 +1,204 @@
+"""Certificates as constraints of a block: what its tubes keep at every rotation, and under every force on the tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..errors import InputError, positive
+from ..physics.certificate import base_determinant
+from ..physics.loaded_certificate import (
+    APART,
+    OPPOSED,
+    TURNED,
+    crossing_function,
+    largest_eigenvalue,
+    plate_conditions,
+)
+from ..physics.strain import SMOOTH
+from ..robots.load import Load
+from ..typing import Array
+from .composed import ComposedBlock
+from .stability import checked
+from .transcription.model import Model
+from .transcription.panel import CHANNELS
+
+ONCE = (18, 1)
+"""Terms of the series, and parts, for a piece of a block: to round-off where tubes can bend it by up to 1.5 rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """What a block demands of a certificate: at least `floor` under forces of at most `force`, N.
+
+    pairs: those of the bound that is held, the larger one where the block begins.   eigenvalue, states: its unknowns.
+    """
+
+    floor: Any
+    force: float
+    pairs: tuple[float, float]
+    eigenvalue: Any
+    states: Any
+
+    def start(self, block: ComposedBlock[Any]) -> None:
+        """Start its unknowns where the block begins."""
+        eigenvalue, states = eigenpair(block.begin, self.force, self.pairs)
+        block.program.set_guess(self.eigenvalue, eigenvalue)
+        block.program.set_guess(self.states, states.ravel(order="F"))
+
+    def value(self, model: Model) -> float:
+        """The bound of an arm in numbers."""
+        return certificate_of(model, self.force, self.pairs)
+
+
+def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0.0) -> None:
+    """Demand a certificate of at least `margin` at every rotation, under every tip force of at most `max_force`."""
+    floor, force = checked("margin", margin), positive("max_force", max_force, zero=True)
+    if block.model.place:
+        raise InputError("the robot is eccentric; this certificate holds for concentric tubes")
+    if block.load is not None and not _covered(block.load, force):
+        raise InputError(
+            "load is no force on the tip in axes of the plate of at most max_force; the certificate would not be of "
+            "the arm that the block has"
+        )
+    if not force:
+        block.demand("certificate", _without_force(block, 1 - floor))
+        return
+    if block.model.along is not None:
+        raise InputError(f"max_force is {force:g} N; for tubes made of pieces it must be 0: there is no proof")
+    _add_under_force(block, floor, force)
+
+
+def _covered(load: Load, force: float) -> bool:
+    """Whether a load is one of those that a certificate is about."""
+    alone = load == Load(load.force)
+    return alone and float(np.linalg.norm(load.force)) <= force * (1 + 1e-12)
+
+
+def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
+    """D(lambda) of the second variation that is the worst at all rotations: see `physics.certificate`, with the pieces
+    of the block in place of sections."""
+    model = block.model
+    n, pieces = block.robot.n_tubes, model.n_pieces
+    own = model.torsional_stiffness[:, 0], model.transmission, model.stiffness, model.moment
+    if model.along is not None:
+        own = _in_steps(block)
+    given = {
+        "torsional_stiffness": ca.SX.sym("kt", n, own[0].shape[1]),
+        "transmission": ca.SX.sym("l", n),
+        "length": ca.SX.sym("h", pieces),
+        "stiffness": ca.SX.sym("kb", n, pieces),
+        "moment": ca.SX.sym("m", n, pieces),
+    }
+    symbol = ca.SX.sym("lambda")
+    determinant = base_determinant(symbol, given)
+    function = ca.Function("certificate", [symbol, *given.values()], [determinant], {"cse": True})
+    return function(eigenvalue, *own[:2], model.lengths, *own[2:])
+
+
+def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> None:
+    """The largest eigenvalue of `physics.loaded_certificate`, with its eigenfunction where pieces begin, as unknowns.
+
+    Smooth since it is simple; the largest since its eigenfunction alone has one sign (Krein and Rutman), which is
+    demanded. Of the two bounds of `stability.loaded_certificate` that is held which is larger where the block begins.
+    """
+    model, program = block.model, block.program
+    n, pieces = block.robot.n_tubes, model.n_pieces
+    pairs = better_pairs(block.begin, force)
+    value, begin = eigenpair(block.begin, force, pairs)
+    tag = f"{block.label}certificate under force{f' {len(block.bounds) + 1}' if block.bounds else ''}"
+    typical = np.maximum(np.abs(begin).max(1, keepdims=True), 1e-6 * np.abs(begin).max())
+    scale = np.broadcast_to(typical, begin.shape).ravel(order="F")
+    eigenvalue = program.variable(f"{tag}: eigenvalue", 1, scale=value, guess=value)
+    flat = program.variable(f"{tag}: states", begin.size, scale=scale, guess=begin.ravel(order="F"))
+    states = ca.reshape(flat, *begin.shape)
+    block.bounds.append(Bound(floor, force, pairs, eigenvalue, flat))
+    # What the force may do from the end of each piece to the tip.
+    lever = ca.DM(np.triu(np.ones((pieces, pieces)), 1)) @ model.lengths
+    given = [ca.repmat(ca.DM(each), 1, pieces) for each in (np.array(pairs), force)]
+    across = crossing_function(n, 1, *ONCE).map(pieces)(
+        states[:, 1:],
+        ca.repmat(1 / eigenvalue, 1, pieces),
+        *given,
+        model.lengths.T,
+        lever.T,
+        ca.sum1(model.stiffness),
+        ca.fabs(model.moment),
+        model.torsional_stiffness,
+    )
+    held = plate_conditions(states[:, 0], model.torsional_stiffness[:, 0], model.transmission)
+    largest = int(np.argmax(np.abs(begin[: n + 1, -1])))
+    tip = ca.vertcat(states[n + 1 :, -1] / typical[n + 1 :, 0], states[largest, -1] - 1)
+    size = np.concatenate([np.tile(typical[:, 0], pieces), typical[: n + 1, 0], np.ones(n + 2)])
+    rows = ca.vertcat(ca.vec(states[:, :-1] - across), held, tip)
+    name = tag.removeprefix(block.label)
+    block.demand(f"{name}: equations", rows, upper=0.0, scale=size, entries=[f"{name}: equations"] * len(size))
+    curved = [*np.flatnonzero(np.abs(np.asarray(block.begin.moment)).max(1) > 0).tolist(), n]
+    sign = ca.vec(states[curved, 1:] / ca.repmat(typical[curved, 0], 1, pieces))
+    block.demand(f"{name}: one sign", sign, entries=[f"{name}: one sign"] * sign.numel())
+    if pairs == APART:
+        block.demand(name, _without_force(block, 1 - floor - eigenvalue))
+    else:
+        block.demand(name, 1 - eigenvalue - floor)
+
+
+def _numbers(model: Model) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Sections and tubes of an arm in numbers, for `largest_eigenvalue`."""
+    stiffness, moment = np.asarray(model.stiffness), np.abs(np.asarray(model.moment))
+    length = np.maximum(np.asarray(model.lengths).ravel(), 0.0)
+    tubes = np.asarray(model.torsional_stiffness)[:, 0], np.asarray(model.transmission).ravel()
+    return (length, stiffness.sum(0), moment.T), tubes
+
+
+def better_pairs(model: Model, force: float) -> tuple[float, float]:
+    """Which of the two bounds is the larger one for an arm in numbers; of two tubes the opposed one always is."""
+    sections, tubes = _numbers(model)
+    if len(tubes[0]) < 3:
+        return OPPOSED
+    together = largest_eigenvalue(force, sections, tubes, OPPOSED)[0]
+    apart = largest_eigenvalue(force, sections, tubes, APART)[0] + largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
+    return OPPOSED if together <= apart else APART
+
+
+def certificate_of(model: Model, force: float, pairs: tuple[float, float]) -> float:
+    """The bound of an arm in numbers."""
+    sections, tubes = _numbers(model)
+    value = 1 - largest_eigenvalue(force, sections, tubes, pairs)[0]
+    return value if pairs == OPPOSED else value - largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
+
+
+def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[float, Array]:
+    """The eigenvalue of an arm in numbers, and (2 n + 2, P + 1) its states where pieces begin and at the tip."""
+    sections, tubes = _numbers(model)
+    value, tip = largest_eigenvalue(force, sections, tubes, pairs)
+    crossing, n = crossing_function(len(tubes[0]), 1, *ONCE), len(tubes[0])
+    states, lever = [np.concatenate([tip, np.zeros(n + 1)])], 0.0
+    for h, stiffness, pull in zip(*(each[::-1] for each in sections), strict=True):
+        states.append(
+            np.array(crossing(states[-1], 1 / value, pairs, force, h, lever, stiffness, pull, tubes[0])).ravel()
+        )
+        lever += h
+    return value, np.array(states[::-1]).T
+
+
+def _in_steps(block: ComposedBlock[Any]) -> tuple[Any, Any, Any, Any]:
+    """kt (n, P), transmissions (n,) with kt at the plate, kb and |m| (n, P) of tubes made of pieces.
+
+    Raises:
+        InputError: stiffness or curvature varies along a piece.
+    """
+    model, chain = block.model, block.chain
+    assert chain is not None
+    if any(table[:, 1:].any() for table in (chain.kb, chain.kt, chain.x, chain.y)):
+        raise InputError(
+            "a tube has a piece whose curvature or stiffness varies; in a program the certificate takes arcs and "
+            "helices of constant stiffness"
+        )
+    detail = model.grid.detail
+    first = [i * (CHANNELS * detail + 2) for i in range(block.robot.n_tubes)]
+    kb, kt, x, y = (model.along[[row + c * detail for row in first], :] for c in range(4))
+    held = model.transmission * kt[:, 0] / model.torsional_stiffness[:, 0]
+    return kt, held, kb, kb * ca.sqrt(x**2 + y**2 + SMOOTH**2)

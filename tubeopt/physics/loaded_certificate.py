@@ -1,0 +1,133 @@
+"""The certificate under bounded force as CasADi expressions: the worst second variation that any rotations and any
+force on the tip of at most F can give.
+
+With A_i = |a_i| / K and M = F (L - s), which bounds the bending moment, what the second variation has beside
+T = int sum kt Y'^2 + K |r|^2 + springs is no less than -N,
+
+    N = int sum_pairs |c_ij| (Y_i + Y_j)^2 + sum_i M A_i Y_i^2 + 3/2 F phi^2,    phi' = sum A_i Y_i + r,  phi(0) = 0.
+
+Where lambda T - N is stationary, with P = kt Y' and p = K r and with mu = 1 / lambda,
+
+    Y' = P / kt,   phi' = A . Y + p / K,   P' = -mu (S + M diag A) Y - A p,   p' = -3/2 mu F phi,
+
+S the matrix of the sum over pairs, and P = 0, p = 0 at the tip, phi = 0 and Y = |beta| Y' at the plate. They are
+carried from the tip to the plate by power series in the distance, exact for the moment's linear growth.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..typing import Array
+from .certificate import pair_couplings
+
+WHOLE = (24, 4)
+"""Terms of the series, and parts of a section that it crosses: to round-off where tubes can bend it by up to 16 rad."""
+
+OPPOSED, TURNED, APART = (1.0, 1.0), (1.0, -1.0), (0.0, 0.0)
+"""Pairs of tubes in N: (Y_i + Y_j)^2; (y_i - y_j)^2, which without force gives the certificate of tubes that bear
+none; and none, for the part of N by the force alone. Factors of Y_i^2 + Y_j^2 and of 2 Y_i Y_j."""
+
+ITERATIONS = 200
+"""Of Newton's method, which takes some ten: twice the digits each time, but one bit where an eigenvalue is double."""
+
+
+@lru_cache(maxsize=32)
+def crossing_function(n: int, columns: int, terms: int, parts: int) -> ca.Function:
+    """(end, mu, pairs, F, h, lever, K, pull, kt) -> states (2 n + 2, `columns`) where a section begins.
+
+    `end`: states (Y (n), phi, P (n), p) where it ends, at the distance `lever` from the tip; K and `pull` |a_i| (n,)
+    are constant on its length h; `pairs` as OPPOSED. In so many `parts`, by series of so many `terms`.
+    """
+    end, stiffness = ca.SX.sym("end", 2 * n + 2, columns), ca.SX.sym("K")
+    mu, force, h, lever = (ca.SX.sym(name) for name in ("mu", "F", "h", "lever"))
+    pairs, pull, kt = ca.SX.sym("pairs", 2), ca.SX.sym("pull", n), ca.SX.sym("kt", n)
+    coupled = pair_couplings(stiffness, pull)
+    opposing = pairs[0] * ca.diag(ca.sum2(coupled)) + pairs[1] * coupled
+    state, part = end, h / parts
+    for k in range(parts):
+        where = mu, force, lever + k * part, part
+        state = _series(state, where, (opposing, pull / stiffness, stiffness, kt), terms)
+    inputs = [end, mu, pairs, force, h, lever, stiffness, pull, kt]
+    return ca.Function("crossing", inputs, [state], {"cse": True})
+
+
+def _series(state: Any, where: tuple[Any, ...], section: tuple[Any, ...], terms: int) -> Any:
+    """States one part nearer to the plate: the sum of the terms x_k h^k."""
+    (mu, force, lever, h), (opposing, slope, stiffness, kt) = where, section
+    n = slope.shape[0]
+    last, total, term = ca.SX.zeros(n, state.shape[1]), state, state
+    for k in range(terms):
+        y, phi, torque, moment = term[:n, :], term[n, :], term[n + 1 : 2 * n + 1, :], term[2 * n + 1, :]
+        bent = ca.repmat(slope, 1, y.shape[1])
+        pulled = opposing @ y + force * bent * (lever * y + h * last)
+        change = ca.vertcat(
+            -torque / ca.repmat(kt, 1, y.shape[1]),
+            -slope.T @ y - moment / stiffness,
+            mu * pulled + slope @ moment,
+            1.5 * force * mu * phi,
+        )
+        last, term = y, h / (k + 1) * change
+        total = total + term
+    return total
+
+
+@lru_cache(maxsize=64)
+def _plate_function(n: int, sections: int) -> ca.Function:
+    """(mu, pairs, F, h (m,), K (m,), pull (n, m), kt (n,), |beta| (n,)) -> (n + 1, n + 1) what the conditions at the
+    plate miss by for each way in which the tip may be turned, and its derivative by mu."""
+    mu, pairs, force = ca.MX.sym("mu"), ca.MX.sym("pairs", 2), ca.MX.sym("F")
+    h, stiffness, pull = ca.MX.sym("h", sections), ca.MX.sym("K", sections), ca.MX.sym("pull", n, sections)
+    kt, held = ca.MX.sym("kt", n), ca.MX.sym("l", n)
+    crossing = crossing_function(n, n + 1, *WHOLE)
+    state: Any = ca.vertcat(ca.DM.eye(n + 1), ca.DM.zeros(n + 1, n + 1))
+    lever: Any = 0.0
+    for k in reversed(range(sections)):
+        state = crossing(state, mu, pairs, force, h[k], lever, stiffness[k], pull[:, k], kt)
+        lever = lever + h[k]
+    missed = plate_conditions(state, kt, held)
+    slope = ca.reshape(ca.jtimes(ca.vec(missed), mu, ca.MX(1)), n + 1, n + 1)
+    return ca.Function("plate", [mu, pairs, force, h, stiffness, pull, kt, held], [missed, slope])
+
+
+def plate_conditions(state: Any, kt: Any, held: Any) -> Any:
+    """By what Y = |beta| Y' and phi = 0 are missed at the plate, where the states (2 n + 2, ...) are these."""
+    n = kt.shape[0]
+    springs = state[:n, :] - ca.repmat(held / kt, 1, state.shape[1]) * state[n + 1 : 2 * n + 1, :]
+    return ca.vertcat(springs, state[n, :])
+
+
+def largest_eigenvalue(
+    force: float, sections: tuple[Array, Array, Array], tubes: tuple[Array, Array], pairs: tuple[float, float] = OPPOSED
+) -> tuple[float, Array]:
+    """Largest eigenvalue lambda of N relative to T, and (n + 1,) its Y and phi at the tip, the largest being 1.
+
+    `sections`: length (m,), K (m,), |a_i| (m, n), plate to tip.   `tubes`: kt (n,), transmission (n,).
+
+    What the conditions at the plate miss by has a determinant, as a function of mu, with real roots alone, the
+    reciprocals of the eigenvalues: an entire function of order 1/2, so the product of its 1 - mu lambda_k. Newton's
+    method from mu = 0 therefore rises to the least root and never passes it: every iterate is a bound of lambda.
+    """
+    length, stiffness, pull = sections
+    function = _plate_function(len(tubes[0]), len(length))
+    given: list[Any] = [pairs, force, length, stiffness, pull.T, *tubes]
+    mu, last = 0.0, np.inf
+    for _ in range(ITERATIONS):
+        missed, slope = (np.array(each) for each in function(mu, *given))
+        try:
+            # -D'/D of the determinant D.
+            rate = -float(np.trace(np.linalg.solve(missed, slope)))
+        except np.linalg.LinAlgError:
+            break
+        if not rate > 0 or 1 / rate >= last:
+            break
+        last = 1 / rate
+        mu += last
+        if last < 1e-15 * mu:
+            break
+    tip = np.linalg.svd(missed)[2][-1]
+    return (1 / mu if mu > 0 else 0.0), tip / tip[np.argmax(np.abs(tip))]

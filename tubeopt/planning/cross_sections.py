@@ -1,0 +1,195 @@
+"""Bounds of what cross-sections of a robot are like, whatever the rotations: stiffness, curvature, and how they change.
+
+What `Bending` and `Drift` bound is written here by hand, apart from the physics by which motions are found, since it is
+part of their proof. Tests hold it against equilibria in between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, reduce
+
+import numpy as np
+
+from ..robots.lengthwise import Lengthwise, lengthwise
+from ..robots.robot import Robot
+from ..robots.variation import Variation, variation
+from ..typing import Array, Index
+from .jets import Jet
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """What no joint changes of n tubes of C stretches: what they are like `along`, and its bounds on stretches, which
+    are the cells of `bounds`; (n,) offset and its direction (n, 2), outer radius of the arm.
+    """
+
+    along: Lengthwise
+    bounds: Variation
+    offset: Array
+    direction: Array
+    radius: Array
+
+    @staticmethod
+    def of(robot: Robot) -> Constants:
+        """Those of a robot."""
+        home = robot.assembly(robot.home_translations)
+        return Constants(
+            along=lengthwise(robot.tubes),
+            bounds=variation(robot.tubes),
+            offset=np.abs(home.offset),
+            direction=home.across[:, ::-1] * [1.0, -1.0],
+            radius=np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + home.offset,
+        )
+
+    @property
+    def ended(self) -> int:
+        """The stretch behind the end of a tube, C."""
+        return int(self.bounds.cuts.shape[1])
+
+    @cached_property
+    def still(self) -> bool:
+        """Whether nothing varies along any stretch."""
+        return self.bounds.still
+
+    def held(self, translations: Array) -> Array:
+        """(..., n) where tubes at translations (..., n) are held, m, behind the plate below 0."""
+        return np.minimum(translations - self.bounds.cuts[:, 0], 0.0)
+
+    def breakpoints(self, translations: Array) -> Array:
+        """(..., C n) places where stretches of tubes at translations (..., n) end, behind the plate below 0."""
+        places = self.held(translations)[..., None, :] + self.bounds.cuts.T
+        return np.asarray(places.reshape(*places.shape[:-2], -1))
+
+    def stretch(self, s: Array, breakpoints: Array) -> Index:
+        """(..., n) in which stretch of each tube arc lengths (...) lie, whose breakpoints are (..., C n)."""
+        places = breakpoints.reshape(*breakpoints.shape[:-1], self.ended, -1)
+        return np.asarray((s[..., None, None] >= places).sum(-2), dtype=np.intp)
+
+    def most(self, table: Array, *stretches: Index) -> Array:
+        """(..., n) the most of a table (n, C + 1) in any of some stretches (..., n) each."""
+        tube = np.arange(len(table))
+        return np.asarray(reduce(np.maximum, (table[tube, stretch] for stretch in stretches)))
+
+    def least(self, table: Array, *stretches: Index) -> Array:
+        """(..., n) the least of a table (n, C + 1) in any of some stretches (..., n) each."""
+        return -self.most(-table, *stretches)
+
+
+@dataclass(frozen=True, eq=False)
+class Bending:
+    """Bounds of the curvature u of cross-sections (...), whatever the rotations, and of how it changes with them.
+
+    u k(u) = S, S = sum m_i e(theta_i), k = sum kb_i / g_i, g_i = 1 + d_i u.a_i; where d = 0, k is a constant. k is
+    convex, so that k >= k(0) - |grad k(0)| |u|; between tubes that lie evenly around the centreline grad k(0) = 0.
+
+    Attributes:
+        moment: (..., n) m_i, 0 where tube i is not curved.   pairs: (..., n, n) bounds of m_i m_j / k, i unlike j.
+        most: (...) bound of |u|.   stiffness: of k from below.   slope, bow: of |grad k| and of its derivative.
+        yielding: of |d(u k)| over |du| from below.
+    """
+
+    moment: Array
+    pairs: Array
+    most: Array
+    stiffness: Array
+    slope: Array
+    bow: Array
+    yielding: Array
+
+    @staticmethod
+    def of(c: Constants, *stretches: Index) -> Bending:
+        """Of cross-sections in any of these stretches (..., n) of the tubes."""
+        moment, kb = c.most(c.bounds.pull[0], *stretches), c.least(c.bounds.bending[0], *stretches)
+        # Where no tube is present there is nothing to bend.
+        straight = np.where(kb.any(-1), kb.sum(-1), 1.0)
+        tilt = np.linalg.norm(kb @ c.direction, axis=-1)
+        pull = moment.sum(-1)
+        most = pull / straight
+        for _ in range(50 if tilt.any() else 0):
+            most = pull / np.maximum(straight - tilt * most, 1e-300)
+        stiffness = straight - tilt * most
+        squeeze = np.maximum(1 - c.offset * most[..., None], 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bow = np.where(kb * c.offset > 0, 2 * kb * c.offset**2 / squeeze**3, 0.0).sum(-1)
+        slope = tilt + most * bow
+        yielding = stiffness - most * slope
+        pairs = moment[..., :, None] * moment[..., None, :] / stiffness[..., None, None]
+        n = moment.shape[-1]
+        pairs[..., np.arange(n), np.arange(n)] = 0.0
+        return Bending(moment, pairs, most, stiffness, slope, bow, yielding)
+
+    def change(self, turn: Array) -> Array:
+        """(...) bound of |du| where theta_i changes by at most turn (..., n)."""
+        return np.asarray((self.moment * turn).sum(-1) / self.yielding)
+
+    def second(self, one: Array, other: Array) -> Array:
+        """(...) bound of the second derivative of u in directions that turn theta_i by at most these (..., n)."""
+        curving = (2 * self.slope + self.most * self.bow) * self.change(one) * self.change(other)
+        return np.asarray(((self.moment * one * other).sum(-1) + curving) / self.yielding)
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Bounds of how cross-sections (...) change where they move along n tubes, all else at rest: what tubes that vary
+    add to the derivatives by time of curvature and moments. Tubes on the centreline, else there is none.
+
+    Attributes:
+        still: whether nothing varies; all but 1 / kt is then a 0 of no shape.
+        pulls: (..., n) of a_i / k, a_i = kb_i u*_xy in the tube's own frame.   pairs: (..., n, n) of a_i a_j / k, i
+            unlike j.   ease: (..., n) of 1 / kt.   eased: (..., n) of its derivative by arc length.   wound: (..., n)
+            of that of u*_z, with one derivative by time.   bow: (..., n) second derivative by time of the natural turn,
+            less than which it is off a straight line in time.   give: (...) of 1 / k.
+    """
+
+    still: bool
+    pulls: Jet
+    pairs: Jet
+    ease: Jet
+    eased: Jet
+    wound: Jet
+    bow: Array
+    give: Jet
+
+    @staticmethod
+    def of(c: Constants, move: Array, *stretches: Index) -> Drift:
+        """Of cross-sections in any of these stretches (..., n), that move by `move` (..., n), m, in the time."""
+        b, none = c.bounds, np.zeros(())
+        kb = c.least(b.bending[0], *stretches)
+        kb = np.where(kb.any(-1, keepdims=True), kb, 1.0)
+        if c.still:
+            nothing, give = Jet(none, none, none), Jet(1 / kb.sum(-1), none, none)
+            ease = Jet(1 / c.least(b.torsional, *stretches), none, none)
+            return Drift(True, nothing, nothing, ease, nothing, nothing, none, give)
+
+        def jet(value: Array, *rates: Array) -> Jet:
+            rows = [c.most(rate, *stretches) * move ** (k + 1) for k, rate in enumerate(rates)]
+            return Jet(value, *rows, *(np.zeros_like(value) for _ in range(2 - len(rows))))
+
+        straight = jet(kb, *b.bending[1:]).map(lambda part: part.sum(-1))
+        k, size = straight.v, straight.d / straight.v
+        give = Jet(1 / k, size / k, (straight.dd / k + 2 * size**2) / k)
+        pull = jet(c.most(b.pull[0], *stretches), *b.pull[1:])
+        pulls = pull * give.map(lambda part: part[..., None])
+        pairs = pulls.map(lambda part: part[..., :, None]) * pull.map(lambda part: part[..., None, :])
+        pairs = pairs.map(lambda part: part * (1 - np.eye(part.shape[-1])))
+        ease = jet(1 / c.least(b.torsional, *stretches), *b.ease)
+        slope, bend = (c.most(rate, *stretches) for rate in b.ease)
+        wound = jet(c.most(b.twist[1], *stretches), b.twist[2])
+        return Drift(
+            False, pulls, pairs, ease, Jet(slope, bend * move, np.zeros_like(slope)), wound, wound.v * move**2, give
+        )
+
+    def bend(self, turn: Array, bow: Array) -> tuple[Array, Array]:
+        """(...) what it adds to the first and second derivative of u, theta' by time being `turn` and theta'' `bow`."""
+        a = self.pulls
+        return (a.d, a.dd) if self.still else (a.d.sum(-1), np.asarray((2 * a.d * turn + a.dd + a.v * bow).sum(-1)))
+
+    def moment(self, pair: Array, bow: Array) -> tuple[Array, Array]:
+        """(..., n) what it adds to those of the moments, those of theta_i - theta_j being `pair` and `bow`."""
+        a = self.pairs
+        return (a.d, a.dd) if self.still else (a.d.sum(-1), np.asarray((2 * a.d * pair + a.dd + a.v * bow).sum(-1)))
+
+    def gain(self, pair: Array) -> Array:
+        """(..., n) first derivative by time of what theta_i - theta_j, unlike by `pair`, makes of the moments."""
+        return self.pairs.d if self.still else np.asarray((self.pairs.d * pair).sum(-1))

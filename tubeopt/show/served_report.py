@@ -1,0 +1,67 @@
+"""What is said about a robot that a page or a server has, until it is stopped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..display import Displayed
+from ..robots.robot import Robot
+from .quantities import Quantity
+from .report import Report
+
+
+@dataclass(frozen=True)
+class Viewed(Displayed):
+    """A robot in the browser."""
+
+    robot: Robot
+    """As it is first."""
+
+    url: str
+    """Address of its page."""
+
+    name: str
+    """What texts call it."""
+
+
+@dataclass(frozen=True)
+class Served(Viewed):
+    """A robot over WebSocket."""
+
+    token: str
+    """What clients must know."""
+
+
+VIEWED: tuple[Quantity[Viewed], ...] = (
+    Quantity("url", "address of the page"),
+    Quantity("robot", "its name", lambda a: a.robot.name),
+)
+
+SERVED: tuple[Quantity[Served], ...] = (
+    Quantity("url", "address of the server"),
+    Quantity("token", "what clients must know"),
+    Quantity("robot", "its name", lambda a: a.robot.name),
+)
+
+
+class ViewedReport(Report[Viewed]):
+    """What is said about a robot in the browser."""
+
+    command = "view"
+    quantities = VIEWED
+
+    def table(self) -> str:
+        """One line."""
+        return f"showing {self.answer.name} at {self.answer.url}   (Ctrl-C to stop)"
+
+
+class ServedReport(Report[Served]):
+    """What is said about a robot over WebSocket."""
+
+    command = "serve"
+    quantities = SERVED
+
+    def table(self) -> str:
+        """One line."""
+        answer = self.answer
+        return f"serving {answer.name} at {answer.url}, token {answer.token}   (Ctrl-C to stop)"
