@@ -18,7 +18,7 @@ from tubeopt.validation.parameters import choose_parameters
 from tubeopt.validation.subsets import HeldOutSets, Linear
 from tubeopt.validation.timeline import Timeline, runs_of
 
-from .laboratory import MM, TURN, in_device
+from .laboratory import BASE, MM, TURN, in_device
 from .way import driven, joints, poses, robot, trivial
 
 NAMES = ["latency", "rotation_2", "translation_all", "rotation_gain_all"]
@@ -154,6 +154,13 @@ def test_sets_cost_what_full_fits_to_the_other_folds_lose() -> None:
     assert sets.explore()[0] == frozenset("a")
     assert 1 <= sets.inflation < 2
     assert sets.cost(frozenset("ab")) - sets.lost(frozenset("ab")) == pytest.approx(3 * sets.charge)
+
+
+def test_a_comparison_in_the_plate_s_frame_begins_with_nothing_to_fit() -> None:
+    m = driven(trivial(latency=0.09), count=150, noise=0.2 * MM)
+    here = replace(m, sensors=(m.sensors - BASE) @ TURN)
+    c = compare_effects(robot(), here, ["latency", "plate_shift"], FitOptions(folds=4, registration="none"))
+    assert [step.effect for step in c.steps] == ["latency"]
 
 
 def test_play_is_told_from_latency_only_with_care() -> None:

@@ -92,7 +92,7 @@ def normal_equations(
 ) -> tuple[Array, Array]:
     """J'WJ with the priors (Q, Q), and half the gradient (Q,)."""
     w = weights.of(residuals)
-    flat = jacobian.reshape(-1, jacobian.shape[2])
+    flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
     weighted = flat * np.repeat(w, 3)[:, None]
     square, slope = weighted.T @ flat, weighted.T @ residuals.ravel()
     count = len(state.x)

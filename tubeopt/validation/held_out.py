@@ -59,7 +59,7 @@ def predicted_held_out(model: ArmModel, weights: Weights, near: Descent, fold: I
 
 
 def _part(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, Array]:
-    flat = jacobian.reshape(-1, jacobian.shape[2])
+    flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
     weighted = flat * np.repeat(w, 3)[:, None]
     return weighted.T @ flat, weighted.T @ residuals.ravel()
 

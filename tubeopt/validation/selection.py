@@ -206,9 +206,10 @@ class _Search:
         near = sets.cost(now) + (STRONG + CROOKED) * sets.inflation
         for kind in reversed(self.now.effects):
             for other in order[: order.index(kind)]:
-                changed = now - {kind} | {other}
-                if other in now or sets.cost(changed) > near:
-                    continue
+                fewer = now - {kind}
+                changed = fewer | {other}
+                if other in now or sets.cost(changed) > min(near, sets.cost(fewer)):
+                    continue  # it must pay in its place, not only cost little
                 trial = self._tried(changed)
                 if trial is not None and self._cost(trial) <= limit:
                     return trial
@@ -339,8 +340,9 @@ class _Search:
         near = STRONG * sets.inflation
         found = []
         for other in self.known:
-            changed = now - {kind} | {other}
-            if other in now or sets.cost(changed) - sets.cost(now) > near:
+            fewer = now - {kind}
+            changed = fewer | {other}
+            if other in now or sets.cost(changed) > min(sets.cost(now) + near, sets.cost(fewer)):
                 continue
             trial = self._tried(changed)
             if trial is not None and self._cost(trial) - self._cost(self.now) <= near:

@@ -76,7 +76,8 @@ class HeldOutSets:
         parts = [linear.slopes.reshape(3 * v, -1), *(linear.jumps[kind].reshape(-1, 1) for kind in self.jumps)]
         table = np.hstack([*parts, linear.residuals.reshape(-1, 1)])
         table *= np.sqrt(np.repeat(linear.weights, 3))[:, None]
-        scale = np.maximum(np.sqrt((table[:, :-1] ** 2).sum(0)), 1e-300)
+        size = np.sqrt((table[:, :-1] ** 2).sum(0))
+        scale = np.where(size > 0, size, 1.0)  # what moves nothing stays as drawn
         table[:, :-1] /= scale
         rows = np.repeat(linear.fold, 3)
         self.squares = np.array([table[rows == k].T @ table[rows == k] for k in np.unique(linear.fold)])
@@ -86,7 +87,7 @@ class HeldOutSets:
         self.low, self.high, self.inverse = linear.low * own, linear.high * own, 1 / (linear.prior * own) ** 2
         self.known: dict[Effects, float] = {}
         optimism = self.lost(self.there) - self._seen(self.there)
-        self.inflation = max(1.0, optimism / (2 * (self.parameters(self.there) + self.free)))
+        self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.there) + self.free, 1)))
         least = max(math.log(linear.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
         self.charge = self.inflation * (least - 2)
 
