@@ -7,23 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.examples import THESIS
+from tests.examples import PIECES, THESIS
 from tubeopt import ConcentricRobot, InputError, forward_kinematics, load_robot
 from tubeopt.control.observer import Observer, ObserverOptions
 from tubeopt.control.servo import Command, Servo, ServoOptions
+from tubeopt.inverse.joints import joint_space
 
 SEED = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 BIAS = np.radians([3.0, 3.0, 3.0])
 STIFFER = (1.05, 0.95, 1.05)
 
 
-def real() -> ConcentricRobot:
-    home = THESIS.assembly(THESIS.home_translations)
+def real(robot: ConcentricRobot = THESIS) -> ConcentricRobot:
     tubes = (
-        replace(tube, bending_stiffness=float(kb * f), torsional_stiffness=float(kt * f))
-        for tube, kb, kt, f in zip(THESIS.tubes, home.bending_stiffness, home.torsional_stiffness, STIFFER, strict=True)
+        replace(
+            tube,
+            bending_stiffness=float(tube.bending_stiffness) * f,
+            torsional_stiffness=float(tube.torsional_stiffness) * f,
+            pieces=tuple(piece.stiffened(f) for piece in tube.pieces),
+        )
+        for tube, f in zip(robot.tubes, STIFFER, strict=True)
     )
-    return replace(THESIS, tubes=tuple(tubes))
+    return replace(robot, tubes=tuple(tubes))
 
 
 def test_an_observer_closes_the_loop_below_a_tenth_of_a_millimetre_in_twenty_updates() -> None:
@@ -50,6 +55,22 @@ def test_an_observer_closes_the_loop_below_a_tenth_of_a_millimetre_in_twenty_upd
     assert max(missed[-2:]) < 1e-4
     _, tip = observer.predict(step.rotations, step.translations)
     assert np.linalg.norm(tip - arm.tip_position) < 1e-4
+
+
+def test_tubes_of_pieces_are_observed_too() -> None:
+    random, truth = np.random.default_rng(1), real(PIECES)
+    space = joint_space(PIECES)
+    turn, shift = space.split(0.9 * space.sample(4)[1] + 0.1 * space.inside())
+    observer = Observer(forward_kinematics(PIECES, turn, shift), ObserverOptions(noise=5e-5))
+    errors = []
+    for k in range(20):
+        now = turn + 0.3 * np.array([np.sin(k / 3), np.cos(k / 4), np.sin(k / 5 + 1)])
+        observer.sent(float(k), now, shift)
+        arm = forward_kinematics(truth, now + BIAS, shift)
+        errors.append(float(np.linalg.norm(observer.predict(now, shift)[1] - arm.tip_position)))
+        assert observer.measured(float(k), arm.tip_position + random.normal(0, 5e-5, 3)).used
+    assert errors[0] > 1e-3
+    assert max(errors[-3:]) < 1e-4
 
 
 def test_what_cannot_be_is_left_out_and_what_is_late_is_compared_with_its_own_time() -> None:

@@ -21,7 +21,7 @@ from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..robots.concentric import ConcentricRobot
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot
 from ..typing import Array
 
 LINEARISED = 3
@@ -67,19 +67,19 @@ class Correction(Displayed):
 
 
 class Observer:
-    """Corrects the model of one robot of concentric tubes by measured tips.
+    """Corrects the model of one robot of concentric tubes, of one arc each or made of pieces, by measured tips.
 
     Args:
         start: the equilibrium of the model where the robot is.   options: see `ObserverOptions`.
 
     Raises:
-        InputError: tubes made of pieces or beside the centreline.
+        InputError: tubes beside the centreline.
     """
 
     def __init__(self, start: Equilibrium, options: ObserverOptions | None = None) -> None:
         robot = start.robot
-        if not isinstance(robot, ConcentricRobot) or is_general(robot):
-            raise InputError("an observer takes robots of concentric tubes of one arc each")
+        if not isinstance(robot, ConcentricRobot):
+            raise InputError("an observer takes concentric tubes; those of an eccentric robot share one stiffness")
         self.options = options or ObserverOptions()
         self._n, self._given, self._arm = robot.n_tubes, robot, start
         spread = [self.options.rotation] * self._n + [self.options.stiffness] * self._n + [self.options.offset] * 3
@@ -188,12 +188,15 @@ class Observer:
 
     def _robot(self, x: Array) -> ConcentricRobot:
         """The robot with the stiffnesses of parameters (2n + 3,)."""
-        home = self._given.assembly(self._given.home_translations)
-        factor = np.exp(x[self._n : 2 * self._n])
-        bending, torsional = home.bending_stiffness * factor, home.torsional_stiffness * factor
+        factors = np.exp(x[self._n : 2 * self._n]).tolist()
         tubes = tuple(
-            replace(tube, bending_stiffness=float(kb), torsional_stiffness=float(kt))
-            for tube, kb, kt in zip(self._given.tubes, bending, torsional, strict=True)
+            replace(
+                tube,
+                bending_stiffness=float(tube.bending_stiffness) * factor,
+                torsional_stiffness=float(tube.torsional_stiffness) * factor,
+                pieces=tuple(piece.stiffened(factor) for piece in tube.pieces),
+            )
+            for tube, factor in zip(self._given.tubes, factors, strict=True)
         )
         return replace(self._given, tubes=tubes)
 
@@ -205,7 +208,7 @@ class Observer:
 
     def _slope(self, arm: Equilibrium, x: Array) -> Array:
         """(3, 2n + 3) of the measured tip by the parameters."""
-        home = arm.robot.assembly(arm.robot.home_translations)
         turn, bending, torsional = np.split(jacobian(arm, wrt=BY).position, 3, axis=1)
-        stiffness = bending * home.bending_stiffness + torsional * home.torsional_stiffness
+        kb, kt = (np.array([float(getattr(tube, name)) for tube in arm.robot.tubes]) for name in BY[1:])
+        stiffness = bending * kb + torsional * kt
         return np.hstack([turn, stiffness, np.eye(3)])

@@ -229,8 +229,8 @@ class State:
 
         def here(state: State) -> Array:
             pose = state.pose(index)
-            both = (pose.tip_slope, pose.tip_turn)
-            return np.concatenate([part[:, : 2 * state.layout.n].ravel(order="F") for part in both])
+            slopes = pose.tip_slope, pose.tip_turn
+            return np.concatenate([each[:, : 2 * state.layout.n].ravel(order="F") for each in slopes])
 
         size = np.ones(self.layout.size)
         size[: self.layout.designs] = self.layout.space.scale

@@ -217,7 +217,7 @@ class Outline:
     def _near(self, scene: Scene, within: float) -> _Near:
         """Bodies and stretches of the arm that are far from each other are left out in pairs, first by points far
         apart."""
-        few, size = self._few, len(self.grid) + 1
+        few = self._few
         reach, thick = self._window(few, STRIDES[0])
         body, at = scene.pairs(self.centreline(self.grid[few]), within + reach + thick + BEYOND)
         row, distance, bound = few[at], np.zeros(0), np.zeros(0)
@@ -230,7 +230,7 @@ class Outline:
             near = bound <= within
             body, row, distance, bound = body[near], row[near], distance[near], bound[near]
             if finer:
-                body, row = np.divmod(np.unique(body[:, None] * size + self._around(row, stride, finer)), size)
+                body, row = _once(body, self._around(row, stride, finer), len(self.grid))
         return _Near(within, self._closest(scene, body, row, distance - self._radii[row]), row, bound)
 
     def _closest(self, scene: Scene, body: Index, row: Index, distance: Array) -> Contacts:
@@ -264,6 +264,16 @@ class Outline:
             np.where(closer, between[every, best], contacts.distance),
         )
         return out.chosen(np.lexsort((out.distance, out.body)))
+
+
+def _once(body: Index, rows: Index, count: int) -> tuple[Index, Index]:
+    """Pairs of bodies (k,) and rows (k, r) of `count`, each once, in order, by a table: to sort takes longer."""
+    known = np.zeros(body.max() + 1, dtype=bool)
+    known[body] = True
+    table = np.zeros((np.count_nonzero(known), count), dtype=bool)
+    table[(np.cumsum(known) - 1)[body][:, None], rows] = True
+    one, row = np.nonzero(table)
+    return np.flatnonzero(known)[one], row
 
 
 def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
