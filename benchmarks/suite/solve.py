@@ -72,7 +72,7 @@ def _pose(e: Equilibrium) -> dict[str, Any]:
     }
 
 
-def inverse(question: dict[str, Any], limit: float) -> dict[str, Any]:
+def inverse(question: dict[str, Any], limit: float = TIME_LIMIT) -> dict[str, Any]:
     """The answer to a question of inverse kinematics."""
     bodies = bodies_of(question["scene"])
     options = InverseOptions(clearance=CLEARANCE + SPARE if bodies else 0.0, time_limit=limit)
@@ -83,7 +83,7 @@ def inverse(question: dict[str, Any], limit: float) -> dict[str, Any]:
     return _pose(answer.equilibrium)
 
 
-def plan(question: dict[str, Any], limit: float) -> dict[str, Any]:
+def plan(question: dict[str, Any], limit: float = TIME_LIMIT) -> dict[str, Any]:
     """The answer to a question of planning."""
     robot, bodies = robot_of(question["robot"]), bodies_of(question["scene"])
     begin = withdrawn(robots()[question["robot"]]) + [tube.straight_length for tube in robot.tubes]
@@ -101,7 +101,7 @@ def plan(question: dict[str, Any], limit: float) -> dict[str, Any]:
     }
 
 
-def design(question: dict[str, Any], _limit: float) -> dict[str, Any]:
+def design(question: dict[str, Any], _limit: float = TIME_LIMIT) -> dict[str, Any]:
     """The answer to a question of design; where a pose that was found is not the one that a robot takes at once, the
     one that it moves to from the first without a snap."""
     try:
