@@ -3,7 +3,8 @@
     python -m benchmarks.heating [--only WORD] [--json]
 
 Every case is planned once, after one plan that warms up (CasADi's functions and the program are built once a process).
-Times are of the processor, on one thread.
+Times are of the processor, on one thread. Beside single questions there are all of molds, slots and holds, each with
+one of some tubes, and rigs drawn at random that no workshop would have.
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from itertools import cycle, product
 from typing import Any
+
+import numpy as np
 
 from tubeopt import HeatingSpec, Rig, Tube, load_rig, load_robot, plan_heating
 
@@ -21,6 +25,15 @@ from .timing import ROOT, clock, show, table
 
 MOLDS = ("calcium_silicate", "mdf", "steel")
 ROBOTS = ("thesis_ctr", "grassmann_ctr", "timc_ctr")
+SLOTS, HOLDS = (0.05, 0.1, 0.5), (30.0, 120.0, 300.0)
+TUBES = (("thesis_etr", 1), ("thesis_ctr", 1), ("grassmann_ctr", 1), ("khadem_ctr", 3), ("medlab_ctr", 2))
+"""Robots and tubes, counted from 1, that go round in `grid`; coprime in number with molds, slots and holds."""
+
+NASTY = 16
+"""Rigs drawn at random."""
+
+LOGARITHMIC = {"limit": (1.0, 40.0), "lead": (1e-3, 60e-3), "thickness": (5e-3, 0.2), "clearance": (0.5e-3, 20e-3)}
+"""Ranges from which `nasty` draws: A of mean current, m."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +62,50 @@ def _rig(mold: str) -> Rig:
     return load_rig(ROOT / "configs" / "rigs" / f"thesis_{mold}.yaml")
 
 
+def _tube(robot: str, number: int) -> Tube:
+    return load_robot(ROOT / "configs" / "robots" / f"{robot}.yaml").tubes[number - 1]
+
+
 def cases() -> Iterator[Case]:
     """What is measured."""
+    yield from single()
+    yield from grid()
+    yield from nasty()
+
+
+def grid() -> Iterator[Case]:
+    """Every mold with every slot and hold."""
+    tubes = cycle(TUBES)
+    for mold, slot, hold in product(MOLDS, SLOTS, HOLDS):
+        robot, number = next(tubes)
+        name = f"{mold}, {robot} {number}, {slot:g} s, {hold:g} s"
+        yield Case(name, _tube(robot, number), _rig(mold), HeatingSpec(slot=slot, hold_time=hold))
+
+
+def nasty() -> Iterator[Case]:
+    """Rigs that are hardly fit for anything, asked for windows narrow and wide, low and high."""
+    generator = np.random.default_rng(22)
+    for k in range(NASTY):
+        robot, number = TUBES[int(generator.integers(len(TUBES)))]
+        rig = _rig(MOLDS[int(generator.integers(len(MOLDS)))]).with_charge(float(generator.uniform(0.02, 1.0)))
+        limit, lead, thickness, clearance = (
+            float(np.exp(generator.uniform(*np.log(ends)))) for ends in LOGARITHMIC.values()
+        )
+        rig = replace(
+            rig,
+            circuit=replace(rig.circuit, current_limit=limit),
+            mold=replace(rig.mold, lead=lead, thickness=thickness),
+            clamps=replace(rig.clamps, clearance=clearance),
+        )
+        low = float(generator.uniform(300.0, 1000.0))
+        high = low + float(np.exp(generator.uniform(np.log(5.0), np.log(100.0))))
+        ramp = float(np.exp(generator.uniform(np.log(5.0), np.log(60.0))))
+        spec = HeatingSpec(window_degC=(low, high), ramp=ramp, slot=0.05, hold_time=float(generator.choice(HOLDS)))
+        yield Case(f"nasty rig {k + 1}", _tube(robot, number), rig, spec)
+
+
+def single() -> Iterator[Case]:
+    """One question each."""
     rig = _rig("calcium_silicate")
     tube = rig.tube
     assert tube is not None

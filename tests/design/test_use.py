@@ -71,7 +71,32 @@ def test_dexterity_is_the_least_singular_value_or_a_little_less() -> None:
         optimize_design(task("dexterity"), turns=0, method="collocation")
 
 
-@pytest.mark.parametrize("kind", ["dexterity", "deployment", "workspace_volume"])
+def least_turn(robot: ConcentricRobot, rotations: Array, translations: Array) -> float:
+    """Least turn (rad) of the tip's direction by joints that leave its place, for 1 rad or 50 mm, by differences."""
+    columns = []
+    for k, step in product((0, 1), np.eye(3)):
+        ends = []
+        for sign in (1e-5, -1e-5):
+            q = [rotations, translations]
+            q[k] = q[k] + sign * step * (0.05 if k else 1.0)
+            found = forward_kinematics(robot, *q)
+            ends.append(np.append(found.tip_position, found.tip_rotation[:, 2]))
+        columns.append((ends[0] - ends[1]) / 2e-5)
+    change = np.array(columns).T
+    still = np.linalg.svd(change[:3])[2][3:].T  # joints that leave the place
+    return float(np.linalg.svd(change[3:] @ still, compute_uv=False)[1])
+
+
+def test_orientability_is_the_least_turn_of_a_tip_that_stays_or_a_little_less() -> None:
+    found = optimize_design(task("orientability"), turns=0)
+    before, after = (np.mean([least_turn(robot, *pose) for pose in posed(robot)]) for robot in (CRL, found.robot))
+    assert 2 ** (-1 / 8) * after <= found.objective <= after * (1 + 1e-4)
+    assert after > 1.2 * before
+    with pytest.raises(InputError, match="needs 3 tubes"):
+        DesignTask(two_tubes(), (Free("curvature", (0, 1), 1.0, 40.0),), (), Objective("orientability"))
+
+
+@pytest.mark.parametrize("kind", ["dexterity", "orientability", "deployment", "workspace_volume"])
 def test_derivatives_agree_with_differences_and_values_with_solved_poses(kind: str) -> None:
     asked = task(kind)
     program = compile_task(asked)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,14 @@ import tubeopt
 from tests.command_line import ROOT
 from tubeopt import InputError, PlanOptions, TipGoal
 from tubeopt.bodies.anatomy import Anatomy, anatomy_seen, centres, field_of_image
+from tubeopt.bodies.corridors import MeshObstacle
+from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.frames import Frame, base_frame
 from tubeopt.bodies.images import LabelImage
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventricle
 from tubeopt.files.checked import check
 from tubeopt.planning import Trajectory, plan_trajectory
+from tubeopt.planning.path_program import table_function
 from tubeopt.runs.anatomy_file import load_anatomy
 from tubeopt.runs.inverse_study import InverseStudy
 from tubeopt.runs.obstacle_file import load_obstacles
@@ -68,6 +72,45 @@ def test_an_insertion_is_proved_and_touches_no_voxel_that_is_barred(tmp_path: Pa
     part = obstacle_parts([field], 0.1)[0]
     assert part.opacity == 0.3
     assert len(part.surface.faces) > 1000
+
+
+def test_a_plan_among_labels_is_smoothed_for_what_is_asked() -> None:
+    image = lung()
+    free = image.chosen([LUMEN, TARGET])
+    field = field_of_image(image, lumen=free)
+    goal = tubeopt.forward_kinematics(ROBOT, [0.5, 2.0, -0.5], [0.03, -0.03, -0.083])
+    options = PlanOptions(clearance=2e-4, objective="effort")
+    plan = plan_trajectory(ROBOT, WITHDRAWN, goal, obstacles=[field], options=options)
+    assert plan.proved
+    assert plan.statistics.smoothed == "effort"
+    assert plan.proof.least_clearance >= 2e-4
+    assert barred_voxels_touched(plan, image, free) == 0
+
+
+def test_a_table_of_distances_is_a_function_of_a_program() -> None:
+    """Splines reproduce what is linear, in any frame; beyond the lattice they go on as at its border."""
+    x = np.stack(np.meshgrid(*(np.arange(n) * 2e-3 for n in (9, 12, 15)), indexing="ij"), axis=-1)
+    frame = base_frame([0.01, 0.02, 0.03], [1.0, 0.3, 0.5])
+    table = DistanceField(x @ [0.6, 0.0, 0.8], np.full(3, 2e-3), frame)
+    inner = np.random.default_rng(0).uniform([6e-3] * 3, [1e-2, 1.6e-2, 2.2e-2], (50, 3))
+    told = np.array(table_function(table).map(50)(inner.T))[0]
+    assert told == pytest.approx(inner @ [0.6, 0.0, 0.8], abs=1e-4)  # what is left of blurring at the border
+    sharp = MeshObstacle(*_cube())
+    assert float(table_function(sharp)(sharp.lattice.frame.seen([0.028, 0.0, 0.0]))) == pytest.approx(0.008, abs=1e-3)
+
+
+def _cube() -> tuple[Any, Any]:
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box((0.04, 0.04, 0.04))
+    return tuple(map(tuple, box.vertices.tolist())), tuple(map(tuple, box.faces.tolist()))
+
+
+def test_a_landmark_that_is_called_as_the_region_is_refused() -> None:
+    image = lung(2e-3)
+    marks = {"target": np.zeros(3)}
+    field = field_of_image(image, lumen=image.chosen([LUMEN, TARGET]))
+    with pytest.raises(InputError, match="'target' is a landmark and the name of the region for the tip"):
+        anatomy_seen([field], Frame(), target=centres(image, image.chosen([TARGET])), landmarks=marks)
 
 
 def test_a_region_is_a_goal() -> None:

@@ -15,7 +15,7 @@ import tubeopt
 from tubeopt import InputError, PlacedRobot, PlanOptions, SolveError, plan_arms, verify_arms
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField
-from tubeopt.bodies.frames import Frame, base_frame
+from tubeopt.bodies.frames import Frame, base_frame, roll_of
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.placed import seen_from
 from tubeopt.equilibrium.result import Equilibrium
@@ -193,6 +193,11 @@ def test_orders_begin_with_every_arm() -> None:
         orders = arms_plan._orders(n)
         assert {order[0] for order in orders} == set(range(n))
         assert all(sorted(order) == list(range(n)) for order in orders)
+
+
+@pytest.mark.parametrize("direction", [[0, 0, 1], [0.3, -0.2, 1], [1, 0, 0]])
+def test_a_base_tells_its_roll(direction: list[float]) -> None:
+    assert roll_of(base_frame([1, 2, 3], direction, -2.0)) == pytest.approx(-2.0)
 
 
 def test_a_base_is_a_right_handed_frame() -> None:

@@ -151,8 +151,12 @@ def test_two_arms_are_planned_saved_and_drawn(run: Run, tmp_path: Path) -> None:
         page = (tmp_path / "arms.html").read_text(encoding="utf-8")
         assert "<title>left and right, tubeopt</title>" in page
         assert "__VISER_EMBED_DATA__" in page
-    table = np.loadtxt(tmp_path / "between_arms.csv", delimiter=",", skiprows=1)
-    assert table[:, 1].min() >= pair["least_clearance_mm"]
+    _, measured, proved = np.loadtxt(tmp_path / "between_arms.csv", delimiter=",", skiprows=1).T
+    assert measured.min() >= pair["least_clearance_mm"]
+    assert proved.min() == pytest.approx(pair["least_clearance_mm"], abs=1e-5)
+    assert (proved <= measured).all()
+    assert (proved[:-1] <= measured[1:]).all()
+    assert [arm["roll_deg"] for arm in told["arms"]] == pytest.approx([0, 0])
     assert answer(run("verify", str(tmp_path / "arm_1" / "trajectory.csv"), "--json"))["proved"]
 
 

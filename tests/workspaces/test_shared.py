@@ -44,6 +44,9 @@ def test_a_pair_leans_until_both_reach_the_same() -> None:
     assert np.linalg.norm(middles[0] - middles[1]) < 4e-3
     apart = np.linalg.norm(best.bases[0].origin - best.bases[1].origin)
     assert 0.03 <= apart <= 0.05
+    upright = place_pair([ball(200)] * 2, least_distance=0.03, most_distance=0.05, most_tilt=0.0)
+    for base in upright.bases:
+        assert base.axes[:, 2] == pytest.approx([0, 0, 1])
 
 
 def test_what_makes_no_pair_is_refused() -> None:

@@ -63,7 +63,7 @@ class Quantity:
 
     def size(self, n: int) -> int:
         """Numbers that it has, for n tubes."""
-        if self.name == "jacobian":
+        if self.name in ("jacobian", "turning"):
             return 6 * n
         return n if self.pose is None and self.name in TUBES else SIZES.get(self.name, n)
 
@@ -158,6 +158,11 @@ class PoseQuantities:
     def jacobian(self) -> Any:
         """(3, 2 n) change of the tip's place with rotations, m/rad, and translations. For designs only."""
         return ca.reshape(self._of("jacobian"), 3, 2 * self._n_tubes)
+
+    @property
+    def turning(self) -> Any:
+        """(3, 2 n) turn vector of the tip's frame with rotations, and translations, rad/m. For designs only."""
+        return ca.reshape(self._of("turning"), 3, 2 * self._n_tubes)
 
     def drawn(self, share: float) -> PoseQuantities:
         """The arm on its way out: every tube as in the pose, or drawn back straight so that it ends at this share of

@@ -77,6 +77,11 @@ def anatomy_seen(
             raise InputError(f"no voxel of the target is free; the freest lies {-room.max() * 1e3:.3g} mm in a body")
         places = places[np.argsort(-room, kind="stable")][: int((room > 0).sum())]
     known = {name: base.seen(place) for name, place in (landmarks or {}).items()}
+    if places is not None and "target" in known:
+        raise InputError(
+            "'target' is a landmark and the name of the region for the tip; give the landmark another name (a .txt "
+            "file gives it its own), or leave the region out"
+        )
     return Anatomy(bodies, places, known, base, registration_error)
 
 

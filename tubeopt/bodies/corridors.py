@@ -17,7 +17,8 @@ from ..files.csv_file import read_csv
 from ..files.marks import POSITIVE, unit
 from ..files.units import MM
 from ..typing import Array
-from .frames import ras
+from .distance_field import DistanceField
+from .frames import Frame, ras
 from .obstacles import Capsule, Point3, as_points, greater, triple
 from .round_cones import RoundCone
 from .scene import Scene
@@ -211,6 +212,13 @@ class MeshObstacle:
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         distance = self._exact(places.reshape(-1, 3)).reshape(places.shape[:-1])
         return (axes[0], axes[1], axes[2]), distance
+
+    @cached_property
+    def lattice(self) -> DistanceField:
+        """The distances of `grid` as a body that is a table."""
+        axes, table = self.grid
+        first, second = (np.array([axis[k] for axis in axes]) for k in (0, 1))
+        return DistanceField(table, second - first, Frame(origin=first))
 
 
 def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str = "RAS") -> MeshObstacle:

@@ -79,6 +79,12 @@ def base_frame(position: ArrayLike, direction: ArrayLike, roll: float = 0.0) -> 
     )
 
 
+def roll_of(frame: Frame) -> float:
+    """The roll, rad, with which `base_frame` makes a frame from its origin and its z."""
+    plain = base_frame(frame.origin, frame.axes[:, 2]).axes
+    return float(np.arctan2(plain[:, 1] @ frame.axes[:, 0], plain[:, 0] @ frame.axes[:, 0]))
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """A frame found from landmarks: the plate's in the patient, and how far (m) each landmark is off with it."""

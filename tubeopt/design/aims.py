@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..block.own import OwnObjective
-from ..block.quantities import Expression, Quantities, recorded
+from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from ..errors import InputError
 from ..physics.torsion import cross_section
 from ..robots.assembly import ROUND_OFF
@@ -23,6 +23,9 @@ PER_TURN = 0.05
 
 UNIT, REGULAR = 0.01, 1e-8
 """Length (m) in which singular values are counted, and what is added to their squares, so that none is 0."""
+
+SLIGHT = 1e-7
+"""What is added to squares of singular values of a turn, rad^2."""
 
 TINY = 1e-12
 """Volume (m^3) within which what may be 0 is rounded off."""
@@ -76,6 +79,8 @@ def _(
                 return ca.vertcat(*(q.poses[k].stroke_force for k in poses))
             case "dexterity":
                 return sum(_least_motion(q.poses[k].jacobian) for k in poses) / len(poses)
+            case "orientability":
+                return sum(_least_turn(q.poses[k]) for k in poses) / len(poses)
             case "workspace_volume":
                 return _swept([q.poses[k].tip_position for k in poses])
             case "deployment":
@@ -93,10 +98,29 @@ def _(
     return recorded(numbers, len(pieces), max([*poses, depth_pose or 0], default=-1) + 1, one.words, pieces)
 
 
+def _scaled(jacobian: Any) -> Any:
+    """A Jacobian (3, 2 n) by rotations and translations, for 1 rad or PER_TURN."""
+    n = jacobian.shape[1] // 2
+    return ca.horzcat(jacobian[:, :n], PER_TURN * jacobian[:, n:])
+
+
+def _least_turn(pose: PoseQuantities) -> Any:
+    """(s_1^-8 + s_2^-8)^(-1/8) of the singular values of the change of the tip's direction by joints that leave its
+    place, rad: of what is left of its squares when the part that places the tip is eliminated."""
+    moves, heading = _scaled(pose.jacobian) / UNIT, pose.tip_direction
+    turns = -ca.skew(heading) @ _scaled(pose.turning)
+    free = ca.DM.eye(moves.shape[1]) - moves.T @ ca.inv(moves @ moves.T + REGULAR * ca.DM.eye(3)) @ moves
+    square = turns @ free @ turns.T  # its third eigenvalue, along the direction, is 0
+    plain = ca.trace(square)
+    total = plain + 2 * SLIGHT
+    product = (plain**2 - ca.trace(square @ square)) / 2 + SLIGHT * plain + SLIGHT**2
+    quartic = (total**2 - 2 * product) ** 2 - 2 * product**2
+    return ca.sqrt(product) * quartic ** (-1 / 8)
+
+
 def _least_motion(jacobian: Any) -> Any:
     """(sum s_k^-8)^(-1/8) of the singular values of a Jacobian of the tip (3, 2 n) by rotations and translations, m."""
-    n = jacobian.shape[1] // 2
-    scaled = ca.horzcat(jacobian[:, :n], PER_TURN * jacobian[:, n:]) / UNIT
+    scaled = _scaled(jacobian) / UNIT
     inverse = ca.inv(scaled @ scaled.T + REGULAR * ca.DM.eye(3))
     return UNIT * ca.trace(inverse @ inverse @ inverse @ inverse) ** (-1 / 8)
 

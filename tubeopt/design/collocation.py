@@ -66,6 +66,7 @@ UNKNOWN = {
     "deflection": "deflection under a force",
     "stroke_force": "stroke force",
     "jacobian": "Jacobian of the tip, whose second derivatives are many",
+    "turning": "Jacobian of the tip, whose second derivatives are many",
 }
 """Quantities that no block of a design has."""
 

@@ -37,8 +37,8 @@ def at_state(state: State) -> Linear:
             return state.deflection(one.pose, one.at)
         if one.name == "stroke_force":
             return _row(state.stroke_force(one.pose))
-        if one.name == "jacobian":
-            return state.jacobian(one.pose)
+        if one.name in ("jacobian", "turning"):
+            return state.jacobian(one.pose, turning=one.name == "turning")
         if one.name == "clearance":
             return arm_clearance(state, one.pose, one.at[0])
         value, change = _of_pose(state, one, one.pose)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from ..block.own import OwnObjective
 from ..errors import InputError, choice, finite, positive, vector
 from ..files.marks import POSITIVE, OneOf, unit
@@ -21,13 +23,22 @@ KINDS = {
     "tip_stiffness": ("tip stiffness", "N/m", 1.0, -1),
     "stroke_force": ("stroke force", "mN", 1e3, -1),
     "dexterity": ("dexterity", "mm", 1e3, -1),
+    "orientability": ("orientability", "deg", 180 / np.pi, -1),
     "workspace_volume": ("volume that is swept", "cm^3", 1e6, -1),
     "deployment": ("deviation of the deployment", "mm", 1e3, 1),
     "change": ("change of the robot", "", 1.0, 1),
 }
 """Name, unit, what turns SI into it, and whether less (1) or more (-1) is better."""
 
-POSED = ("tip_deflection", "tip_stiffness", "stroke_force", "dexterity", "workspace_volume", "deployment")
+POSED = (
+    "tip_deflection",
+    "tip_stiffness",
+    "stroke_force",
+    "dexterity",
+    "orientability",
+    "workspace_volume",
+    "deployment",
+)
 """What is told of task poses."""
 
 PUSHED = ("tip_deflection", "tip_stiffness")
@@ -52,6 +63,10 @@ class Objective:
         "dexterity": by how much joints move the tip, for 1 rad or 50 mm, in the direction in which they move it least:
             the least singular value s_3 of its Jacobian, smooth where two are equal, as the sum of s_k^-8 to the power
             -1/8, which is s_3 or up to 13 % less; the mean of all task poses.
+        "orientability": by how much joints turn the direction of the tip, for 1 rad or 50 mm, while its place stays,
+            in the direction in which they turn it least: the lesser of two singular values, smooth where they are
+            equal, as (s_1^-8 + s_2^-8)^(-1/8), which is s_2 or up to 8 % less; the mean of all task poses. Place and
+            direction are five numbers: it takes three tubes.
         "workspace_volume": of what the polygon of the tips of the task poses, in their order, sweeps when it is turned
             about the axis of the plate, as all tubes turned together do.
         "deployment": root of the mean square distance between arms on their way out, their tubes drawn back straight,

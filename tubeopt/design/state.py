@@ -116,6 +116,7 @@ class State:
         self._poses: dict[PoseNumber, Pose | PiecePose] = {}
         self._deflected: dict[tuple[PoseNumber, tuple[float, float, float]], tuple[Array, Array]] = {}
         self._strokes: dict[PoseNumber, tuple[float, Array]] = {}
+        self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._certified: dict[tuple[float, ...], Pose | PiecePose] = {}
 
     @cached_property
@@ -215,19 +216,28 @@ class State:
         """(L, X) change of what a pose is differentiated by: its joint values, then DIMENSIONS, or unknown pieces."""
         return np.concatenate([*self.joint_slopes(index), self._reshaped])
 
-    def jacobian(self, index: PoseNumber) -> tuple[Array, Array]:
-        """(6 n,) change of the tip of a pose with its joint values, joint by joint, and by how much that changes (6 n,
-        X): the central difference of exact derivatives."""
+    def jacobian(self, index: PoseNumber, *, turning: bool = False) -> tuple[Array, Array]:
+        """(6 n,) change of the tip's place with the joint values of a pose, joint by joint, or of its frame (turn
+        vector), and by how much that changes (6 n, X): the central difference of exact derivatives."""
+        if index not in self._moved:
+            self._moved[index] = self._tip_moves(index)
+        half = np.split(np.arange(12 * self.layout.n), 2)[int(turning)]
+        return self._moved[index][0][half], self._moved[index][1][half]
+
+    def _tip_moves(self, index: PoseNumber) -> tuple[Array, Array]:
+        """(12 n,) change of the tip's place, then of its frame, and by how much that changes (12 n, X)."""
 
         def here(state: State) -> Array:
-            return state.pose(index).tip_slope[:, : 2 * state.layout.n].ravel(order="F")
+            pose = state.pose(index)
+            slopes = pose.tip_slope, pose.tip_turn
+            return np.concatenate([each[:, : 2 * state.layout.n].ravel(order="F") for each in slopes])
 
         size = np.ones(self.layout.size)
         size[: self.layout.designs] = self.layout.space.scale
         for pose in self.layout.poses:
             if isinstance(pose, FreePose):
                 size[self.layout.joints(pose)[1]] = LENGTH_STEP
-        change = np.zeros((6 * self.layout.n, self.layout.size))
+        change = np.zeros((12 * self.layout.n, self.layout.size))
         for column in np.flatnonzero(self.chain(index).any(0)).tolist():
             step = np.eye(self.layout.size)[column] * DIFFERENCE * size[column]
             ends = (here(State(self.layout, x, dict(self._guesses))) for x in (self.x + step, self.x - step))

@@ -6,10 +6,12 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
 from ..errors import InputError, SolveError, positive
+from ..files.marks import NOT_NEGATIVE, POSITIVE, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
 from .checks import whole
@@ -31,13 +33,14 @@ BOUNDED = ("tip_curvature", "turning_radius", "strain", "length", "change")
 
 @dataclass(frozen=True)
 class StockTube:
-    """A size that can be bought: diameters in m, and where it was used."""
+    """A size that can be bought."""
 
-    name: str
-    outer_diameter: float
-    inner_diameter: float
-    source: str = ""
+    name: Annotated[str, "by which it is ordered"]
+    outer_diameter: Annotated[float, unit("mm"), POSITIVE]
+    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE]
+    source: Annotated[str, "where it was used, or is sold"] = ""
     material: Material = NITINOL
+    """Of which it is."""
 
     def __post_init__(self) -> None:
         positive("outer_diameter", self.outer_diameter)

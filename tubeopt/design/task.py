@@ -235,6 +235,9 @@ def _check_slots(space: DesignSpace) -> None:
 CORNERS = 3
 """Of a polygon, at least."""
 
+ORIENTED = 3
+"""Tubes with which place and direction of the tip, five numbers, can change."""
+
 
 def _poses_of(one: Requirement) -> int:
     match one:
@@ -265,6 +268,11 @@ def _check_objectives(task: DesignTask) -> None:
             _advanced(task, one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
+        if one.kind == "orientability" and task.robot.n_tubes < ORIENTED:
+            raise InputError(
+                f"objective orientability needs {ORIENTED} tubes; the {task.robot.n_tubes} of the robot cannot turn "
+                "the tip to all sides at a place"
+            )
         if one.kind in ("stroke_force", "workspace_volume"):
             _given_poses(task, f"objective {one.kind}")
         if one.kind in POSED and not task.has_poses:

@@ -56,6 +56,8 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
                 return np.array([STRONGEST if limit is None else limit.factor])
             case "jacobian":
                 return found.jacobian().position.ravel(order="F")
+            case "turning":
+                return found.jacobian().rotation.ravel(order="F")
             case "tip_direction":
                 return np.asarray(found.tip_rotation[:, 2])
             case "position" | "curvature":

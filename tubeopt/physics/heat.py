@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -82,9 +83,12 @@ class Resolution:
         return Resolution(grip, clearance, lead, curved, shells or factor * self.shells)
 
 
+@lru_cache(maxsize=16)
 def zones(resolution: Resolution) -> NDArray[np.intp]:
-    """(n,) zone of each cell: GRIP, CLEARANCE, LEAD or CURVED."""
-    return np.repeat(np.arange(4), resolution.counts)
+    """(n,) zone of each cell: GRIP, CLEARANCE, LEAD or CURVED; not to be written to."""
+    found = np.repeat(np.arange(4), resolution.counts)
+    found.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,9 +40,10 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     """What a simulation asks of one rig, as functions of temperatures, lumped state and duty (those that matter),
     properties and the column of volumes; cells are (1 + M, n), of which the shells without a mold do not count.
 
-    rates: of cells and lumped state. current, at temperatures of the tube (n,): while the MOSFET conducts, its part
-    through the tube, the terminal voltage, and the resistance of half the tube. linearised: heat capacities, 1 where
-    there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
+    rates: of cells and lumped state. warming: rates of the first two rows, which a current heats. span: rates of the
+    tube without and with full duty, and the current while the MOSFET conducts. current, at temperatures of the tube
+    (n,): this one, its part through the tube, the terminal voltage, and the resistance of half the tube. linearised:
+    heat capacities, 1 where there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
     """
     rows, n = 1 + resolution.shells, resolution.cells
     cells, tube = ca.SX.sym("cells", rows, n), ca.SX.sym("tube", n)
@@ -71,15 +72,20 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
         load.mean * (lumped[SAG] + total * outside_tube),
         2 * flows.surroundings,
     )
+    cell_rates = heat.by_cell(flows.tube, flows.mold) / capacity
     half, total = circuit(tube)
     terminal = heat.source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * total
     seen = ca.vertcat(total, total * heat.tube_share(half, g), terminal, half)
     found = {
-        "rates": ([cells, lumped, duty, p, q], [heat.by_cell(flows.tube, flows.mold) / capacity, slow]),
+        "rates": ([cells, lumped, duty, p, q], [cell_rates, slow]),
+        "warming": ([cells, lumped, duty, p, q], [cell_rates[:2, :]]),
         "current": ([tube, lumped, p, q], [seen]),
         "linearised": ([cells, p, q], [capacity, *heat.frozen_jacobian(at, cells, v, g)]),
         "stored": ([cells, lumped, p, q], [2 * heat.stored_heat(at, v, g)]),
     }
+    warming = ca.Function("warming", *found["warming"])
+    ends = [warming(cells, lumped, level, p, q)[0, :].T for level in (0.0, 1.0)]
+    found["span"] = [cells, lumped, p, q], [*ends, circuit(at.tube)[1]]
     return {
         name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
         for name, (inputs, outputs) in found.items()

@@ -193,14 +193,17 @@ def _joined(parts: Sequence[PairCells]) -> PairCells:
     return PairCells(which, t, (sides[0], sides[1]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Apart:
     """What is known of two arms: lower bound of their distance at all times, -inf where none is shown; the least
-    between equilibria that were looked at, taken as linear in time there, m; and when that was, s."""
+    between equilibria that were looked at, taken as linear in time there, m; and when that was, s. `bounds` (M,) are
+    those in the M whiles between `times` (M + 1,), s."""
 
     least: float
     measured: float
     when: float
+    times: Array
+    bounds: Array
 
 
 def apart(one: Track, other: Track, wanted: Wanted) -> Apart:
@@ -216,8 +219,11 @@ def apart(one: Track, other: Track, wanted: Wanted) -> Apart:
         if not len(short) or over or not (one.whole and other.whole) or measured < wanted.clearance:
             break
         one, other = (_finer(track, side[short]) for track, side in zip((one, other), sides, strict=True))
-    whole = one.whole and other.whole
-    return Apart(float(bound.min()) if whole else -np.inf, float(measured), float(when))
+    if not (one.whole and other.whole):
+        bound = np.full(len(bound), -np.inf)
+    if len(times) == 1:
+        times = np.append(times, times)
+    return Apart(float(bound.min()), float(measured), float(when), times, bound)
 
 
 def _finer(track: Track, links: Index) -> Track:

@@ -82,11 +82,13 @@ class TimedMotion(Protocol):
     def translations(self) -> Array: ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PairProof(Displayed):
     """Two arms by their numbers, from 0, and lower bound of the distance between their surfaces at all times, m: -inf
     where none is shown; the least between the equilibria that were looked at, m, and when, s, taken as linear in time
-    there. What an arm needs at its plate is a body to the others: `ArmsProof.proofs` tell of it."""
+    there. `bounds` (M,) hold in the M whiles between `times` (M + 1,), s: each as sharp as it took to show the
+    clearance, or to tell the least. What an arm needs at its plate is a body to the others: `ArmsProof.proofs` tell of
+    it."""
 
     arms: tuple[int, int]
     least_clearance: float
@@ -94,6 +96,16 @@ class PairProof(Displayed):
     measured_clearance: float
     """The least that was measured, m."""
     when: float
+    times: Array = field(repr=False)
+    bounds: Array = field(repr=False)
+
+    def at_least(self, begin: Array, end: Array) -> Array:
+        """(T,) lower bounds of the distance from times (T,) to later ones (T,), s, m; before and after its own times
+        both arms rest."""
+        most = len(self.bounds) - 1
+        first = np.clip(np.searchsorted(self.times, begin, "right") - 1, 0, most)
+        last = np.clip(np.searchsorted(self.times, end, "left") - 1, 0, most)
+        return np.array([self.bounds[a : max(a, b) + 1].min() for a, b in zip(first, last, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,8 +260,9 @@ def verify_arms(
     for i, j in combinations(range(len(known)), 2):
         found = apart(tracks[i], tracks[j], Wanted(clearance, TOLERANCE))
         plates_apart = between_plates(known[i], known[j])
-        found = Apart(min(found.least, plates_apart), min(found.measured, plates_apart), found.when)
-        pairs.append(PairProof((i, j), found.least, found.measured, found.when))
+        least, measured = min(found.least, plates_apart), min(found.measured, plates_apart)
+        found = Apart(least, measured, found.when, found.times, np.minimum(found.bounds, plates_apart))
+        pairs.append(PairProof((i, j), least, measured, found.when, found.times, found.bounds))
         faults += _between(known, (i, j), found, clearance)
     return ArmsProof(tuple(proofs), tuple(pairs), tuple(faults))
 

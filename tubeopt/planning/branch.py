@@ -67,21 +67,13 @@ class _Bounds:
         self.drift, self.offset = intervals.drift, intervals.arms.constants.offset
         self.ease, self.long = self.drift.ease, linear(*intervals.length)
         """1 / kt (B, K, n); h (B, K)."""
-        self.transmission = self._transmission()
+        self.transmission = intervals.transmission
         reach = [np.cumsum(length[..., None] * self.ease.v, axis=1) for length in intervals.length]
         own = np.sqrt(np.maximum(*reach) + self.transmission.v[:, None])
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
         """|y_i| <= sqrt((|beta_i| + s) / kt_i) and so on, for |y| = 1 in the norm of torsional energy."""
         self.torque = self.bending.pairs.sum(3)
         self.zero = np.zeros_like(self.torque)
-
-    def _transmission(self) -> Jet:
-        """(B, n) of int ds / kt where tubes are held, 1/(N m): its rate is 1 / kt at the plate, in section 0."""
-        plain = linear(*self.intervals.transmission)
-        if self.drift.still:
-            return plain
-        moved = self.drift.eased.v[:, 0] * self.intervals.moved[:, 0] ** 2
-        return Jet(plain.v, plain.d + moved / 2, moved)
 
     def steps(self) -> Jet:
         """(B, K, 1) lengths of the pieces."""

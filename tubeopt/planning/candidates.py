@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..bodies.distance_field import DistanceField
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
 from ..inverse.task import Task
@@ -18,6 +19,9 @@ from .timing import Limits, at_full_speed, stopping_at, through
 
 SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
 """Most seconds of smoothing, and those below which it is not begun: its steps cannot be cut short."""
+
+SCANNED = 2.5
+"""Most seconds of work of smoothing for length among scans, where rounded corners are rarely longer."""
 
 SHARE_OF_SMOOTHING = 0.5
 """Share of the time that is left which smoothing may take: the proof needs the rest."""
@@ -48,7 +52,8 @@ def motions_near(
     limits, aim, extra = actuators(task, first, rates), options.objective, options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
-    own, found = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock), []
+    most = SCANNED * clock.crowding if aim == "length" and extra is None and _scanned(task) else SMOOTHING
+    own, found = Clock(min(most, SHARE_OF_SMOOTHING * clock.left), clock), []
     for name in ("length", "time") if aim == "time" else (aim,):
         if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves, options):
             break
@@ -82,6 +87,10 @@ def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) 
         return length >= SHORT
     straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
     return 1 - straight / length > WORTH[bool(task.obstacles)]
+
+
+def _scanned(task: Task) -> bool:
+    return any(isinstance(body, DistanceField) for body in task.obstacles)
 
 
 def _rounded(task: Task, first: Equilibrium, q: Array, limits: Limits, clock: Clock) -> Motion | None:

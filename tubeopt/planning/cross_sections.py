@@ -139,7 +139,7 @@ class Drift:
         pulls: (..., n) of a_i / k, a_i = kb_i u*_xy in the tube's own frame.   pairs: (..., n, n) of a_i a_j / k, i
             unlike j.   ease: (..., n) of 1 / kt.   eased: (..., n) of its derivative by arc length.   wound: (..., n)
             of that of u*_z, with one derivative by time.   bow: (..., n) second derivative by time of the natural turn,
-            less than which it is off a straight line in time.
+            less than which it is off a straight line in time.   give: (...) of 1 / k.
     """
 
     still: bool
@@ -149,32 +149,36 @@ class Drift:
     eased: Jet
     wound: Jet
     bow: Array
+    give: Jet
 
     @staticmethod
     def of(c: Constants, move: Array, *stretches: Index) -> Drift:
         """Of cross-sections in any of these stretches (..., n), that move by `move` (..., n), m, in the time."""
         b, none = c.bounds, np.zeros(())
+        kb = c.least(b.bending[0], *stretches)
+        kb = np.where(kb.any(-1, keepdims=True), kb, 1.0)
         if c.still:
-            nothing = Jet(none, none, none)
+            nothing, give = Jet(none, none, none), Jet(1 / kb.sum(-1), none, none)
             ease = Jet(1 / c.least(b.torsional, *stretches), none, none)
-            return Drift(True, nothing, nothing, ease, nothing, nothing, none)
+            return Drift(True, nothing, nothing, ease, nothing, nothing, none, give)
 
         def jet(value: Array, *rates: Array) -> Jet:
             rows = [c.most(rate, *stretches) * move ** (k + 1) for k, rate in enumerate(rates)]
             return Jet(value, *rows, *(np.zeros_like(value) for _ in range(2 - len(rows))))
 
-        kb = c.least(b.bending[0], *stretches)
-        straight = jet(np.where(kb.any(-1, keepdims=True), kb, 1.0), *b.bending[1:]).map(lambda part: part.sum(-1))
+        straight = jet(kb, *b.bending[1:]).map(lambda part: part.sum(-1))
         k, size = straight.v, straight.d / straight.v
-        give = Jet(1 / k, size / k, (straight.dd / k + 2 * size**2) / k).map(lambda part: part[..., None])
+        give = Jet(1 / k, size / k, (straight.dd / k + 2 * size**2) / k)
         pull = jet(c.most(b.pull[0], *stretches), *b.pull[1:])
-        pulls = pull * give
+        pulls = pull * give.map(lambda part: part[..., None])
         pairs = pulls.map(lambda part: part[..., :, None]) * pull.map(lambda part: part[..., None, :])
         pairs = pairs.map(lambda part: part * (1 - np.eye(part.shape[-1])))
         ease = jet(1 / c.least(b.torsional, *stretches), *b.ease)
         slope, bend = (c.most(rate, *stretches) for rate in b.ease)
         wound = jet(c.most(b.twist[1], *stretches), b.twist[2])
-        return Drift(False, pulls, pairs, ease, Jet(slope, bend * move, np.zeros_like(slope)), wound, wound.v * move**2)
+        return Drift(
+            False, pulls, pairs, ease, Jet(slope, bend * move, np.zeros_like(slope)), wound, wound.v * move**2, give
+        )
 
     def bend(self, turn: Array, bow: Array) -> tuple[Array, Array]:
         """(...) what it adds to the first and second derivative of u, theta' by time being `turn` and theta'' `bow`."""

@@ -70,10 +70,13 @@ class _Bounds:
 
     def __init__(self, intervals: LoadedIntervals) -> None:
         self.intervals, self.force, b = intervals, intervals.force, intervals.bending
-        self.kt, self.stiffness = intervals.torsional, b.stiffness
+        self.kt, self.stiffness, self.drift = intervals.torsional, b.stiffness, intervals.drift
         self.pairs, self.slope = b.pairs, b.moment / b.stiffness[..., None]
         """|a_i||a_j| / K (B, K, n, n), and A_i = |a_i| / K (B, K, n), 1/m."""
-        self.long, self.spring = linear(*intervals.length), linear(*intervals.transmission)
+        self.pairing = Jet(self.pairs, self.drift.pairs.d, self.drift.pairs.dd)
+        self.pull = Jet(self.slope, self.drift.pulls.d, self.drift.pulls.dd)
+        """The same where places move along tubes that vary."""
+        self.long, self.spring = linear(*intervals.length), intervals.transmission
         self.lever, self.u = intervals.lever, b.most
         give = self.long.v[..., None] / self.kt
         own = np.sqrt(np.cumsum(give, axis=1) + self.spring.v[:, None])
@@ -117,9 +120,11 @@ class _Bounds:
         """Of theta, torques and moments: half the distance of samples times a bound of the slope of what differs."""
         h, dh, lever, du = self.long.v[..., None], self.long.d[..., None], self.lever, self._bent(c)
         theta = dh * (self.torque / self.kt + self.intervals.twist) + h * c.torque / self.kt
+        theta = theta + h * (self.torque * self.drift.ease.d + self.drift.wound.v * self.intervals.moved)
         twisting = self.pairs.sum(3) + self.slope * lever[..., None]
         turned = (self.pairs * c.turn[1]).sum(3)
         turned += self.slope * (c.moment[..., None] + lever[..., None] * c.turn[0])
+        turned += self.drift.gain(np.ones_like(self.pairs)) + self.pull.d * lever[..., None]
         torsion, changed = self.torque.sum(2), c.torque.sum(2)
         frame = np.cumsum(self.long.d * self.u + self.long.v * du, axis=1)
         moment = self.long.d * (self.u * torsion + self.force.v)
@@ -129,19 +134,22 @@ class _Bounds:
 
     def _bent(self, c: _Changes) -> Array:
         """(B, K) by how much the curvature differs."""
-        return np.asarray(c.moment / self.stiffness + (self.slope * c.turn[0]).sum(2))
+        by_tubes = (self.slope * c.turn[0] + self.pull.d).sum(2)
+        return np.asarray(c.moment / self.stiffness + by_tubes + self.lever * self.drift.give.d)
 
     def _chord(self) -> None:
         """Along what goes linearly in torques and moments."""
         c = self.changes
-        begin = self.spring.d * c.torque[:, 0]
-        bow = 2 * (begin[:, None] + np.cumsum(self.long.d[..., None] * c.torque / self.kt, axis=1))
+        torque = Jet(self.torque, c.torque, np.zeros_like(c.torque))
+        begin = self.spring * torque.map(lambda bound: bound[:, 0])
+        along = self.long.map(lambda bound: bound[..., None]) * torque * self.drift.ease
+        bow = begin.dd[:, None] + np.cumsum(along.dd, axis=1) + self.drift.bow
         self.theta = Jet(np.ones_like(bow), c.turn[0] + bow / 2, bow)
         both = bow[..., :, None] + bow[..., None, :]
         self.pair = Jet(np.ones_like(both), c.turn[1] + both / 2, both)
-        du = c.moment / self.stiffness + (self.slope * self.theta.d).sum(2)
-        ddu = (self.slope * _turned(self.theta).dd).sum(2)
-        self.bent = self.long * Jet(self.u, du, ddu)
+        by_tubes = (self.pull * _turned(self.theta)).map(lambda bound: bound.sum(2))
+        by_load = Jet(self.lever, c.moment, np.zeros_like(c.moment)) * self.drift.give
+        self.bent = self.long * Jet(self.u, by_load.d + by_tubes.d, by_load.dd + by_tubes.dd)
         turn = np.cumsum(self.bent.d, axis=1)
         turning = np.cumsum(turn * self.bent.d + self.bent.dd, axis=1)
         self.tangent = Jet(np.ones_like(turn), turn, turning + turn**2)
@@ -152,9 +160,8 @@ class _Bounds:
         """(B,) bound of |g| along the chord."""
         moment = self.tangent * self.moment
         by_load = _turned(self.theta) * moment.map(lambda bound: bound[..., None])
-        sines = _turned(self.pair)
-        by_tubes = Jet(*((self.pairs * bound).sum(3) for bound in (sines.v, sines.d, sines.dd)))
-        shared = by_load.map(lambda bound: self.slope * bound) + by_tubes
+        by_tubes = (self.pairing * _turned(self.pair)).map(lambda bound: bound.sum(3))
+        shared = self.pull * by_load + by_tubes
         each = self.long.map(lambda bound: bound[..., None]) * shared
         torque = np.cumsum(each.dd[:, ::-1], axis=1)[:, ::-1] / 8
         inside = (torque**2 / self.kt).sum(2) + (moment.dd / 8) ** 2 / self.stiffness
@@ -176,15 +183,17 @@ class _Bounds:
         nearer end, and with the load there."""
         b, h, w, lever = self, self.long.v, self.weight, self.lever
         dh, own, bend, dn = b._stretched() if stretched else b._still()
+        dc, da = (b.pairing.d / 2, b.pull.d / 2) if stretched else (np.zeros(()), np.zeros(()))
         pair = np.hypot(own[..., :, None], own[..., None, :])
         m = moved.moment + lever * moved.frame
-        each = h[..., None, None] * moved.turn[1] + dh[..., None, None]
-        by_tubes = (b.pairs * (each * w[1] ** 2 + 2 * h[..., None, None] * w[1] * pair)).sum((1, 2, 3)) / 2
+        each = h[..., None, None] * (b.pairs * moved.turn[1] + dc) + dh[..., None, None] * b.pairs
+        by_tubes = (each * w[1] ** 2 + 2 * h[..., None, None] * b.pairs * w[1] * pair).sum((1, 2, 3)) / 2
         size = h[..., None] * (m[..., None] + lever[..., None] * moved.turn[0]) + (dh * lever)[..., None]
-        by_load = (b.slope * (size * w[0] ** 2 + 2 * (h * lever)[..., None] * w[0] * own)).sum((1, 2))
+        size = b.slope * size + da * (h * lever)[..., None]
+        by_load = (size * w[0] ** 2 + 2 * b.slope * (h * lever)[..., None] * w[0] * own).sum((1, 2))
         # By how much psi differs, and all of its way: frames, the directions of a_i, and lengths.
-        way = h[..., None] * (w[0] * moved.turn[0] + own) + dh[..., None] * w[0]
-        differs = moved.frame * b.swing + np.cumsum((b.slope * way).sum(2), axis=1) + bend
+        way = b.slope * (h[..., None] * (w[0] * moved.turn[0] + own) + dh[..., None] * w[0]) + da * h[..., None] * w[0]
+        differs = moved.frame * b.swing + np.cumsum(way.sum(2), axis=1) + bend
         whole, far = b.swing[:, -1], differs[:, -1]
         by_turns = moved.moment.max(1) * whole**2 / 2 + 2 * lever[:, 0] * whole * far
         n = b.force.v
@@ -193,11 +202,22 @@ class _Bounds:
 
     def _stretched(self) -> tuple[Array, Array, Array, Array]:
         """Between the chord and its nearer end: h (B, K), y_i (B, K, n) and int h r (B, K) at equal coordinates, n."""
-        (one, other), springs = self.intervals.length, self.intervals.transmission
-        root = _roots(one, other)
-        held = _roots(*springs) ** 2
-        own = np.sqrt(np.cumsum(root[..., None] ** 2 / self.kt, axis=1) + held[:, None])
-        return self.long.d / 2, own, np.sqrt(np.cumsum(root**2 / self.stiffness, axis=1)), self.force.d / 2
+        root, spring = _roots(*self.intervals.length), self.spring
+        twisting, bending = self._easier()
+        one = root[..., None] / np.sqrt(self.kt) + np.sqrt(self.long.v)[..., None] * twisting
+        held = _roots(np.maximum(spring.v - spring.d, 0.0), spring.v) + np.sqrt(spring.dd / 8)
+        own = np.sqrt(np.cumsum(one**2, axis=1) + held[:, None] ** 2)
+        two = root / np.sqrt(self.stiffness) + np.sqrt(self.long.v) * bending
+        return self.long.d / 2, own, np.sqrt(np.cumsum(two**2, axis=1)), self.force.d / 2
+
+    def _easier(self) -> tuple[Array, Array]:
+        """By how much the square roots of 1 / kt (B, K, n) and 1 / K (B, K) differ from those at the nearer end: half
+        of the time, and a root changes by what its square does, over twice the least of it."""
+        if self.drift.still:
+            return np.zeros(()), np.zeros(())
+        c, stretch = self.intervals.arms.constants, self.intervals.stretch
+        kb, kt = (c.most(most, stretch) for most in c.bounds.stiffest)
+        return self.drift.ease.d * np.sqrt(kt) / 4, self.drift.give.d * np.sqrt(kb.sum(-1)) / 4
 
     def _still(self) -> tuple[Array, Array, Array, Array]:
         zero = np.zeros_like(self.long.v)

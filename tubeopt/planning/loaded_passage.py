@@ -32,13 +32,13 @@ class LoadedFollower(Follower):
     load: Load = field(default_factory=Load)
 
     def __post_init__(self) -> None:
-        if uncovered(self.robot, self.load):
+        if uncovered(self.load):
             self.halvings = 0
 
     @property
     def says(self) -> str:
         """What can be proved nowhere, in words; empty where nothing is known to stand against it."""
-        what = uncovered(self.robot, self.load)
+        what = uncovered(self.load)
         return f"what lies between equilibria under {what} is not bounded" if what else ""
 
     @cached_property
@@ -61,7 +61,7 @@ class LoadedFollower(Follower):
 
     def intervals(self, equilibria: Sequence[Equilibrium], one: Index, other: Index) -> Intervals:
         """Those between some of a list of equilibria."""
-        if uncovered(self.robot, self.load):
+        if uncovered(self.load):
             return super().intervals(equilibria, one, other)
         return LoadedIntervals.of(LoadedArms.under(self.pull, self.constants, equilibria), one, other)
 

@@ -11,22 +11,19 @@ import numpy as np
 from ..equilibrium.result import Equilibrium
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
-from ..robots.steps import varies
 from ..typing import Array, Index
-from .cross_sections import Bending, Constants
+from .cross_sections import Bending, Constants, Drift
 from .jets import Jet
 from .sections import JUMP, PARTS, SHAPE_ERROR, Arms, Intervals
 
 
-def uncovered(robot: Robot, load: Load) -> str:
-    """What a robot bears that the bounds are not made for; empty where they are."""
+def uncovered(load: Load) -> str:
+    """What of a load `Pull` has no words for; empty where it has."""
     if not load.has_energy:
         return "a moment, or a force that turns with the tip"
     if load.points:
         return "forces at points along the arm"
-    if not (load.distributed is None or _even(load)):
-        return "a load per length that changes along the arm"
-    return "a load on tubes that vary along a piece" if varies(robot.tubes) else ""
+    return "" if load.distributed is None or _even(load) else "a load per length that changes along the arm"
 
 
 def _even(load: Load) -> bool:
@@ -139,13 +136,9 @@ class LoadedArms(Arms):
         """(E,) bound of the distance of `points` from the centreline, m: |p'''| <= |u|^2 + |u'|."""
         out = np.array([e.tip_error for e in self.equilibria])
         c, inner = self.constants, self.inner
-        h, middle, owner = (
-            np.diff(self.arc_length)[inner],
-            (self.arc_length[inner] + self.arc_length[inner + 1]) / 2,
-            self.owner[inner],
-        )
-        stretch = c.stretch(middle, self.breakpoints[owner])
-        bend, ends = Bending.of(c, stretch), self.ends[owner]
+        h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
+        bend, ends = Bending.of(c, *self.crossed), self.ends[owner]
+        drift = Drift.of(c, np.array(1.0), *self.crossed)
         force = np.linalg.norm(self.pull.on(self.arc_length[inner], ends), axis=1)
         force = np.maximum(force, np.linalg.norm(self.pull.on(self.arc_length[inner + 1], ends), axis=1))
         # No moment is larger than the forces ahead make on a straight arm; torque grows by |u| |a| per length.
@@ -153,9 +146,10 @@ class LoadedArms(Arms):
         u = bend.most + moment / bend.stiffness
         gain = h[:, None] * u[:, None] * bend.moment
         torque = np.maximum(np.abs(self.torque[inner]), np.abs(self.torque[inner + 1])) + gain
-        turning = torque / c.least(c.bounds.torsional, stretch) + c.most(c.bounds.twist[0], stretch)
+        turning = torque / c.least(c.bounds.torsional, *self.crossed) + c.most(c.bounds.twist[0], *self.crossed)
         third = u**2 + (u * torque.sum(1) + force) / bend.stiffness + bend.change(turning)
-        np.maximum.at(out, owner, SHAPE_ERROR[0] * h**3 * third + out[owner])
+        third = third + drift.bend(turning, np.zeros(()))[0] + moment * drift.give.d
+        np.maximum.at(out, owner, np.where(self.wide, np.inf, SHAPE_ERROR[0] * h**3 * third + out[owner]))
         return out
 
     @cached_property

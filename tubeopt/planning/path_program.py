@@ -23,10 +23,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from ..block.quantities import Expression, Quantity
 from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..bodies.corridors import MeshObstacle
+from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
 from ..typing import Array
 
@@ -35,6 +37,15 @@ SHARPNESS = 400.0
 
 SPLITS = 4
 """Points per step of the arm at which its distance from obstacles is measured."""
+
+MOST_NODES = 1_000_000
+"""Of a table of distances: its splines and their derivatives take 32 bytes for each."""
+
+BLUR = 1.5
+"""Nodes by which a table of distances is blurred."""
+
+TABLES = (MeshObstacle, DistanceField)
+"""Bodies without a formula for their distance."""
 
 TIPS = 0.05
 """Weight of the motion of the tip rotations beside that of the joints, in the length."""
@@ -95,13 +106,15 @@ class PathProgram:
     (n, K), square of the duration, margin.
 
     `rows`: number of constraints of each kind, in order.
-    `least`: of unknowns and parameters, the smooth least distances by columns (obstacles, K), m.
+    `least`: of unknowns and parameters, the smooth least distances by columns (rows, K), m; `body`: of which obstacle
+    every one of these rows is.
     """
 
     problem: dict[str, Any]
     hessian: ca.Function
     rows: dict[str, int]
     least: ca.Function
+    body: list[int]
 
     def solver(self, seconds: float) -> ca.Function:
         """IPOPT, to spend at most so many seconds."""
@@ -172,7 +185,9 @@ def path_program(question: PathQuestion) -> PathProgram:
         problem["f"] = objective + extra
     rows = {name: part.numel() for name, part in parts.items()}
     distances = ca.Function("least", [x, given], [parts.get("clearance", ca.DM(0, 1)) * question.length])
-    return PathProgram(problem, _hessian({**problem, "f": objective}, rows, bent), rows, distances)
+    return PathProgram(
+        problem, _hessian({**problem, "f": objective}, rows, bent), rows, distances, rows_of_bodies(question)
+    )
 
 
 PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
@@ -223,7 +238,8 @@ def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Fu
 
 
 def _distance(question: PathQuestion) -> ca.Function:
-    """(obstacles,) smooth least distances of one arm, never larger than they are."""
+    """(rows,) smooth least distances of one arm, never larger than they are but by what a table blurs: one from every
+    body with a formula, one in every step of the arm from a table, which as a rule is all around."""
     n = question.kind.n
     count = explicit_arm(question.kind).size2_out(2)
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
@@ -233,21 +249,49 @@ def _distance(question: PathQuestion) -> ca.Function:
     x, y, z = (ca.SX.sym(axis) for axis in "xyz")
     least = []
     for k, obstacle in enumerate(question.obstacles):
-        if isinstance(obstacle, MeshObstacle):
-            axes, table = obstacle.grid
-            body = ca.interpolant(f"mesh_{k}", "bspline", [list(axis) for axis in axes], table.ravel(order="F"))
-            distance = body.map(places.shape[1])(_inside(places, axes))
+        if isinstance(obstacle, TABLES):
+            room = ca.reshape(_tabulated(obstacle, places) - thick, SPLITS, count - 1)
         else:
             body = ca.Function(f"body_{k}", [x, y, z], [obstacle.distance(x, y, z)]).map(places.shape[1])
-            distance = body(places[0, :], places[1, :], places[2, :])
-        least.append(-ca.logsumexp(-sharp * (distance - thick).T) / sharp)
+            room = (body(places[0, :], places[1, :], places[2, :]) - thick).T
+        least += [-ca.logsumexp(-sharp * part) / sharp for part in ca.horzsplit(room)]
     return ca.Function("least_distance", inputs, [ca.vertcat(*least)])
 
 
-def _inside(places: Any, axes: tuple[Array, Array, Array]) -> Any:
-    """Places moved into the box of a grid, beyond which it would be extrapolated."""
-    low, high = (ca.repmat(ca.DM([axis[k] for axis in axes]), 1, places.shape[1]) for k in (0, -1))
-    return ca.fmin(ca.fmax(places, low), high)
+def rows_of_bodies(question: PathQuestion) -> list[int]:
+    """Of every row of `_distance` the number of its body."""
+    steps = explicit_arm(question.kind).size2_out(2) - 1
+    counts = [steps if isinstance(body, TABLES) else 1 for body in question.obstacles]
+    return [k for k, count in enumerate(counts) for _ in range(count)]
+
+
+def _tabulated(body: MeshObstacle | DistanceField, places: Any) -> Any:
+    """(1, a) distances of places (3, a) from a body that is a table, beyond its lattice those of its border."""
+    lattice = body.lattice
+    at = ca.DM(lattice.frame.axes.T) @ (places - ca.repmat(ca.DM(lattice.frame.origin), 1, places.shape[1]))
+    last = ca.DM((np.array(lattice.values.shape) - 1) * lattice.spacing)
+    inside = ca.fmin(ca.fmax(at, 0), ca.repmat(last, 1, places.shape[1]))
+    return table_function(body).map(places.shape[1])(inside)
+
+
+@lru_cache(maxsize=8)
+def table_function(body: MeshObstacle | DistanceField) -> ca.Function:
+    """Cubic B-splines with a body's distances as their weights, at a place (3,) of its lattice, m from the first node.
+
+    A sum of weights needs no equations to be solved, so a table of millions is a function at once. The steps of voxels
+    are blurred, which the bounds on distances, made at the knots that smoothing begins with, take into account. Tables
+    of more than MOST_NODES lose every second node, or more.
+    """
+    lattice = body.lattice
+    stride = int(np.ceil((lattice.values.size / MOST_NODES) ** (1 / 3)))
+    few = lattice.values[::stride, ::stride, ::stride].astype(float)
+    values = np.pad(scipy.ndimage.gaussian_filter(few, BLUR, mode="nearest"), (1, 1 + (stride > 1)), mode="edge")
+    # The weight of node i belongs to the spline on the knots from i - 2 to i + 2.
+    knots = [
+        (np.arange(count + 4) - 3) * stride * step
+        for count, step in zip(values.shape, lattice.spacing.tolist(), strict=True)
+    ]
+    return ca.Function.bspline("table", knots, values.ravel(order="F"), [3, 3, 3], 1)
 
 
 def _places(kind: Kind, count: int) -> ca.Function:

@@ -72,9 +72,9 @@ def asked(
 def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     """The chart of a robot that bears a load; raises InputError where no plan could be proved."""
     kind_of("load", load, Load)
-    what = uncovered(space.robot, load)
+    what = uncovered(load)
     if what:
-        raise InputError(f"load is {what}, under which no motion can be proved")
+        raise InputError(f"load has {what}, under which no motion can be proved")
     for name in ("max_force", "roadmap", "extra_cost"):
         if getattr(options, name):
             raise InputError(f"{name} is given beside a load; a plan under a load has none")

@@ -12,6 +12,7 @@ import numpy as np
 from ..equilibrium.result import Equilibrium
 from ..typing import Array, Index, Mask
 from .cross_sections import Bending, Constants, Drift
+from .jets import Jet, linear
 
 SWAPPED = 1e-9
 """Breakpoints (m) may be so much out of order at the ends of an interval, which is round-off."""
@@ -128,6 +129,11 @@ class Arms:
         low, high = c.stretch(a + JUMP, cuts), c.stretch(b - JUMP, cuts)
         return low, np.maximum((low + high) // 2, low), np.maximum(high, low)
 
+    @property
+    def wide(self) -> Mask:
+        """(S,) whether what follows an `inner` point lies in more stretches than that."""
+        return np.asarray((self.crossed[-1] - self.crossed[0] >= len(self.crossed)).any(1))
+
     @cached_property
     def _errors(self) -> tuple[Array, Array]:
         """`shape_error` and `turn_error`.
@@ -156,10 +162,9 @@ class Arms:
         gain += speed * c.offset * du[:, None] / (1 - c.offset * u[:, None])
         ddu = bend.second(speed, speed) + bend.change(gain) + second
         third, fourth = u**2 + du, u**3 + 3 * u * du + ddu
-        wide = np.asarray((self.crossed[-1] - self.crossed[0] >= len(self.crossed)).any(1))
         error = np.minimum(SHAPE_ERROR[0] * h**3 * third, SHAPE_ERROR[1] * h**4 * fourth)
-        np.maximum.at(out, owner, np.where(wide, np.inf, error + out[owner]))
-        np.maximum.at(turned, owner, np.where(wide[:, None], np.inf, SHAPE_ERROR[0] * h[:, None] ** 3 * faster))
+        np.maximum.at(out, owner, np.where(self.wide, np.inf, error + out[owner]))
+        np.maximum.at(turned, owner, np.where(self.wide[:, None], np.inf, SHAPE_ERROR[0] * h[:, None] ** 3 * faster))
         return out, turned
 
     def _torque(self, gain: Array) -> Array:
@@ -241,11 +246,15 @@ class Intervals:
         return self.arms.constants.least(self.arms.constants.bounds.torsional, self.stretch)
 
     @cached_property
-    def transmission(self) -> tuple[Array, Array]:
-        """(B, n) at either end: int ds / kt from where tubes are held to the plate, 1/(N m)."""
-        c, shift = self.arms.constants, self.arms.translations
-        whole = c.along.compliant(-c.held(shift))
-        return whole[self.one], whole[self.other]
+    def transmission(self) -> Jet:
+        """(B, n) of int ds / kt from where tubes are held to the plate, 1/(N m); its rate is 1 / kt in section 0."""
+        c = self.arms.constants
+        whole = c.along.compliant(-c.held(self.arms.translations))
+        plain = linear(whole[self.one], whole[self.other])
+        if self.drift.still:
+            return plain
+        moved = self.drift.eased.v[:, 0] * self.moved[:, 0] ** 2
+        return Jet(plain.v, plain.d + moved / 2, moved)
 
     @property
     def interpolated(self) -> Array:

@@ -9,15 +9,22 @@ import numpy as np
 
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
-from ..bodies.corridors import MeshObstacle
-from ..bodies.distance_field import DistanceField
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..inverse.clock import Clock
 from ..inverse.task import Task
 from ..typing import Array, Mask
 from .motion import Motion, cubic
-from .path_program import PATH_QUANTITIES, PathProgram, PathQuestion, parameter_values, path_program, path_quantities
+from .path_program import (
+    MOST_NODES,
+    PATH_QUANTITIES,
+    TABLES,
+    PathProgram,
+    PathQuestion,
+    parameter_values,
+    path_program,
+    path_quantities,
+)
 from .tracking import track
 
 OBJECTIVES = ("length", "time", "effort", "margin")
@@ -54,9 +61,9 @@ ROOM = 1e-3
 """Least determinant of the Jacobi fields, which begin as 1."""
 
 
-BUILDING, PER_BODY, PER_CELL = 5e-5, 5e-2, 1.5e-4
+BUILDING, PER_BODY, PER_NODE = 5e-5, 5e-2, 1e-6
 """Seconds that it takes at most on most machines to build the program, which nothing can cut short, and to begin to
-solve it: per operation of an equilibrium, per obstacle, and per cell of the grid about a mesh."""
+solve it: per operation of an equilibrium, per obstacle, and per node of a table of distances."""
 
 NEAR = 0.1
 """Distance, as a share of the longest tube, of knots from bodies up to which they may matter."""
@@ -72,12 +79,9 @@ class Smoothed:
 
 
 def building(task: Task) -> float:
-    """Seconds of work that it may take to build the program of a task and to begin to solve it; infinite where a body
-    is a table of more cells than a program can hold."""
-    if any(isinstance(body, DistanceField) for body in task.obstacles):
-        return float("inf")
-    cells = sum(body.grid[1].size for body in task.obstacles if isinstance(body, MeshObstacle))
-    return BUILDING * task.chart.size + PER_BODY * len(task.obstacles) + PER_CELL * cells
+    """Seconds of work that it may take to build the program of a task and to begin to solve it."""
+    nodes = sum(min(body.lattice.values.size, MOST_NODES) for body in task.obstacles if isinstance(body, TABLES))
+    return BUILDING * task.chart.size + PER_BODY * len(task.obstacles) + PER_NODE * nodes
 
 
 def densify(task: Task, points: Array) -> list[Array]:
@@ -220,7 +224,7 @@ def _solve(
     floor = min(task.min_margin + room[0], 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
-    least = np.asarray(program.least(x, p)).reshape(len(q), -1) - _falls(task, z, room[1])
+    least = _to_keep(program, np.asarray(program.least(x, p)), _falls(task, z, room[1]))
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
@@ -248,6 +252,16 @@ def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
     speed = (np.abs(np.diff(q, axis=0)) / step / rate).max()
     hard = (np.abs(np.diff(v, axis=0)) / step / acceleration).max()
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
+
+
+def _to_keep(program: PathProgram, least: Array, falls: Array) -> Array:
+    """(K, rows) least distances to keep, m: of those of an obstacle, all that of the closest, less by how much (K,
+    obstacles) they may fall."""
+    body, found = np.array(program.body, dtype=int), least.reshape(len(falls), -1)
+    closest = np.empty_like(falls)
+    for k in range(falls.shape[1]):
+        closest[:, k] = found[:, body == k].min(axis=1)
+    return np.asarray((closest - falls)[:, body])
 
 
 def _falls(task: Task, z: Array, room: float) -> Array:

@@ -9,21 +9,21 @@ from __future__ import annotations
 from dataclasses import replace
 from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
-from ..files.fields import Part, asking, to_data, values
+from ..files.fields import Part, asking, entry_of, to_data, values
 from ..files.marks import Usual
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
 from .calibration_file import CalibrationEntry, calibration_to_dict
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
-from .friction_file import FrictionEntry, friction_to_dict
+from .friction import Friction
 from .limits import JointLimits
 from .materials import MATERIALS, NITINOL, Material
 from .piece_file import PieceEntry, check_stiffness, piece_to_dict
@@ -167,6 +167,12 @@ class RobotEntry(Part):
         }
 
 
+if TYPE_CHECKING:
+    FrictionEntry = Part
+else:
+    FrictionEntry = entry_of(Friction)
+
+
 class ConcentricEntry(RobotEntry):
     """A concentric tube robot, tubes inner to outer."""
 
@@ -287,7 +293,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
     if robot.calibration is not None:
         data["calibration"] = calibration_to_dict(robot.calibration)
     if isinstance(robot, ConcentricRobot) and robot.friction is not None:
-        data["friction"] = friction_to_dict(robot.friction)
+        none, own = to_data(Friction()), to_data(robot.friction)
+        data["friction"] = {key: value for key, value in own.items() if value not in (none[key], [none[key]])}
     if isinstance(robot, ConcentricRobot) and robot.clearance is not None:
         data["clearance_mm"] = [in_unit(x, MM) for x in robot.clearance]
     return data

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from ..display import Displayed
 from ..errors import InputError, numbers, positive
+from ..files.marks import NOT_NEGATIVE, Range, unit
 
 PAIRWISE = ("torque", "plate", "jumps", "ends")
 """What a friction holds for every pair of neighbours."""
@@ -16,28 +18,37 @@ PAIRWISE = ("torque", "plate", "jumps", "ends")
 class Friction(Displayed):
     """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers each, or one number for all pairs.
 
-    It bears a torque about the tubes' axis up to the capacities here, whatever the speed, and as much while it slips.
-
-    Args:
-        torque: N m per m of length, wherever both tubes of a pair are, in front of the plate.
-        plate: N m at the plate, which stands for all that rubs behind it.
-        jumps: N m wherever the precurvature of one of the two jumps.
-        ends: N m where the outer one ends.
-        sliding: whether sliding of the tubes along each other uses up friction, so that what slips fast along the axis
-            bears less torque about it. The radius at which they rub is that of the inner tube's outside.
-        refinement: how often the pieces of the mesh are halved, for a sharper front between what slips and what sticks;
-            -1 and -2 make it coarser, for answers in less time.
+    It bears a torque about the tubes' axis up to the capacities here, N m per m of length and N m at places, whatever
+    the speed, and as much while it slips.
 
     Raises:
         InputError: a number that is not finite or below 0, or tables of different length.
     """
 
-    torque: tuple[float, ...] | float = 0.0
-    plate: tuple[float, ...] | float = 0.0
-    jumps: tuple[float, ...] | float = 0.0
-    ends: tuple[float, ...] | float = 0.0
-    sliding: bool = False
-    refinement: int = 0
+    torque: Annotated[
+        float | tuple[float, ...],
+        unit("mN_m_per_m"),
+        NOT_NEGATIVE,
+        "per length, wherever both tubes of a pair are, in front of the plate",
+    ] = 0.0
+    plate: Annotated[
+        float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, "at the plate, for all that rubs behind it"
+    ] = 0.0
+    jumps: Annotated[
+        float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, "where the precurvature of one of the two jumps"
+    ] = 0.0
+    ends: Annotated[float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, "where the outer tube of a pair ends"] = 0.0
+    sliding: Annotated[
+        bool,
+        "whether sliding along the axis uses up friction, so that what slips fast along it bears less torque about it; "
+        "it rubs at the radius of the inner tube's outside",
+    ] = False
+    refinement: Annotated[
+        int,
+        Range(least=-2, most=4),
+        "how often the pieces of the mesh are halved, for a sharper front between what slips and what sticks; -1 and "
+        "-2 make it coarser, for answers in less time",
+    ] = 0
 
     def __post_init__(self) -> None:
         for name in PAIRWISE:

@@ -33,7 +33,7 @@ CLOSE = 0.9
 HALVINGS, LEAST_HALVINGS = 12, 2
 """Of a part along which something varies, at most and at least."""
 
-BOUNDS = 12
+BOUNDS = 14
 """Numbers that are found of a cell."""
 
 
@@ -51,6 +51,7 @@ class Variation:
         torsional: kt from below.   ease: (2, ...) |(1 / kt)'|, |(1 / kt)''|.
         pull: (3, ...) |a|, |a'|, |a''|.
         twist: (3, ...) |u*_z|, |u*_z'|, |u*_z''|.
+        stiffest: (2, ...) kb and kt from above.
     """
 
     cuts: Array
@@ -59,6 +60,7 @@ class Variation:
     ease: Array
     pull: Array
     twist: Array
+    stiffest: Array
 
     @property
     def still(self) -> bool:
@@ -79,7 +81,7 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
             bounds[:, i, c] = _bounds(table, i, low, high)
         bounds[:, i, len(own) : most] = bounds[:, i, len(own) - 1, None]
         bounds[3, i, most] = bounds[3, i, most - 1]
-    return Variation(cuts, bounds[0:3], bounds[3], bounds[4:6], bounds[6:9], bounds[9:12])
+    return Variation(cuts, bounds[0:3], bounds[3], bounds[4:6], bounds[6:9], bounds[9:12], bounds[12:])
 
 
 def _cells(tube: Tube) -> list[tuple[float, float, float]]:
@@ -150,6 +152,7 @@ def _bound(coefficients: Array, half: float) -> Array:
             *(low[1], kt1 / low[1] ** 2, kt2 / low[1] ** 2 + 2 * kt1**2 / low[1] ** 3),
             *(np.abs(square).sum() ** 0.5, *np.hypot(*sides)[1:]),
             *twist,
+            *(np.abs(each).sum() for each in (kb, kt)),
         ]
     )
 

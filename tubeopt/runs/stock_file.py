@@ -9,31 +9,21 @@ from pydantic import Field
 
 from ..design import StockTube
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Positive, check_kind
-from ..files.fields import Part
-from ..files.units import MM, to_si
+from ..files.checked import Entry, check_kind
+from ..files.fields import Part, asking, values
 from ..files.yaml_file import load_yaml
 from ..robots.file import MaterialChoice, material_of
 
 
+@asking(StockTube)
 class StockEntry(Part):
     """One size."""
 
-    name: str
-    outer_diameter_mm: Positive
-    inner_diameter_mm: NotNegative
-    source: str = ""
     material: MaterialChoice = "nitinol"
 
     def build(self) -> StockTube:
         """The size in SI."""
-        return StockTube(
-            self.name,
-            to_si(self.outer_diameter_mm, MM),
-            to_si(self.inner_diameter_mm, MM),
-            self.source,
-            material_of(self.material),
-        )
+        return StockTube(**values(StockTube, self), material=material_of(self.material))
 
 
 class StockList(Entry):
@@ -54,7 +44,7 @@ def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
         InputError: no such file, not YAML, or keys or values that make no sizes: one line for every problem.
     """
     found = check_kind(STOCK_KINDS, load_yaml(path), path)
-    names = [entry.name for entry in found.tubes]
-    if len(set(names)) < len(names):
+    sizes = tuple(entry.build() for entry in found.tubes)
+    if len({size.name for size in sizes}) < len(sizes):
         raise InputError(f"{path}: a name of a tube is given twice; every size must have its own")
-    return tuple(entry.build() for entry in found.tubes)
+    return sizes

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bodies.frames import roll_of
 from ..errors import NotProvedError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -32,12 +33,13 @@ class _Arm:
     name: str
     position: Array
     direction: Array
+    roll: float
     motion: Trajectory
 
 
 def _arms(plan: ArmsPlan) -> list[_Arm]:
     return [
-        _Arm(k + 1, arm.called, arm.base.origin, arm.base.axes[:, 2], motion)
+        _Arm(k + 1, arm.called, arm.base.origin, arm.base.axes[:, 2], roll_of(arm.base), motion)
         for k, (arm, motion) in enumerate(zip(plan.arms, plan.trajectories, strict=True))
     ]
 
@@ -63,6 +65,7 @@ ARM: tuple[Quantity[_Arm], ...] = (
     Quantity("name", "of the arm"),
     Quantity("position_mm", "of its plate in the frame that all share"),
     Quantity("direction", "along which it leaves the plate"),
+    Quantity("roll_deg", "turn of its plate about that direction, as `base` has it"),
     Quantity("begin_s", "when it begins to move", lambda a: a.motion.time[0]),
     Quantity("end_s", "from when it rests", lambda a: a.motion.time[-1]),
     Quantity("motion", "its motion, in the frame of its own plate", of=TRAJECTORY),
@@ -90,6 +93,25 @@ ARMS: tuple[Quantity[ArmsPlan], ...] = (
 )  # fmt: skip
 
 
+def between_arms(plan: ArmsPlan) -> str:
+    """A table of the distances of every two arms at instants: what is measured between points of both, and what is
+    proved of all points, from this instant to the next; empty where nothing is."""
+    times, pairs = np.linspace(0.0, plan.duration, INSTANTS), plan.proof.pairs
+    words = [f"arms_{pair.arms[0] + 1}_{pair.arms[1] + 1}" for pair in pairs]
+    columns = ["time_s", *(f"{each}_mm" for each in words), *(f"{each}_at_least_mm" for each in words)]
+    later = np.append(times[1:], times[-1])
+    shown = np.column_stack([pair.at_least(times, later) for pair in pairs]) * TO_MM
+    proved = np.where(
+        np.isfinite(shown), np.floor(shown * 1e6) / 1e6, np.nan
+    )  # rounded down, so that a bound stays one
+    measured = np.round(plan.clearance(times) * TO_MM, 6)
+    rows = (
+        [float(t), *map(float, row), *("" if x != x else float(x) for x in bounds)]
+        for t, row, bounds in zip(times, measured, proved, strict=True)
+    )
+    return to_csv(columns, rows)
+
+
 class ArmsReport(Report[ArmsPlan]):
     """What is said and saved about the motions of several robots."""
 
@@ -110,14 +132,8 @@ class ArmsReport(Report[ArmsPlan]):
             paths += [folder / "robot.yaml", folder / "trajectory.csv"]
             save_robot(arm.motion.robot, paths[-2])
             save_trajectory(arm.motion, paths[-1], robot_file="robot.yaml")
-        times = np.linspace(0.0, p.duration, INSTANTS)
-        columns = ["time_s", *(f"arms_{i + 1}_{j + 1}_mm" for i, j in (pair.arms for pair in p.proof.pairs))]
-        rows = (
-            [float(t), *(round(float(x) * TO_MM, 6) for x in row)]
-            for t, row in zip(times, p.clearance(times), strict=True)
-        )
         paths.append(directory / "between_arms.csv")
-        write_text(paths[-1], to_csv(columns, rows))
+        write_text(paths[-1], between_arms(p))
         return [*paths, self.save_record(directory)]
 
     def pictures(self) -> dict[str, Drawing]:

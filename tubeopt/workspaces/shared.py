@@ -113,7 +113,7 @@ def place_pair(
         )
     edge = shared_workspace(workspaces, (Frame(), Frame()), size=size, min_margin=min_margin).size
     tips = [_tips(each, min_margin) for each in workspaces]
-    tilt = positive("most_tilt", most_tilt)
+    tilt = positive("most_tilt", most_tilt, zero=True)
 
     def bases(x: Array) -> tuple[Frame, Frame]:
         frames = []

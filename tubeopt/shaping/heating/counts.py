@@ -9,7 +9,7 @@ import numpy as np
 from ...physics.heat import GRIP
 from ...robots.tubes import Tube
 from ...typing import Array
-from .rates import State, at_rest, current, rates
+from .rates import State, at_rest, warming_span
 from .rig import COUNTS, Rig
 from .schedule import Counts
 from .simulation import advance
@@ -56,7 +56,7 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
     sums = COUNTS * np.cumsum(duty)
     counts = np.zeros(len(duty), dtype=np.int64)
     state, given = at_rest(model), 0.0
-    slow, fast = extremes(model, state)
+    slow, fast, _ = extremes(model, state)
     owed = 0.5 + MOST_COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
     hopeless = most_count(model, state, spec, rig) < 1 + COUNTS * rig.circuit.lost_share
     heated = int(np.count_nonzero(duty))
@@ -76,16 +76,16 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
 
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
     """Greatest count that keeps ramp and mean current, less `SPARED` of them, at a state."""
-    slow, fast = extremes(model, state)
+    slow, fast, now = extremes(model, state)
     kept = 1 - SPARED
     room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
-    now = float(current(model, state.cells[:, :, 0], state.lumped).total[0])
     # What a pulse loses does not warm, but it flows.
     return int(COUNTS * max(min(room + rig.circuit.lost_share, kept * rig.circuit.current_limit / now, 1.0), 0.0))
 
 
-def extremes(model: ThermalModel, state: State) -> tuple[Array, Array]:
-    """Rates of warming of the cells outside of the clamps at no duty and at full duty, K/s."""
-    idle, full = (rates(model, state.cells, state.lumped, duty)[0][0, :, 0] for duty in (0.0, 1.0))
+def extremes(model: ThermalModel, state: State) -> tuple[Array, Array, float]:
+    """Rates of warming of the cells outside of the clamps at no duty and at full duty, K/s; and the current while the
+    MOSFET conducts, A."""
+    idle, full, now = warming_span(model, state.cells, state.lumped)
     free = model.zone > GRIP
-    return idle[free], full[free]
+    return idle[0, free], full[0, free], float(now[0])

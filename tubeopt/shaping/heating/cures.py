@@ -13,7 +13,7 @@ from ...robots.tubes import Tube
 from ..materials import CALCIUM_SILICATE
 from .counts import count_rate, full_current
 from .ideal import Ideal, Shift, solve_ideal
-from .outcome import Outcome
+from .outcome import Outcome, broken
 from .rig import Rig
 from .spec import LONGEST, HeatingSpec
 
@@ -25,6 +25,10 @@ WORTH = 0.1
 
 TRIES = 3
 SHORT_SLOT, MORE_CURRENT, MORE_TIME, LONG_LEAD, WIDER = 0.1, 2.0, 3.0, 1.5, 25.0
+
+LONG_SLOT, SWING = 0.5, 0.1
+"""To see that a change cures, duties are kept for up to this long, s, where half a count warms by no more than this
+part of the window in that time."""
 
 FINE_COUNT, LESS_PEAK, OHM_STEP = 0.4, 0.95, 1e-3
 """Parts of the ramp that a count should warm the tube by, and of the circuit's peak current that should flow; ohm by
@@ -59,12 +63,12 @@ class Schedule(Protocol):
 
 @dataclass(frozen=True)
 class Search:
-    """How schedules are found: the best one; the soonest one, which is None where it does not keep everything; that of
-    whole counts in the place of a program's answer."""
+    """How schedules are found: the best one; whether the soonest one keeps everything; and what whole counts in the
+    place of a program's answer keep."""
 
     best: Callable[[Tube, Rig, HeatingSpec], Schedule]
-    soonest: Callable[[Tube, Rig, HeatingSpec], Schedule | None]
-    counted: Callable[[Tube, HeatingSpec, Ideal], Schedule]
+    soonest: Callable[[Tube, Rig, HeatingSpec], bool]
+    counted: Callable[[Tube, HeatingSpec, Ideal], Outcome]
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,7 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
     """
     plain = replace(spec, objective="time")
     if best.outcome.shortfall <= 0:
-        return _ordered([_confirmed(change, tube, by) for change in _for_limits(tube, rig, plain, best.outcome)])
+        return _ordered(_for_limits(tube, rig, plain, best.outcome, by))
     found: list[Cure | None] = []
     said = best.program
     assert said is not None
@@ -113,11 +117,27 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
 
 
 def _kept(change: Change, tube: Tube, by: Search) -> Cure | None:
-    """The cure that a change is by the soonest schedule; None where that does not keep everything."""
+    """The cure that a change is by the soonest schedule; None where that does not keep everything.
+
+    A schedule of longer slots is one of short ones too, of which every few share their count.
+    """
     words, rig, asked = change
-    if asked.free or by.soonest(tube, rig, asked) is None:
+    if asked.free:
         return None
-    return Cure(words, 0.0)
+    if any(by.soonest(tube, rig, spec) for spec in _slower(tube, rig, asked)):
+        return Cure(words, 0.0)
+    return None
+
+
+def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
+    """What is asked for with slots several times as long, where these fill the hold and half a count does not warm by
+    much in one; and as it is."""
+    longer = spec.slot * math.floor(LONG_SLOT / spec.slot + 1e-9)
+    if longer <= spec.slot or abs(spec.hold_time / longer - round(spec.hold_time / longer)) > 1e-9:
+        return (spec,)
+    low, high = spec.window_degC
+    swing = 0.5 * longer * count_rate(tube, rig)
+    return (replace(spec, slot=longer), spec) if swing < SWING * (high - low) else (spec,)
 
 
 def _estimated(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed, by: Search) -> Cure | None:
@@ -129,7 +149,10 @@ def _estimated(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed, 
     fixed = replace(change[2], free=())
     if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, by)) is not None:
         return kept
-    outcome = by.counted(tube, fixed, answer).outcome
+    for asked in _slower(tube, answer.rig, fixed):
+        outcome = by.counted(tube, asked, answer)
+        if outcome.kept:
+            break
     return replace(cure, shortfall=outcome.shortfall, broken=outcome.broken)
 
 
@@ -138,7 +161,8 @@ def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
 
 
 def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed) -> tuple[Cure, Ideal] | None:
-    """By how much the program misses the window with a change, and its answer; None where it finds none."""
+    """By how much the program misses the window with a change, and its answer; None where it finds none, or would
+    change nothing of the rig that it may."""
     words, rig, asked = change
     part = asked.slot / spec.slot
     low, high = best.reserve
@@ -148,14 +172,25 @@ def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed) -> t
         answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=best.shift, guess=guess)
     except SolveError:
         return None
+    if asked.free and _alike(rig, answer.rig):
+        return None
     mold, clamps = answer.rig.mold, answer.rig.clamps
     told = words.format(lead=1e3 * mold.lead, clearance=1e3 * clamps.clearance, vent=100 * max(mold.vents))
     return Cure(told, max(answer.miss, 0.0)), answer
 
 
+def _alike(rig: Rig, other: Rig) -> bool:
+    """Whether lead and clearance differ by less than a hundredth, and no vents are opened."""
+    near = math.isclose(rig.mold.lead, other.mold.lead, rel_tol=0.01)
+    near = near and math.isclose(rig.clamps.clearance, other.clamps.clearance, rel_tol=0.01)
+    return near and max(other.mold.vents) < max(rig.mold.vents) + 0.01
+
+
 def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
     """What whole counts make of a change; None where there is no schedule."""
     words, rig, asked = change
+    if any(by.soonest(tube, rig, spec) for spec in _slower(tube, rig, asked)[:-1]):
+        return Cure(words, 0.0)
     try:
         found = by.best(tube, rig, asked)
     except SolveError:
@@ -163,19 +198,22 @@ def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
     return Cure(words, found.outcome.shortfall, found.outcome.broken)
 
 
-def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Change]:
+def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome, by: Search) -> list[Cure | None]:
     """Changes where the window is held but ramp or currents are not: less current, or another limit."""
     now, count = full_current(tube, rig), count_rate(tube, rig)
     most = now * math.sqrt(min(FINE_COUNT * spec.ramp / count, 1.0))
     most = min(most, LESS_PEAK * rig.circuit.peak_limit)
-    found: list[Change] = []
+    found: list[Cure | None] = []
     if most < now:
         ohm = OHM_STEP * math.ceil(rig.battery.voltage * (1 / most - 1 / now) / OHM_STEP)
         circuit = replace(rig.circuit, cable_resistance=rig.circuit.cable_resistance + ohm)
-        found.append((f"a resistor of {1e3 * ohm:.0f} mohm in series", replace(rig, circuit=circuit), spec))
+        change = f"a resistor of {1e3 * ohm:.0f} mohm in series", replace(rig, circuit=circuit), spec
+        found.append(_confirmed(change, tube, by))
     if outcome.steepest > spec.ramp:
+        # The schedule that breaks the limit keeps another one.
         faster = replace(spec, ramp=float(5 * math.ceil(outcome.steepest / 5 + 1e-9)))
-        found.append((f"a ramp of {faster.ramp:g} K/s", rig, faster))
+        rest = {name: getattr(outcome, name) for name in ("steepest", "mean_current", "peak_current")}
+        found.append(Cure(f"a ramp of {faster.ramp:g} K/s", 0.0, broken(rig, faster, **rest)))
     return found
 
 

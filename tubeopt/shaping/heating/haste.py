@@ -7,6 +7,8 @@ one knows them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...robots.materials import ZERO_CELSIUS
@@ -23,22 +25,31 @@ from .thermal import ThermalModel
 DECIDED = 0.5
 """Least time, s, for which a duty of the hold is chosen; slots that are shorter share it."""
 
+STALL, SOONER = 10.0, 2.0
+"""Time, s, over which it is looked how fast the coldest point warms, and how many times as fast it may warm later."""
+
 PROBE = 8.0
 """Counts between which temperatures at the end of a slot are taken to be linear."""
 
 
 def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) -> tuple[Counts, Array, float] | None:
     """Counts and mean duties (T,) of heating and hold, and when the hold begins, s; None where the window is not
-    reached in time.
+    reached in time, or the coldest point warms ever slower and far too slowly for it.
 
     Args:
         model: one member. reserve: kept from the window's ends and the limit, K.
     """
     low, high = spec.window_degC[0] + reserve, min(spec.window_degC[1], spec.limit) - reserve
-    state, counts = at_rest(model), []
-    for _ in range(int(spec.longest_heating / spec.slot)):
-        if _curved(model, state)[0] >= low:
+    state, counts, seen = at_rest(model), [], []
+    slots, apart = int(spec.longest_heating / spec.slot), max(round(STALL / spec.slot), 1)
+    for k in range(slots):
+        coldest = _curved(model, state)[0]
+        if coldest >= low:
             break
+        if k % apart == 0:
+            seen.append(coldest)
+            if _stalls(seen, low, (slots - k) / apart):
+                return None
         most = most_count(model, state, spec, rig)
         count, state = _greatest(model, state, most, (spec.slot, high))
         counts.append(count)
@@ -48,6 +59,15 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
     heating = np.array(counts, dtype=np.int64)
     levels = np.concatenate([heating / COUNTS, held])
     return np.concatenate([heating, sum_up_rounding(held)]), levels, spec.slot * len(heating)
+
+
+def _stalls(seen: Sequence[float], goal: float, left: float) -> bool:
+    """Whether temperatures at equal distances in time, which rise less and less, would not reach a goal in as many more
+    of them as are left, not even `SOONER` times as fast as between the last two."""
+    if len(seen) < 3:
+        return False
+    before, rise = seen[-2] - seen[-3], seen[-1] - seen[-2]
+    return rise <= before and seen[-1] + SOONER * left * rise < goal
 
 
 def _greatest(model: ThermalModel, state: State, most: int, goal: tuple[float, float]) -> tuple[int, State]:
@@ -68,10 +88,17 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
     while len(levels) < spec.hold_slots:
         span = together * spec.slot
         coldest, hottest = _curved(model, state)
-        most = (most_count(model, state, spec, rig) - 1) / COUNTS
-        target = min(middle + 0.5 * (hottest - coldest), high)
-        levels += [_level(model, state, max(most, 0.0), (span, target))] * together
-        state = advance(model, state, levels[-1], span)
+        # A bare part may be hotter than the curved one.
+        target = min(middle + 0.5 * (hottest - coldest) + _hottest(state) - hottest, high)
+        most = most_count(model, state, spec, rig)
+        # One count is left for what changes within the slots that share a duty, but the tube need not cool for it.
+        for spared in (1, 0):
+            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target))
+            after = advance(model, state, level, span)
+            if level < (most - spared) / COUNTS or _curved(model, after)[0] >= coldest:
+                break
+        levels += [level] * together
+        state = after
     return np.array(levels[: spec.hold_slots])
 
 

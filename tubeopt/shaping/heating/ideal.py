@@ -20,7 +20,7 @@ from ...typing import Array
 from .counts import count_rate, full_current
 from .instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE, SAG, VENTS, physics
 from .program import WINDOW, WISHES, Program, Structure, program
-from .rates import State, current, rates
+from .rates import State, warming_span
 from .rig import COUNTS, Rig
 from .simulation import History, simulate, simulate_feedback
 from .spec import HeatingSpec
@@ -81,15 +81,11 @@ class Ideal:
         time, duty = self.node_time, self.node_duty
         if edges[-1] > time[-1]:
             time, duty = np.append(time, edges[-1] + slot), np.append(duty, duty[-1])
-        integral = np.concatenate([[0.0], np.cumsum(np.diff(time) * _middles(duty))])
+        integral = np.concatenate([[0.0], np.cumsum(np.diff(time) * 0.5 * (duty[1:] + duty[:-1]))])
         k = np.clip(np.searchsorted(time, edges, side="right") - 1, 0, len(time) - 2)
         value = np.interp(edges, time, duty)
         total = integral[k] + 0.5 * (edges - time[k]) * (duty[k] + value)
         return np.asarray(np.clip(np.diff(total) / slot, 0.0, 1.0))
-
-
-def _middles(values: Array) -> Array:
-    return 0.5 * (values[1:] + values[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,12 +189,15 @@ def _solved(
     return found, stats
 
 
+def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> float:
+    """The ramp less what the fine grid takes of it and `room` counts, K/s."""
+    ramp, count = (1 - COARSE_RAMP) * spec.ramp, count_rate(tube, rig)
+    # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
+    return max(ramp - room * count, LEAST_RAMP * spec.ramp) if count < ramp else ramp
+
+
 def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], room: float) -> Array:
     low, high = spec.window_degC
-    # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
-    ramp, count = (1 - COARSE_RAMP) * spec.ramp, count_rate(tube, rig)
-    if count < ramp:
-        ramp = max(ramp - room * count, LEAST_RAMP * spec.ramp)
     # By sum-up rounding it is up to a whole count greater.
     current = max(rig.circuit.current_limit - full_current(tube, rig) / COUNTS, 0.5 * rig.circuit.current_limit)
     values = {
@@ -206,7 +205,7 @@ def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float
         "low": low + reserve[0] + ZERO_CELSIUS,
         "high": high - reserve[1] + ZERO_CELSIUS,
         "limit": spec.limit - reserve[1] + ZERO_CELSIUS,
-        "ramp": ramp,
+        "ramp": planned_ramp(tube, rig, spec, room),
         "current": current,
         **WEIGHTS[spec.objective],
     }
@@ -315,13 +314,11 @@ def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array)
 
 def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:
     """Duty that brings the hottest cell outside of the clamps to `wanted` (K) in a slot, within the current limit."""
-    idle, _ = rates(model, state.cells, state.lumped, 0.0)
-    full, _ = rates(model, state.cells, state.lumped, 1.0)
+    (idle,), (full,), (now,) = warming_span(model, state.cells, state.lumped)
     tube = state.cells[0, :, 0]
     hot = int(np.argmax(np.where(model.zone > GRIP, tube, 0.0)))
-    need = (wanted - tube[hot]) / slot - idle[0, hot, 0]
-    now = float(current(model, state.cells[:, :, 0], state.lumped).total[0])
-    return float(np.clip(need / (full[0, hot, 0] - idle[0, hot, 0]), 0.0, min(1.0, current_limit / now)))
+    need = (wanted - tube[hot]) / slot - idle[hot]
+    return float(np.clip(need / (full[hot] - idle[hot]), 0.0, min(1.0, current_limit / now)))
 
 
 def _unknowns(model: ThermalModel, history: History, duties: Array, points: Array, faces: Array) -> dict[str, Array]:

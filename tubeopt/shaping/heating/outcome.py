@@ -63,7 +63,7 @@ def outcome_of(
     ramp = float(warming[:, model.zone > GRIP].max() / (history.time[1] - history.time[0]))
     steepest, mean, peak = (float(row.max()) for row in (within.rate, within.mean_current, within.current))
     found = {"steepest": steepest, "mean_current": mean, "peak_current": peak}
-    return Outcome(lowest, highest, hottest, max(miss, 0.0), ramp, **found, broken=_broken(rig, spec, **found))
+    return Outcome(lowest, highest, hottest, max(miss, 0.0), ramp, **found, broken=broken(rig, spec, **found))
 
 
 def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
@@ -72,9 +72,10 @@ def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
     return first, first + spec.hold_slots
 
 
-def _broken(
+def broken(
     rig: Rig, spec: HeatingSpec, *, steepest: float, mean_current: float, peak_current: float
 ) -> tuple[str, ...]:
+    """In words, which of ramp and currents are beyond their limits; K/s and A, as in `Outcome`."""
     found = []
     if steepest > spec.ramp:
         found.append(

@@ -24,9 +24,9 @@ from ...typing import Array
 from .counts import count_rate, guarded_counts
 from .cures import Programmed, Search, find_cures
 from .haste import soonest
-from .ideal import Ideal, Shift, joined, solve_ideal
+from .ideal import Ideal, Shift, joined, planned_ramp, solve_ideal
 from .leading import lead_by
-from .outcome import Outcome, outcome_of
+from .outcome import Outcome, hold_slots, outcome_of
 from .plan import Computed, HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts
@@ -46,6 +46,9 @@ NEAR = 0.3
 HOPELESS = 5.0
 """Miss of the window, K, for which a second round is enough: no third one lets it be held."""
 
+FINE_SWING = 0.5
+"""Swing by rounding to counts, K, up to which it is told well enough before it is known."""
+
 FIRST_ERROR = 0.004
 """Mesh error that is expected before it is known, as a fraction of the rise in temperature."""
 
@@ -58,25 +61,35 @@ ROOMS = (0.75, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Schedule:
-    """A schedule: mean duties and the counts in their place, what both do, and what is kept.
+class Run:
+    """Mean duties, and what they do.
 
     Attributes:
-        rig: with clearance, lead and vents as chosen. levels: mean duties (T,) in every slot. counts: (T,) in their
-        place.
-        model: the fine one. exact: what `levels` do to it; checked: what `counts` do.
-        error: of the mesh, K. start: of the hold, s. program: what the program said of it, where it was asked.
+        rig: with clearance, lead and vents as chosen. model: its fine one.
+        levels: mean duties (T,) in every slot. exact: what they do. error: of the mesh, K. start: of the hold, s.
     """
 
     rig: Rig
-    levels: Array
-    counts: Counts
     model: ThermalModel
+    levels: Array
     exact: History
-    checked: History
     error: float
-    outcome: Outcome
     start: float
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A schedule: mean duties, the counts in their place, what these do, and what is kept.
+
+    Attributes:
+        run: of the mean duties. counts: (T,) in their place. checked: what they do.
+        program: what the program said of it, where it was asked.
+    """
+
+    run: Run
+    counts: Counts
+    checked: History
+    outcome: Outcome
     program: Programmed | None = None
 
     @property
@@ -114,12 +127,10 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
-    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _hastened, _counted))
-    start, iterations = found.start, 0 if found.program is None else found.program.ideal.iterations
-    computed = Computed(
-        found.model, start, found.counts, found.levels, found.checked, found.exact, found.error, iterations
-    )
-    plan = HeatingPlan.of(tube, found.rig, spec, computed, cures=cures)
+    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _keeps, _realised))
+    run, iterations = found.run, 0 if found.program is None else found.program.ideal.iterations
+    computed = Computed(run.model, run.start, found.counts, run.levels, found.checked, run.exact, run.error, iterations)
+    plan = HeatingPlan.of(tube, run.rig, spec, computed, cures=cures)
     return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
 
 
@@ -133,10 +144,11 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
         return sooner
     found = _corrected(tube, rig, spec, ROOMS[0])
     if hasty and spec.free and found.outcome.shortfall <= HOPELESS:
-        sooner = _hastened(tube, found.rig, spec)
-        if sooner is not None and not (found.kept and sooner.start >= found.start):
+        sooner = _hastened(tube, found.run.rig, spec)
+        if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
             return sooner
-    if found.kept or not _behind(found, spec):
+    first, second = (planned_ramp(tube, rig, spec, room) for room in ROOMS)
+    if found.kept or first == second or not _behind(found, spec):
         return found
     other = _corrected(tube, rig, spec, ROOMS[1])
     return other if other.outcome.shortfall < found.outcome.shortfall else found
@@ -144,45 +156,65 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
 
 def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
     """The soonest schedule of whole counts; None where it does not keep everything."""
+    answer = _soonest(tube, rig, spec)
+    if answer is None:
+        return None
+    counts, levels, start = answer
+    found = _checked(spec, _run((tube, rig, spec), levels, start), counts)
+    return found if found.kept else None
+
+
+def _keeps(tube: Tube, rig: Rig, spec: HeatingSpec) -> bool:
+    """Whether the soonest schedule of whole counts keeps everything."""
+    answer = _soonest(tube, rig, spec)
+    return answer is not None and _outcome((tube, rig, spec), answer[0], answer[-1]).kept
+
+
+def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, float] | None:
+    """Counts and mean duties of the soonest schedule, and when the hold begins, s; None where it misses the window."""
     # Other charges are rounded anew: half a count is left for that.
     least, model = LEAST_RESERVE + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
     # What the mesh adds is told by the same on a coarse one.
     rough = soonest(model, spec, rig, least)
-    if rough is None or _far(model, spec, rough[1], rough[-1]):
+    if rough is None:
         return None
-    fine = thermal_model(tube, rig, FINE)
-    error = mesh_error(model, spec, rough[1], simulate(fine, spec.slot, rough[1]))
+    coarse, fine = simulate(model, spec.slot, rough[1]), thermal_model(tube, rig, FINE)
+    if _far(model, spec, coarse, rough[-1]):
+        return None
+    error = mesh_error(coarse, simulate(fine, spec.slot, rough[1]), rough[1])
     answer = soonest(fine, spec, rig, error + least)
     if answer is None:
         return None
     cooling = np.zeros(math.ceil(COOLING / spec.slot))
-    counts = np.concatenate([answer[0], cooling.astype(np.int64)])
-    found = _simulated((tube, rig, spec), fine, np.concatenate([answer[1], cooling]), counts, answer[-1])
-    return found if found.kept else None
+    return np.concatenate([answer[0], cooling.astype(np.int64)]), np.concatenate([answer[1], cooling]), answer[-1]
 
 
-def _far(model: ThermalModel, spec: HeatingSpec, levels: Array, start: float) -> bool:
+def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float) -> bool:
     """Whether the window is missed by so much that no grid would change it."""
-    low, high = spec.window_degC
-    held = joined(model, simulate(model, spec.slot, levels).tube[round(start / spec.slot) :, 0]) - ZERO_CELSIUS
+    (low, high), (first, last) = spec.window_degC, hold_slots(spec, start)
+    held = joined(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
     return bool(max(low - held.min(), held.max() - high) > HOPELESS)
 
 
-def _simulated(
-    asked: tuple[Tube, Rig, HeatingSpec], model: ThermalModel, levels: Array, counts: Counts, start: float
-) -> Schedule:
-    """What mean duties and the counts in their place do, and what is kept, where the hold begins at `start`, s."""
+def _run(asked: tuple[Tube, Rig, HeatingSpec], levels: Array, start: float) -> Run:
+    """What mean duties do where the hold begins at `start`, s."""
     tube, rig, spec = asked
-    exact, checked = simulate(model, spec.slot, levels), resimulate(model, spec.slot, counts / COUNTS)
-    error = mesh_error(thermal_model(tube, rig, COARSE), spec, levels, exact)
-    outcome = outcome_of(model, rig, spec, checked, start, error)
-    return Schedule(rig, levels, counts, model, exact, checked, error, outcome, start)
+    model, rough = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
+    exact = simulate(model, spec.slot, levels)
+    return Run(rig, model, levels, exact, mesh_error(simulate(rough, spec.slot, levels), exact, levels), start)
+
+
+def _checked(spec: HeatingSpec, run: Run, counts: Counts) -> Schedule:
+    """What counts in the place of mean duties do, and what is kept."""
+    checked = resimulate(run.model, spec.slot, counts / COUNTS)
+    return Schedule(run, counts, checked, outcome_of(run.model, run.rig, spec, checked, run.start, run.error))
 
 
 def _behind(found: Schedule, spec: HeatingSpec) -> bool:
     """Whether the counts, held back for the sake of the ramp, cost what the window is missed by."""
-    start = round(found.start / spec.slot)
-    lag = joined(found.model, found.exact.tube[start, 0] - found.checked.tube[start, 0])
+    run = found.run
+    start = round(run.start / spec.slot)
+    lag = joined(run.model, run.exact.tube[start, 0] - found.checked.tube[start, 0])
     return 0 < found.outcome.shortfall < float(lag.max()) + HOPELESS
 
 
@@ -194,70 +226,94 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
     said: Programmed | None = None
     shift: Shift | None = None
     for round_ in range(ROUNDS):
-        found, said = _schedule(tube, rig, spec, room, (said, shift, reserve))
-        ideal, error = said.ideal, found.error
-        # The margin is that of the fine grid only after a correction.
-        if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
+        said = _programmed(tube, rig, spec, room, (said, shift, reserve))
+        ideal, run = said.ideal, _exactly(tube, spec, said.ideal)
+        lost = (swing, 4 * swing)
+        # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
+        if round_ or swing > FINE_SWING or not _hopeless(ideal, run, spec):
+            found = replace(_counted(spec, run), program=said)
+            # The margin is that of the fine grid only after a correction.
+            if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
+                break
+            if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS):
+                break
+            lost = _rounded(run.model, run.exact, found.checked, spec, ideal)
+        before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
+        if before is not None and before.near(shift, NEAR):
             break
-        before, shift = shift, Shift.between(ideal, tube, found.model, found.exact, slots_on(ideal, spec))
-        if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS) and found.outcome.hottest + error <= spec.limit:
-            break
-        if round_ and (ideal.miss > HOPELESS or (before is not None and before.near(shift, NEAR))):
-            break
-        low, high = _rounded(found.model, found.exact, found.checked, spec, ideal)
-        reserve = (low + error + LEAST_RESERVE, high + error + LEAST_RESERVE)
-    if found.outcome.hottest + error > spec.limit:
-        counts, checked = trimmed(found.model, spec, found.rig, found.levels, error)
-        outcome = outcome_of(found.model, found.rig, spec, checked, found.start, error)
-        found = replace(found, counts=counts, checked=checked, outcome=outcome)
-    return found
+        reserve = (lost[0] + run.error + LEAST_RESERVE, lost[1] + run.error + LEAST_RESERVE)
+    return trimmed(spec, found) if found.outcome.hottest + found.run.error > spec.limit else found
 
 
-def _schedule(
+def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
+    """Whether the window is missed by far, but by so little, or with so hot a point, that a correction changes much."""
+    hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error
+    corrigible = ideal.miss <= 10 * HOPELESS or hottest > spec.limit
+    return ideal.miss > HOPELESS and corrigible and _far(run.model, spec, run.exact, run.start)
+
+
+def _programmed(
     tube: Tube,
     rig: Rig,
     spec: HeatingSpec,
     room: float,
     earlier: tuple[Programmed | None, Shift | None, tuple[float, float]],
-) -> tuple[Schedule, Programmed]:
-    """One round; `earlier`: what the program said before, the shift that corrects it, the reserve of this one."""
+) -> Programmed:
+    """What the program says in a round; `earlier`: what it said before, the shift that corrects it, the reserve."""
     before, shift, reserve = earlier
     # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
     asked, on = (spec, rig) if before is None else (replace(spec, free=()), before.ideal.rig)
     guess = None if before is None else before.ideal
-    ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess)
-    said = Programmed(ideal, shift, reserve)
-    return replace(_counted(tube, spec, ideal), program=said), said
+    return Programmed(
+        solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess), shift, reserve
+    )
 
 
-def _counted(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Schedule:
-    """Whole counts in the place of an ideal schedule."""
-    model = thermal_model(tube, ideal.rig, FINE)
+def _exactly(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Run:
+    """What the duties of an ideal schedule do to the fine model."""
+    return _run((tube, ideal.rig, spec), commanded(slots(ideal, spec), ideal.rig), hold_start(ideal, spec))
+
+
+def _counted(spec: HeatingSpec, run: Run) -> Schedule:
+    """Whole counts in the place of mean duties."""
+    return _checked(spec, run, guarded_counts(run.model, spec, run.rig, run.levels))
+
+
+def _realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
+    """What whole counts in the place of an ideal schedule keep."""
     levels = commanded(slots(ideal, spec), ideal.rig)
-    counts = guarded_counts(model, spec, ideal.rig, levels)
-    return _simulated((tube, ideal.rig, spec), model, levels, counts, hold_start(ideal, spec))
+    counts = guarded_counts(thermal_model(tube, ideal.rig, FINE), spec, ideal.rig, levels)
+    return _outcome((tube, ideal.rig, spec), counts, hold_start(ideal, spec))
 
 
-def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: History) -> float:
+def _outcome(asked: tuple[Tube, Rig, HeatingSpec], counts: Counts, start: float) -> Outcome:
+    """What counts keep, by themselves, where the hold begins at `start`, s."""
+    tube, rig, spec = asked
+    fine, coarse = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
+    checked = resimulate(fine, spec.slot, counts / COUNTS)
+    error = mesh_error(simulate(coarse, spec.slot, counts / COUNTS), checked, counts)
+    return outcome_of(fine, rig, spec, checked, start, error)
+
+
+def mesh_error(coarse: History, fine: History, schedule: Array | Counts) -> float:
     """Error of the temperatures of the fine grid, K, from a grid half as fine: the methods are of second order."""
-    other = simulate(coarse, spec.slot, schedule)
     heated = int(np.flatnonzero(schedule)[-1]) + 2
-    hottest = np.abs(other.tube.max((1, 2)) - fine.tube.max((1, 2)))[:heated]
+    hottest = np.abs(coarse.tube.max((1, 2)) - fine.tube.max((1, 2)))[:heated]
     return float(hottest.max()) / 3
 
 
-def trimmed(model: ThermalModel, spec: HeatingSpec, rig: Rig, schedule: Array, error: float) -> tuple[Counts, History]:
-    """Counts of the schedule scaled down until no point is above the limit less `error` (K), and what they do."""
-    scale = 1.0
+def trimmed(spec: HeatingSpec, found: Schedule) -> Schedule:
+    """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
+    run, scale = found.run, 1.0
     for _ in range(TRIMS):
-        counts = guarded_counts(model, spec, rig, scale * schedule)
-        history = resimulate(model, spec.slot, counts / COUNTS)
-        excess = float(history.tube.max()) - ZERO_CELSIUS + error - spec.limit
+        excess = found.outcome.hottest + run.error - spec.limit
         if excess <= 0:
             break
         # Temperatures rise nearly in proportion to the duty.
-        scale *= 1 - (excess + LEAST_RESERVE) / (spec.limit + ZERO_CELSIUS - model.ambient)
-    return counts, history
+        scale *= 1 - (excess + LEAST_RESERVE) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
+        counts = guarded_counts(run.model, spec, run.rig, scale * run.levels)
+        found = replace(_checked(spec, run, counts), program=found.program)
+    return found
 
 
 def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:

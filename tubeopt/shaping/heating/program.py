@@ -19,6 +19,7 @@ import numpy as np
 from ...block.transcription.tableau import tableau
 from ...physics.heat import Resolution
 from ...typing import Array
+from .derivatives import Parts
 from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
 
 WISHES = (
@@ -224,7 +225,7 @@ def program(s: Structure) -> Program:
         "duty": drive * DRIVE / AMPERE**2 - x.circuit[0, :] ** 2,
     }
     weights = np.tile(tableau("radau", mesh.degree).weights, mesh.heating + mesh.hold)
-    energy = ca.sum2(power * ca.DM(weights).T * width)
+    energy = w["w_energy"] / ENERGY * ca.DM(weights).T
     steps = ca.diff(x.drive, 1, 1)
     # From the last interval of heating to the first of the hold the drive may change as it must.
     steps[mesh.heating] = 0
@@ -234,19 +235,30 @@ def program(s: Structure) -> Program:
     # Vents that change fast from place to place would even out the coarse grid's own errors.
     smooth += LENGTHS * ca.sumsqr(x.design[:2]) + AREA * ca.sumsqr(x.design[2:])
     smooth += UNEVEN * ca.sumsqr(ca.diff(x.design[2:]))
-    objective = smooth + w["w_time"] * x.durations[0] + w["w_energy"] * energy / ENERGY + w["w_miss"] * x.misses[0]
+    linear = w["w_time"] * x.durations[0] + w["w_miss"] * x.misses[0]
     problem = {
         "x": x.column,
         "p": ca.veccat(p, wishes),
-        "f": objective,
+        "f": smooth + linear + ca.sum2(power * energy * width),
         "g": ca.vertcat(*(ca.vec(block) for block in blocks.values())),
     }
-    options: dict[str, Any] = {**IPOPT, "hess_lag": _curvature(problem, smooth)}
+    blocks["equations"] = ca.vertcat(rate, ca.MX(equations.size1() - s.states, s.points))
+    apart = Parts(
+        x=x.column,
+        p=problem["p"],
+        numbers=p,
+        own=ca.vertcat(x.z, x.circuit, drive, ca.repmat(x.design, 1, s.points), width),
+        objective=smooth + linear,
+        constraints=ca.vertcat(*(ca.vec(block) for block in blocks.values())),
+        weights=energy,
+    )
+    exact = {**IPOPT, **apart.functions(s.resolution, problem["g"])}
+    convex = {**exact, "hess_lag": _curvature(problem, smooth)}
     return Program(
         structure=s,
-        convex=ca.nlpsol("heating", "ipopt", problem, {**options, **COLD}),
-        again=ca.nlpsol("heating_again", "ipopt", problem, {**IPOPT, **WARM, **FEW}),
-        exact=ca.nlpsol("heating_exact", "ipopt", problem, {**IPOPT, **COLD}),
+        convex=ca.nlpsol("heating", "ipopt", problem, {**convex, **COLD}),
+        again=ca.nlpsol("heating_again", "ipopt", problem, {**exact, **WARM, **FEW}),
+        exact=ca.nlpsol("heating_exact", "ipopt", problem, {**exact, **COLD}),
         split=ca.Function("split", [x.column], [x.z, x.circuit, x.drive, x.durations[0], x.misses[0], x.design]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},
     )

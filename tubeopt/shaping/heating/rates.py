@@ -62,6 +62,19 @@ def rates(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float)
     return rate.reshape(cells.shape), slow
 
 
+def warming(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float) -> Array:
+    """(B, n, 2) of `rates`, K/s, those of what a current heats: the tube, and the shell next to it of a mold that
+    conducts."""
+    (rate,) = _evaluated("warming", model, cells, lumped, np.reshape(duty, (-1, 1)))
+    return rate.reshape(*cells.shape[:2], 2)
+
+
+def warming_span(model: ThermalModel, cells: Array, lumped: Array) -> tuple[Array, Array, Array]:
+    """(B, n) rates of the tube at no duty and at full duty, K/s, and (B,) the current while the MOSFET conducts, A."""
+    idle, full, ampere = _evaluated("span", model, cells, lumped)
+    return idle, full, ampere[:, 0]
+
+
 def stepped(model: ThermalModel, cells: Array, lumped: Array, duty: Array, span: float) -> tuple[Array, Array]:
     """(cells, lumped) after one step of the integrator over `span`, s, at a duty (1, 1) or (B, 1)."""
     function = mapped(step_function(model.resolution), len(cells))

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CLAMP
 from ...typing import Array
-from .rates import State, at_rest, current, imbalance, rates, stepped
+from .rates import State, at_rest, current, imbalance, stepped, warming
 from .thermal import ThermalModel
 
 STEP, TOGETHER, LOOK = 0.25, 0.2, 0.1
@@ -137,45 +137,75 @@ def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps:
     course = State(*(np.empty((len(levels) + 1, *row.shape)) for row in (start.cells, start.lumped)))
     course.cells[0], course.lumped[0] = start.cells, start.lumped
     together = max(int(TOGETHER / slot + 1e-9), 1) if steps is None else 1
-    state = start
-    for first, last in _windows(levels, slot, together):
-        part, before = levels[first:last], state
-        mean = part.mean(0)
+    state, windows = start, list(_windows(levels, slot, together))
+    means = [levels[first:last].mean(0) for first, last in windows]
+    for (first, last), mean in zip(windows, means, strict=True):
         state = advance(model, state, mean, slot * (last - first), steps)
         course.cells[last], course.lumped[last] = state.cells, state.lumped
-        if last > first + 1:
-            _fill(model, (before, state), slot * np.cumsum(part - mean, 0)[:-1], part, course, first)
+    ends, mean = np.array(windows).reshape(-1, 2), np.array(means)
+    for count in range(2, together + 1):
+        some = np.flatnonzero(ends[:, 1] - ends[:, 0] == count)
+        # One member is asked in many states at once.
+        for batch in range(0, len(some), size := BATCH if model.members == 1 else 1):
+            which = some[batch : batch + size]
+            _fill(model, course, (slot, levels), mean[which], ends[which, 0][:, None] + np.arange(count + 1))
     return course
 
 
 def _windows(levels: Array, slot: float, most: int) -> Iterator[tuple[int, int]]:
     """First and last slot + 1 of those that are stepped over together: at most so many, and of nearly the same duty."""
     given = slot * np.concatenate([0 * levels[:1], np.cumsum(levels, 0)])
+    alike = {count: _alike(given, count) for count in range(2, most + 1)}
     first = 0
     while first < len(levels):
-        last = min(first + most, len(levels))
-        while last > first + 1:
-            ahead = given[first : last + 1] - given[first]
-            if np.abs(ahead - np.multiply.outer(np.linspace(0.0, 1.0, len(ahead)), ahead[-1])).max() <= FORGOTTEN:
-                break
-            last -= 1
-        yield first, last
-        first = last
+        count = next((n for n in range(min(most, len(levels) - first), 1, -1) if alike[n][first]), 1)
+        yield first, first + count
+        first += count
 
 
-def _fill(model: ThermalModel, ends: tuple[State, State], ahead: Array, duty: Array, course: State, first: int) -> None:
-    """Write the states at the ends of slots within a window into a course: linear in time, and what duty was given
-    `ahead` of the mean (duty times s) has warmed and not yet left."""
-    before, after = ends
-    part = np.arange(1, len(duty)).reshape(-1, 1, 1, 1) / len(duty)
-    inside = slice(first + 1, first + len(duty))
-    course.cells[inside] = before.cells + part * (after.cells - before.cells)
-    course.lumped[inside] = before.lumped + part[..., 0] * (after.lumped - before.lumped)
-    low, high = duty.min(0), duty.max(0)
-    if (high > low).any():
-        rows = [rates(model, before.cells, before.lumped, level)[0] for level in (low, high)]
-        response = (rows[1] - rows[0]) / np.maximum(np.reshape(high - low, (-1, 1, 1)), 1e-12)
-        course.cells[inside] += response * np.reshape(ahead, (len(ahead), -1, 1, 1))
+def _alike(given: Array, count: int) -> NDArray[np.bool_]:
+    """(T + 1 - count,) whether what was given (T + 1, ...) until the ends of `count` slots from each on hardly differs
+    from what their mean duty would have given."""
+    size = max(len(given) - count, 0)
+    whole = given[count:] - given[:size]
+    away = np.zeros(size)
+    for k, part in enumerate(np.linspace(0.0, 1.0, count + 1)):
+        off = np.abs(given[k : k + size] - given[:size] - part * whole)
+        away = np.maximum(away, off.max(axis=tuple(range(1, off.ndim))))
+    return np.asarray(away <= FORGOTTEN)
+
+
+def _fill(model: ThermalModel, course: State, given: tuple[float, Array], mean: Array, at: NDArray[np.intp]) -> None:
+    """Write the states at the ends of slots within windows into a course that has those at the windows' ends: linear in
+    time, and what duty was given ahead of the mean has warmed and not yet left.
+
+    Args:
+        given: the slot and the duties (T, ...). mean: (W, ...) in the windows. at: (W, 1 + slots) their slots' ends.
+    """
+    slot, levels = given
+    duty = levels[at[:, :-1]]
+    ahead = slot * np.cumsum(duty - mean[:, None], 1)
+    before, after = (State(course.cells[at[:, k]], course.lumped[at[:, k]]) for k in (0, -1))
+    low, high = duty.min(1), duty.max(1)
+    response = _response(model, before, low, high) if (high > low).any() else None
+    for k in range(1, at.shape[1] - 1):
+        part = k / (at.shape[1] - 1)
+        cells = before.cells + part * (after.cells - before.cells)
+        if response is not None:
+            cells[..., :2] += response * np.reshape(ahead[:, k - 1], (len(at), -1, 1, 1))
+        course.cells[at[:, k]] = cells
+        course.lumped[at[:, k]] = before.lumped + part * (after.lumped - before.lumped)
+
+
+def _response(model: ThermalModel, state: State, low: Array, high: Array) -> Array:
+    """(W, B, n, 2) by how much faster, K/s, what a current heats warms per duty between two in states (W, B, ...)."""
+    cells, lumped = np.concatenate(state.cells), np.concatenate(state.lumped)
+    slow, fast = (
+        warming(model, cells, lumped, np.broadcast_to(duty.reshape(len(duty), -1), state.cells.shape[:2]).reshape(-1))
+        for duty in (low, high)
+    )
+    rise = np.maximum(np.reshape(high - low, (len(low), -1, 1, 1)), 1e-12)
+    return np.asarray((fast - slow).reshape(*state.cells.shape[:3], 2) / rise)
 
 
 def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:
@@ -196,7 +226,7 @@ def _extremes(model: ThermalModel, course: State, duty: Array, looks: int) -> Ex
     for first in range(0, len(at), BATCH):
         some = at[first : first + BATCH]
         cells, lumped = course.cells[some, 0], course.lumped[some, 0]
-        found = rates(model, cells, lumped, level[first : first + BATCH])[0]
+        found = warming(model, cells, lumped, level[first : first + BATCH])
         rate.append(found[:, free, 0].max(1))
         ampere.append(current(model, cells[:, :, 0], lumped).total)
     shape = len(duty), looks + 1

@@ -1,0 +1,53 @@
+"""The program's derivatives against differences; heatings that stall."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse
+
+from tubeopt import HeatingSpec
+from tubeopt.shaping.heating.haste import soonest
+from tubeopt.shaping.heating.ideal import solve_ideal
+from tubeopt.shaping.heating.instant import physics
+from tubeopt.shaping.heating.program import WISHES, Structure, program
+from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
+from tubeopt.typing import Array
+
+from .heating_reference import TUBE, thesis_rig
+
+STEP = 1e-5
+
+
+def test_derivatives_are_those_of_the_program() -> None:
+    generator = np.random.default_rng(5)
+    made = program(Structure(PROGRAM))
+    answer = solve_ideal(TUBE, thesis_rig(), HeatingSpec(hold_time=10))
+    wishes = generator.uniform(0.5, 2.0, len(WISHES))
+    p = np.concatenate([physics(TUBE, thesis_rig(), PROGRAM), wishes])
+    x = answer.x + 0.05 * generator.standard_normal(answer.x.size)
+    way, multipliers = generator.standard_normal(x.size), generator.standard_normal(sum(made.sizes.values()))
+    gradient, jacobian, hessian = (made.exact.get_function(name) for name in ("nlp_grad_f", "nlp_jac_g", "nlp_hess_l"))
+
+    def slope(at: Array) -> Array:
+        """Of the Lagrangian."""
+        return np.asarray(1.3 * gradient(at, p)[1].full().ravel() + jacobian(at, p)[1].sparse().T @ multipliers)
+
+    values = [jacobian(x + sign * STEP * way, p)[0].full().ravel() for sign in (1, -1)]
+    np.testing.assert_allclose(
+        jacobian(x, p)[1].sparse() @ way, (values[0] - values[1]) / (2 * STEP), rtol=1e-5, atol=1e-5
+    )
+    upper = hessian(x, p, 1.3, multipliers).sparse()
+    whole = upper + scipy.sparse.triu(upper, 1).T
+    expected = (slope(x + STEP * way) - slope(x - STEP * way)) / (2 * STEP)
+    np.testing.assert_allclose(whole @ way, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("lead", [4e-3, 10e-3])
+def test_what_stalls_would_not_get_there_in_five_times_the_time(lead: float) -> None:
+    rig = replace(thesis_rig(), mold=replace(thesis_rig().mold, lead=lead))
+    model, spec = thermal_model(TUBE, rig, COARSE), HeatingSpec(hold_time=10)
+    longer = replace(spec, longest_heating=1800)
+    assert (soonest(model, spec, rig, 1.0) is None) == (soonest(model, longer, rig, 1.0) is None)
