@@ -179,7 +179,8 @@ def picture(found: Sequence[Growth], path: Path) -> None:
     axes.set_xlabel("spheres")
     axes.set_ylabel("processor time (ms)")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc="center", bbox_to_anchor=(0.42, 0.59), ncols=2)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(fontsize="small", loc="outside upper center", ncols=3, frameon=False)
     figure.savefig(path, dpi=150)
 
 
