@@ -13,6 +13,7 @@ from ..block.transcription import arm as arms
 from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, to_unknowns, worst_equation
 from ..block.transcription.second_variation import margin
 from ..errors import InputError, SolveError, choice, positive, vector
+from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import Start, solve_compiled
@@ -78,9 +79,6 @@ SHORT = 0.01
 
 HOMOTOPY_STEP = np.pi / 8
 """Largest turn (rad) of a tube per step of the way from home."""
-
-MOST_TURN = 1e3
-"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
 
 
 def forward_kinematics(  # noqa: PLR0913
@@ -176,13 +174,6 @@ def _only_plain(by: Method, load: Load, verify: bool, discretisation: Discretisa
         raise InputError("verify is set; an equilibrium under load is not re-integrated, its own error estimate stands")
     if discretisation != DEFAULT_DISCRETISATION:
         raise InputError("discretisation is given; under load it is chosen for you")
-
-
-def check_turn(name: str, rotations: Array) -> None:
-    """Raise InputError naming a rotation beyond MOST_TURN."""
-    most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
-    if abs(most) > MOST_TURN:
-        raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
 
 
 def _to_tolerance(
