@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
+from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
 from ..typing import Array, Mask, Sentence
-from .kinematics import check_turn, forward_kinematics, measure
+from .kinematics import forward_kinematics, measure
 from .loaded import grow_many
 from .result import Equilibrium
 

@@ -23,11 +23,10 @@ from ..block.transcription.arm import Profile, integrate_torque
 from ..block.transcription.buffered import mapped, section_function
 from ..block.transcription.green import INWARDS
 from ..block.transcription.linear import poses_at_points
-from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.whole_arm import evaluate_arm
 from ..errors import InputError, SolveError
 from ..physics.certificate import worst_function
-from ..robots.breakpoints import DIMENSIONS
+from ..robots.breakpoints import COINCIDE, DIMENSIONS, coincides, of_pieces
 from ..typing import Array
 from .general_change import Answer, Change, Wound, together
 from .kinematics import forward_kinematics
@@ -38,7 +37,6 @@ NUDGE = 1e-7
 """Where breakpoints coincide, so far (m) to the side that is asked for lies the equilibrium whose derivatives stand for
 those to this side: they are off by about NUDGE times the second ones."""
 
-COINCIDE = 1e-9
 FLAT = 1 - 1e-9
 
 WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "curved_length"))
@@ -70,7 +68,7 @@ def changes_of(
     out = []
     for name in wrt:
         for tube in range(equilibrium.robot.n_tubes):
-            aside = name == "translations" and coincides(here.problem, tube)
+            aside = name == "translations" and coincides(here.problem.assembly, tube)
             at = nudged(equilibrium, tube, side) if aside else here
             out.append((at, at.change(name, tube)))
     return out
@@ -83,21 +81,6 @@ def columns_of(changes: Sequence[tuple[Linearised, Change]]) -> Array:
         mine = [k for k, (one, _) in enumerate(changes) if one is at]
         out[:, mine] = at.columns([changes[k][1] for k in mine]).T
     return out
-
-
-def coincides(problem: ReducedProblem, tube: int) -> bool:
-    """Whether a breakpoint of a tube lies at the plate or at one of another tube."""
-    own = _breakpoints(problem, tube)
-    others = [0.0]
-    for i in range(problem.assembly.n_tubes):
-        others += _breakpoints(problem, i) if i != tube else []
-    return any(abs(a - b) <= COINCIDE for a in own for b in others)
-
-
-def _breakpoints(problem: ReducedProblem, tube: int) -> list[float]:
-    table = problem.assembly.lengthwise
-    assert table is not None
-    return [s - float(problem.assembly.transmission[tube]) for s in table.cuts[tube][1:]]
 
 
 def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
@@ -218,7 +201,7 @@ class Linearised:
         """A tube moves forward: its breakpoints and all that it is at fixed places."""
         assembly, mesh = self.problem.assembly, self.problem.mesh
         cuts = np.append(assembly.start, assembly.total_length)
-        own = np.array([s for s in _breakpoints(self.problem, tube) if s > COINCIDE])
+        own = np.array([s for s in of_pieces(assembly)[tube] if s > COINCIDE])
         moved = np.array([bool((np.abs(own - s) <= 1e-11).any()) for s in cuts]).astype(float)
         counts = np.bincount(mesh.section, minlength=assembly.n_sections)
         length = (np.diff(moved) / counts)[mesh.section]

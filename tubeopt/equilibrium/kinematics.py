@@ -12,6 +12,7 @@ from ..block.transcription import arm as arms
 from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, to_unknowns, worst_equation
 from ..block.transcription.second_variation import margin
 from ..errors import InputError, SolveError, positive, vector
+from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import Start, solve_compiled
@@ -51,9 +52,6 @@ SHORT = 0.01
 
 HOMOTOPY_STEP = np.pi / 8
 """Largest turn (rad) of a tube per step of the way from home."""
-
-MOST_TURN = 1e3
-"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
 
 
 def forward_kinematics(  # noqa: PLR0913
@@ -134,13 +132,6 @@ def forward_kinematics(  # noqa: PLR0913
             solution = _resolve(solution.problem, alpha, solution.arm, by)
     equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (by, start, began))
     return verify_equilibrium(equilibrium) if verify else equilibrium
-
-
-def check_turn(name: str, rotations: Array) -> None:
-    """Raise InputError naming a rotation beyond MOST_TURN."""
-    most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
-    if abs(most) > MOST_TURN:
-        raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
 
 
 def _to_tolerance(

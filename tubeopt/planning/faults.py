@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..equilibrium.kinematics import MOST_TURN
 from ..inverse.joints import JointSpace, joint_space
-from ..robots.limits import JointLimits, default_limits
+from ..robots.limits import MOST_TURN, JointLimits, default_limits
 from ..robots.robot import Robot
 from ..typing import Array
 from .motion import RateLimits

@@ -11,10 +11,15 @@ import numpy as np
 from ..display import Displayed
 from ..errors import InputError
 from ..files.marks import unit
+from ..typing import Array
 from .tubes import Tube
 
 Ranges = tuple[tuple[float, float], ...]
 """Least and greatest value, one pair per tube."""
+
+
+MOST_TURN = 1e3
+"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
 
 
 @dataclass(frozen=True)
@@ -48,3 +53,10 @@ def default_limits(tubes: Sequence[Tube]) -> JointLimits:
         rotations=((-2 * np.pi, 2 * np.pi),) * len(tubes),
         translations=tuple((-tube.curved_length, tube.straight_length) for tube in tubes),
     )
+
+
+def check_turn(name: str, rotations: Array) -> None:
+    """Raise InputError naming a rotation beyond MOST_TURN."""
+    most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
+    if abs(most) > MOST_TURN:
+        raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
