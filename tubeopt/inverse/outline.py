@@ -269,7 +269,7 @@ class Outline:
 
 def _once(body: Index, rows: Index, count: int) -> tuple[Index, Index]:
     """Pairs of bodies (k,) and rows (k, r) of `count`, each once, in order, by a table: to sort takes longer."""
-    known = np.zeros(body.max() + 1, dtype=bool)
+    known = np.zeros(body.max(initial=-1) + 1, dtype=bool)
     known[body] = True
     table = np.zeros((np.count_nonzero(known), count), dtype=bool)
     table[(np.cumsum(known) - 1)[body][:, None], rows] = True

@@ -235,6 +235,8 @@ def test_the_tip_stops_at_the_margin_and_says_so() -> None:
 
 def test_the_tip_stops_out_of_reach_and_at_obstacles() -> None:
     session = open_session(THESIS)
+    beside = Sphere((0.06, 0.0, 0.1), 0.02)  # at times no part of the arm is near it
+    assert pull(session, [0.02, -0.08, 0.165], obstacles=[beside]).reached
     far = pull(session, [0.0, 0.0, 1.0])
     assert far.error > 0.3
     assert any("at its end" in word or "touching" in word for word in far.held)
