@@ -208,8 +208,8 @@ class _Search:
             for other in order[: order.index(kind)]:
                 fewer = now - {kind}
                 changed = fewer | {other}
-                if other in now or sets.cost(changed) > min(near, sets.cost(fewer)):
-                    continue  # it must pay in its place, not only cost little
+                if other in now or sets.cost(changed) > near or sets.lost(changed) >= sets.lost(fewer):
+                    continue  # it must predict better than nothing in its place, not only cost little
                 trial = self._tried(changed)
                 if trial is not None and self._cost(trial) <= limit:
                     return trial
@@ -342,7 +342,7 @@ class _Search:
         for other in self.known:
             fewer = now - {kind}
             changed = fewer | {other}
-            if other in now or sets.cost(changed) > min(sets.cost(now) + near, sets.cost(fewer)):
+            if other in now or sets.cost(changed) > sets.cost(now) + near or sets.lost(changed) >= sets.lost(fewer):
                 continue
             trial = self._tried(changed)
             if trial is not None and self._cost(trial) - self._cost(self.now) <= near:
