@@ -38,7 +38,7 @@ class RegionReach(Displayed):
         tolerance, min_margin, options, count: as of `evaluate_reach`.
         shift: how far the plate may be moved along each of its axes, to both sides, m.
         tilt: by how much it may be turned about its x and about its y, to both sides, rad.
-        words: what the score is called.
+        words: what its value is called.
 
     Raises:
         InputError: a table of wrong shape, numbers that make no sense.
