@@ -97,12 +97,14 @@ def test_the_command_ends_cleanly_on_ctrl_c(how: signal.Signals) -> None:
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment
     ) as process:
         assert process.stdout is not None
-        lines = [process.stdout.readline() for _ in range(5)]
-        said = json.loads("".join(lines))
-        assert said["robot"] == "thesis CTR"
-        assert status(said["url"]) == 200
-        process.send_signal(how)
-        out, err = process.communicate(timeout=120)
+        try:
+            said = json.loads("".join(iter(process.stdout.readline, "}\n")) + "}")
+            assert said["robot"] == "thesis CTR"
+            assert status(said["url"]) == 200
+            process.send_signal(how)
+            out, err = process.communicate(timeout=120)
+        finally:
+            process.kill()
     assert (process.returncode, out, err) == (0, "", "")
 
 
