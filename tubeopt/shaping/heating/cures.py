@@ -107,8 +107,13 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
     found: list[Cure | None] = []
     said, limited = best.program, bool(best.outcome.broken)
     assert said is not None
+    near = said
     for change in _candidates(rig, plain, said.ideal, said.shift)[:TRIES]:
-        cure = _kept(change, tube, by, limited) or _estimated(change, tube, spec, best, by)
+        cure = _kept(change, tube, by, limited)
+        if cure is None and (tried := _tried(change, tube, spec, near)) is not None:
+            # What frees more begins with what less has made of it.
+            near = replace(near, ideal=tried[1])
+            cure = _settled(change, tube, tried, limited, by)
         if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
             found.append(cure)
             # No change for the window is one for limits.
@@ -146,13 +151,11 @@ def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
     return (replace(spec, slot=longer), spec) if swing < SWING * (high - low) else (spec,)
 
 
-def _estimated(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule, by: Search) -> Cure | None:
+def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: bool, by: Search) -> Cure:
     """What the program makes of a change, and whole counts of what it would cure."""
-    assert best.program is not None
-    tried, limited = _tried(change, tube, spec, best.program), bool(best.outcome.broken)
-    if tried is None or tried[0].shortfall >= ENOUGH:
-        return None if tried is None else tried[0]
     cure, answer = tried
+    if cure.shortfall >= ENOUGH:
+        return cure
     fixed = replace(change[2], free=())
     if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, by, limited)) is not None:
         return kept
@@ -167,30 +170,35 @@ def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
     return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
 
 
-def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed) -> tuple[Cure, Ideal] | None:
+def _tried(change: Change, tube: Tube, spec: HeatingSpec, near: Programmed) -> tuple[Cure, Ideal] | None:
     """By how much the program misses the window with a change, and its answer; None where it finds none, or would
     change nothing of the rig that it may."""
     words, rig, asked = change
     part = asked.slot / spec.slot
-    low, high = best.reserve
+    low, high = near.reserve
     # Another material is farther from the answer than a new start is.
-    guess = best.ideal if rig.mold.material == best.ideal.rig.mold.material else None
+    guess = near.ideal if rig.mold.material == near.ideal.rig.mold.material else None
     try:
-        answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=best.shift, guess=guess)
+        answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=near.shift, guess=guess)
     except SolveError:
         return None
-    if asked.free and _alike(rig, answer.rig):
+    chosen = _chosen(rig, answer.rig)
+    if asked.free and not chosen:
         return None
-    mold, clamps = answer.rig.mold, answer.rig.clamps
-    told = words.format(lead=1e3 * mold.lead, clearance=1e3 * clamps.clearance, vent=100 * max(mold.vents))
-    return Cure(told, max(answer.miss, 0.0)), answer
+    return Cure(words.format(chosen=chosen), max(answer.miss, 0.0)), answer
 
 
-def _alike(rig: Rig, other: Rig) -> bool:
-    """Whether lead and clearance differ by less than a hundredth, and no vents are opened."""
-    near = math.isclose(rig.mold.lead, other.mold.lead, rel_tol=0.01)
-    near = near and math.isclose(rig.clamps.clearance, other.clamps.clearance, rel_tol=0.01)
-    return near and max(other.mold.vents) < max(rig.mold.vents) + 0.01
+def _chosen(rig: Rig, other: Rig) -> str:
+    """In words, what the program chose of lead and clearance, by more than a hundredth, and of vents that open."""
+    mold, clearance = other.mold, other.clamps.clearance
+    parts = []
+    if not math.isclose(rig.mold.lead, mold.lead, rel_tol=0.01):
+        parts.append(f"a lead of {1e3 * mold.lead:.1f} mm of extra tube in the mold at each end")
+    if not math.isclose(rig.clamps.clearance, clearance, rel_tol=0.01):
+        parts.append(f"a clearance of {1e3 * clearance:.1f} mm")
+    if max(mold.vents) >= max(rig.mold.vents) + 0.01:
+        parts.append(f"vents that leave up to {100 * max(mold.vents):.0f} % of the tube bare")
+    return ", ".join(parts[:-1]) + " and " * (len(parts) > 1) + "".join(parts[-1:])
 
 
 def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
@@ -262,17 +270,10 @@ def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
 def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:
     lead, clearance = rig.mold.lead, rig.clamps.clearance
     longer = replace(spec, free=("lead",), lead_range=(lead, max(60e-3, LONG_LEAD * lead)))
-    both = replace(
-        longer, free=("lead", "clearance"), clearance_range=(min(1e-3, 0.5 * clearance), max(20e-3, 1.01 * clearance))
-    )
+    room = min(1e-3, 0.5 * clearance), max(20e-3, 1.01 * clearance)
     return [
-        ("a lead of {lead:.1f} mm of extra tube in the mold at each end", rig, longer),
-        ("a lead of {lead:.1f} mm and a clearance of {clearance:.1f} mm at each end", rig, both),
-        (
-            "a lead of {lead:.1f} mm and vents that leave up to {vent:.0f} % of the tube bare",
-            rig,
-            replace(longer, free=("lead", "vents")),
-        ),
+        ("{chosen}", rig, longer),
+        ("{chosen}", rig, replace(longer, free=("lead", "clearance", "vents"), clearance_range=room)),
     ]
 
 
