@@ -57,11 +57,11 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
                 found,
             )
     for bound in block.bounds:
-        least, value_there = float(np.array(value(bound.floor)).item()), bound.value(model)
+        least, value_there = float(np.array(value(bound.floor)).item()), bound.value(model, block.chain)
         if value_there < least - CERTAIN:
             raise SolveError(
-                f"the certificate under {1e3 * bound.force:g} mN is {value_there:.4g} where {least:.4g} was demanded: "
-                "the program has left the branch of the largest eigenvalue; start it closer to its solution",
+                f"the {bound.words} is {value_there:.4g} where {least:.4g} was demanded: the program has left the "
+                "branch of the largest eigenvalue; start it closer to its solution",
                 found,
             )
     return found

@@ -22,7 +22,9 @@ from ..physics.strain import SMOOTH
 from ..robots.load import Load
 from ..typing import Array
 from .composed import ComposedBlock
+from .given import symbolic
 from .stability import checked
+from .transcription.chain import Chain
 from .transcription.model import Model
 from .transcription.panel import CHANNELS
 
@@ -34,24 +36,32 @@ ONCE = (18, 1)
 class Bound:
     """What a block demands of a certificate: at least `floor` under forces of at most `force`, N.
 
-    pairs: those of the bound that is held, the larger one where the block begins.   eigenvalue, states: its unknowns.
+    pairs: those of the bound that is held, the larger one where the block begins.   eigenvalue, states: its unknowns,
+    which there are under a force.
     """
 
     floor: Any
     force: float
     pairs: tuple[float, float]
-    eigenvalue: Any
-    states: Any
+    eigenvalue: Any = None
+    states: Any = None
+
+    @property
+    def words(self) -> str:
+        """What it is called."""
+        return f"certificate under {1e3 * self.force:g} mN" if self.force else "certificate"
 
     def start(self, block: ComposedBlock[Any]) -> None:
         """Start its unknowns where the block begins."""
+        if self.eigenvalue is None:
+            return
         eigenvalue, states = eigenpair(block.begin, self.force, self.pairs)
         block.program.set_guess(self.eigenvalue, eigenvalue)
         block.program.set_guess(self.states, states.ravel(order="F"))
 
-    def value(self, model: Model) -> float:
+    def value(self, model: Model, chain: Chain | None) -> float:
         """The bound of an arm in numbers."""
-        return certificate_of(model, self.force, self.pairs)
+        return certificate_of(model, self.force, self.pairs, chain)
 
 
 def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0.0) -> None:
@@ -66,6 +76,10 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
         )
     if not force:
         block.demand("certificate", _without_force(block, 1 - floor))
+        # A determinant has the same sign beyond the second eigenvalue: what is found is looked at again.
+        block.bounds.append(Bound(floor, 0.0, TURNED))
+        if symbolic(margin):
+            block.demand("certificate's floor, which is below 1", 1 - floor)
         return
     if block.model.along is not None:
         raise InputError(f"max_force is {force:g} N; for tubes made of pieces it must be 0: there is no proof")
@@ -83,9 +97,7 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
     of the block in place of sections."""
     model = block.model
     n, pieces = block.robot.n_tubes, model.n_pieces
-    own = model.torsional_stiffness[:, 0], model.transmission, model.stiffness, model.moment
-    if model.along is not None:
-        own = _in_steps(block)
+    own = _tubes(model, block.chain)
     given = {
         "torsional_stiffness": ca.SX.sym("kt", n, own[0].shape[1]),
         "transmission": ca.SX.sym("l", n),
@@ -109,7 +121,8 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     n, pieces = block.robot.n_tubes, model.n_pieces
     pairs = better_pairs(block.begin, force)
     value, begin = eigenpair(block.begin, force, pairs)
-    tag = f"{block.label}certificate under force{f' {len(block.bounds) + 1}' if block.bounds else ''}"
+    count = sum(bound.force > 0 for bound in block.bounds) + 1
+    tag = f"{block.label}certificate under force{f' {count}' if count > 1 else ''}"
     typical = np.maximum(np.abs(begin).max(1, keepdims=True), 1e-6 * np.abs(begin).max())
     scale = np.broadcast_to(typical, begin.shape).ravel(order="F")
     eigenvalue = program.variable(f"{tag}: eigenvalue", 1, scale=value, guess=value)
@@ -141,16 +154,16 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     block.demand(f"{name}: one sign", sign, entries=[f"{name}: one sign"] * sign.numel())
     if pairs == APART:
         block.demand(name, _without_force(block, 1 - floor - eigenvalue))
+        block.demand(f"{name}: what the force leaves", 1 - floor - eigenvalue)
     else:
         block.demand(name, 1 - eigenvalue - floor)
 
 
-def _numbers(model: Model) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+def _numbers(model: Model, chain: Chain | None = None) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
     """Sections and tubes of an arm in numbers, for `largest_eigenvalue`."""
-    stiffness, moment = np.asarray(model.stiffness), np.abs(np.asarray(model.moment))
+    kt, held, stiffness, moment = (np.array(each) for each in _tubes(model, chain))
     length = np.maximum(np.asarray(model.lengths).ravel(), 0.0)
-    tubes = np.asarray(model.torsional_stiffness)[:, 0], np.asarray(model.transmission).ravel()
-    return (length, stiffness.sum(0), moment.T), tubes
+    return (length, stiffness.sum(0), np.abs(moment.T)), (kt * np.ones(len(length)), held.ravel())
 
 
 def better_pairs(model: Model, force: float) -> tuple[float, float]:
@@ -163,11 +176,11 @@ def better_pairs(model: Model, force: float) -> tuple[float, float]:
     return OPPOSED if together <= apart else APART
 
 
-def certificate_of(model: Model, force: float, pairs: tuple[float, float]) -> float:
+def certificate_of(model: Model, force: float, pairs: tuple[float, float], chain: Chain | None = None) -> float:
     """The bound of an arm in numbers."""
-    sections, tubes = _numbers(model)
+    sections, tubes = _numbers(model, chain)
     value = 1 - largest_eigenvalue(force, sections, tubes, pairs)[0]
-    return value if pairs == OPPOSED else value - largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
+    return value if pairs != APART else value - largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
 
 
 def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[float, Array]:
@@ -176,21 +189,21 @@ def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[f
     value, tip = largest_eigenvalue(force, sections, tubes, pairs)
     crossing, n = crossing_function(len(tubes[0]), 1, *ONCE), len(tubes[0])
     states, lever = [np.concatenate([tip, np.zeros(n + 1)])], 0.0
-    for h, stiffness, pull in zip(*(each[::-1] for each in sections), strict=True):
-        states.append(
-            np.array(crossing(states[-1], 1 / value, pairs, force, h, lever, stiffness, pull, tubes[0])).ravel()
-        )
+    for h, stiffness, pull, kt in zip(*(each[::-1] for each in (*sections, tubes[0].T)), strict=True):
+        states.append(np.array(crossing(states[-1], 1 / value, pairs, force, h, lever, stiffness, pull, kt)).ravel())
         lever += h
     return value, np.array(states[::-1]).T
 
 
-def _in_steps(block: ComposedBlock[Any]) -> tuple[Any, Any, Any, Any]:
-    """kt (n, P), transmissions (n,) with kt at the plate, kb and |m| (n, P) of tubes made of pieces.
+def _tubes(model: Model, chain: Chain | None) -> tuple[Any, Any, Any, Any]:
+    """kt (n, P), or (n, 1) where it is the same all along, transmissions (n,) with kt at the plate, kb and |m| (n, P)
+    of the pieces of a block.
 
     Raises:
         InputError: stiffness or curvature varies along a piece.
     """
-    model, chain = block.model, block.chain
+    if model.along is None:
+        return model.torsional_stiffness[:, :1], model.transmission, model.stiffness, model.moment
     assert chain is not None
     if any(table[:, 1:].any() for table in (chain.kb, chain.kt, chain.x, chain.y)):
         raise InputError(
@@ -198,7 +211,7 @@ def _in_steps(block: ComposedBlock[Any]) -> tuple[Any, Any, Any, Any]:
             "helices of constant stiffness"
         )
     detail = model.grid.detail
-    first = [i * (CHANNELS * detail + 2) for i in range(block.robot.n_tubes)]
+    first = [i * (CHANNELS * detail + 2) for i in range(model.torsional_stiffness.shape[0])]
     kb, kt, x, y = (model.along[[row + c * detail for row in first], :] for c in range(4))
     held = model.transmission * kt[:, 0] / model.torsional_stiffness[:, 0]
-    return kt, held, kb, kb * ca.sqrt(x**2 + y**2 + SMOOTH**2)
+    return kt, held, kb, kb * (x**2 + y**2 + SMOOTH**2) ** 0.5

@@ -78,18 +78,18 @@ def _series(state: Any, where: tuple[Any, ...], section: tuple[Any, ...], terms:
 
 @lru_cache(maxsize=64)
 def _plate_function(n: int, sections: int) -> ca.Function:
-    """(mu, pairs, F, h (m,), K (m,), pull (n, m), kt (n,), |beta| (n,)) -> (n + 1, n + 1) what the conditions at the
+    """(mu, pairs, F, h (m,), K (m,), pull (n, m), kt (n, m), |beta| (n,)) -> (n + 1, n + 1) what the conditions at the
     plate miss by for each way in which the tip may be turned, and its derivative by mu."""
     mu, pairs, force = ca.MX.sym("mu"), ca.MX.sym("pairs", 2), ca.MX.sym("F")
     h, stiffness, pull = ca.MX.sym("h", sections), ca.MX.sym("K", sections), ca.MX.sym("pull", n, sections)
-    kt, held = ca.MX.sym("kt", n), ca.MX.sym("l", n)
+    kt, held = ca.MX.sym("kt", n, sections), ca.MX.sym("l", n)
     crossing = crossing_function(n, n + 1, *WHOLE)
     state: Any = ca.vertcat(ca.DM.eye(n + 1), ca.DM.zeros(n + 1, n + 1))
     lever: Any = 0.0
     for k in reversed(range(sections)):
-        state = crossing(state, mu, pairs, force, h[k], lever, stiffness[k], pull[:, k], kt)
+        state = crossing(state, mu, pairs, force, h[k], lever, stiffness[k], pull[:, k], kt[:, k])
         lever = lever + h[k]
-    missed = plate_conditions(state, kt, held)
+    missed = plate_conditions(state, kt[:, 0], held)
     slope = ca.reshape(ca.jtimes(ca.vec(missed), mu, ca.MX(1)), n + 1, n + 1)
     return ca.Function("plate", [mu, pairs, force, h, stiffness, pull, kt, held], [missed, slope])
 
@@ -106,23 +106,29 @@ def largest_eigenvalue(
 ) -> tuple[float, Array]:
     """Largest eigenvalue lambda of N relative to T, and (n + 1,) its Y and phi at the tip, the largest being 1.
 
-    `sections`: length (m,), K (m,), |a_i| (m, n), plate to tip.   `tubes`: kt (n,), transmission (n,).
+    `sections`: length (m,), K (m,), |a_i| (m, n), plate to tip.   `tubes`: kt (n,) or (n, m), transmission (n,) with kt
+    at the plate. The eigenvalue is infinite where numbers overflow.
 
     What the conditions at the plate miss by has a determinant, as a function of mu, with real roots alone, the
     reciprocals of the eigenvalues: an entire function of order 1/2, so the product of its 1 - mu lambda_k. Newton's
     method from mu = 0 therefore rises to the least root and never passes it: every iterate is a bound of lambda.
     """
     length, stiffness, pull = sections
-    function = _plate_function(len(tubes[0]), len(length))
-    given: list[Any] = [pairs, force, length, stiffness, pull.T, *tubes]
+    kt = tubes[0] if np.ndim(tubes[0]) == 2 else np.repeat(tubes[0][:, None], len(length), axis=1)
+    function = _plate_function(len(kt), len(length))
+    given: list[Any] = [pairs, force, length, stiffness, pull.T, kt, tubes[1]]
     mu, last = 0.0, np.inf
     for _ in range(ITERATIONS):
         missed, slope = (np.array(each) for each in function(mu, *given))
+        if not (np.isfinite(missed).all() and np.isfinite(slope).all()):
+            return np.inf, np.zeros(len(kt) + 1)
         try:
             # -D'/D of the determinant D.
             rate = -float(np.trace(np.linalg.solve(missed, slope)))
         except np.linalg.LinAlgError:
             break
+        if not np.isfinite(rate):
+            return np.inf, np.zeros(len(kt) + 1)
         if not rate > 0 or 1 / rate >= last:
             break
         last = 1 / rate
