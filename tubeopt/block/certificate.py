@@ -59,7 +59,7 @@ class Bound:
         block.program.set_guess(self.eigenvalue, eigenvalue)
         block.program.set_guess(self.states, states.ravel(order="F"))
 
-    def value(self, model: Model, chain: Chain | None) -> float:
+    def value(self, model: Model, chain: Chain | None = None) -> float:
         """The bound of an arm in numbers."""
         return certificate_of(model, self.force, self.pairs, chain)
 
