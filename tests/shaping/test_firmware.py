@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import shutil
 import subprocess
 import threading
@@ -23,7 +24,14 @@ from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, pwm_f
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
 from tubeopt.shaping.firmware.parts import parts_list
 from tubeopt.shaping.firmware.simulated import SimulatedRig
-from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
+from tubeopt.shaping.firmware.sketch_files import (
+    CHARGES,
+    board_header,
+    schedule_header,
+    schedules,
+    tabled,
+    write_sketch,
+)
 from tubeopt.shaping.heating.law import HeatingLaw, begin, decide
 from tubeopt.shaping.heating.leading import fleet_of
 from tubeopt.shaping.heating.robust import ENSEMBLE
@@ -202,6 +210,33 @@ def test_boards_have_the_frequencies_that_their_timers_have() -> None:
     losing = replace(thesis_rig(), circuit=replace(thesis_rig().circuit, pwm_frequency=31.0, lost_on_time=5e-3))
     with pytest.raises(InputError, match="lost_on_time of the circuit is 5000 us; at 31 Hz it must be below 3264 us"):
         pwm_frequency(Wiring(), losing)
+
+
+@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("cells", [1, 2])
+def test_a_battery_is_read_in_full_and_never_harms_its_pin(board: str, cells: int) -> None:
+    # Both resistors in series carry the same current: that is all there is to a divider.
+    volts = tuple((charge, cells * volt) for charge, volt in thesis_rig().battery.open_circuit)
+    rig = replace(plan().rig, battery=replace(plan().rig.battery, open_circuit=volts))
+    planned, wiring, reference = replace(plan(), rig=rig), Wiring(board=board), BOARDS[board].reference
+    bought = {part.name: part.rating for part in parts_list(planned, wiring)}["divider"]
+    upper, lower = (1e3 * float(number) for number in re.findall(r"([0-9.]+) kohm", bought))
+    rest, step = rig.battery.voltage, _defined(board_header(wiring, rig), "VOLT_PER_STEP")
+    assert 0.4 * reference < rest * lower / (upper + lower) < reference / 1.5
+    assert step == pytest.approx(reference / BOARDS[board].steps * (upper + lower) / lower, rel=1e-6)
+    readable = (BOARDS[board].steps - 1) * step
+    assert readable > 1.2 * rest
+    lowest = _defined(schedule_header(planned, led(), [(rest, led().law.planned)]), "LOWEST_VOLT")
+    assert 0 < lowest < rest
+    charges = [replace(rig.battery, state_of_charge=charge).voltage for charge in CHARGES]
+    assert step < 0.1 * np.abs(np.diff(charges)).min()
+
+
+def _defined(header: str, name: str) -> float:
+    """A number that a header defines."""
+    found = re.search(rf"#define {name} \(([-0-9.e]+)f\)", header)
+    assert found is not None
+    return float(found[1])
 
 
 def test_parts_bear_the_currents() -> None:
