@@ -19,7 +19,7 @@ import pytest
 
 from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple
 from tubeopt.robots.materials import ZERO_CELSIUS
-from tubeopt.runs.heating_run import run_heating
+from tubeopt.runs.heating_run import HeatingRun, run_heating
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
 from tubeopt.shaping.firmware.parts import parts_list
@@ -37,6 +37,7 @@ from tubeopt.shaping.heating.leading import fleet_of
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
+from tubeopt.show.rig_page import HeatingRunReport
 from tubeopt.typing import Array
 
 from .firmware_host import COMPILER, Fault, built, run
@@ -262,6 +263,31 @@ def test_a_run_is_logged_row_by_row(tmp_path: Path) -> None:
     log = (tmp_path / "run" / "log.csv").read_text().splitlines()
     assert log[0] == "time_s,duty,temperature_degC,voltage_V,current_A"
     assert len(log) == len(found.rows) + 1
+
+
+@pytest.mark.parametrize(
+    ("read", "missed", "words"),
+    [
+        ((501.0, 549.0), 0.0, "501.0 to 549.0 degC: window of 500 to 550 degC kept"),
+        ((488.0, 503.0), 12.0, "488.0 to 503.0 degC: window of 500 to 550 degC missed by 12.0 K"),
+        ((510.0, 551.5), 1.5, "510.0 to 551.5 degC: window of 500 to 550 degC missed by 1.5 K"),
+        ((), None, "nothing was measured"),
+    ],
+)
+def test_a_run_says_whether_its_readings_kept_the_window(
+    read: tuple[float, ...], missed: float | None, words: str
+) -> None:
+    # Readings before the hold are below the window in every heating.
+    told = [("heating", 300.0), *(("holding", value) for value in read)]
+    rows = tuple({"state": state, "temperature_degC": value, "dry": False, "time_s": 1.0} for state, value in told)
+    shown = HeatingRunReport(HeatingRun(rows, "done", window=(500.0, 550.0)))
+    assert shown.record()["shortfall_K"] == missed
+    assert dict(shown.rows())["in the hold"] == words
+    if missed:
+        with pytest.raises(SolveError, match=f"missed by {missed} K"):
+            shown.conclude()
+    else:
+        shown.conclude()
 
 
 def test_a_run_that_is_interrupted_stops_the_rig(tmp_path: Path) -> None:
