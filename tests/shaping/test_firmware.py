@@ -19,6 +19,7 @@ import pytest
 
 from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple
 from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.runs.firmware_study import LedHeating
 from tubeopt.runs.heating_run import HeatingRun, run_heating
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
@@ -37,6 +38,7 @@ from tubeopt.shaping.heating.leading import fleet_of
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
+from tubeopt.show.firmware_report import LedHeatingReport
 from tubeopt.show.rig_page import HeatingRunReport
 from tubeopt.typing import Array
 
@@ -288,6 +290,17 @@ def test_a_run_says_whether_its_readings_kept_the_window(
             shown.conclude()
     else:
         shown.conclude()
+
+
+def test_a_sketch_for_a_heating_that_is_not_held_says_so() -> None:
+    outcome = plan().outcome
+    held = LedHeating(plan(), led(), Wiring(), plan().rig.circuit.pwm_frequency)
+    LedHeatingReport(held).conclude()
+    broken = replace(plan(), outcome=replace(outcome, broken=("the ramp is 9 K/s",)))
+    with pytest.raises(SolveError, match="the ramp is 9 K/s"):
+        LedHeatingReport(replace(held, plan=broken)).conclude()
+    with pytest.raises(SolveError, match=r"0\.0 % of \d+ uncertain rigs keep the window"):
+        LedHeatingReport(replace(held, feedback=replace(led(), kept=0 * led().kept))).conclude()
 
 
 def test_a_run_that_is_interrupted_stops_the_rig(tmp_path: Path) -> None:

@@ -48,7 +48,8 @@ def firmware(study: LedHeatingStudy, output: Output) -> None:
 
     The schedule is that of `tubeopt heat plan`; the law corrects it by what the sensor reads; its gains follow from the
     model.
-    Ends with 3 where most rigs do not keep the window, nor the rig as filed.
+    Ends with 3 where the schedule does not keep window, limit, ramp and currents on the rig as filed, or most uncertain
+    rigs do not keep the window; everything is shown and saved all the same.
     """
     answer(study, output)
 
