@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import shutil
 import subprocess
 import threading
@@ -18,17 +19,27 @@ import pytest
 
 from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple
 from tubeopt.robots.materials import ZERO_CELSIUS
-from tubeopt.runs.heating_run import run_heating
+from tubeopt.runs.firmware_study import LedHeating
+from tubeopt.runs.heating_run import HeatingRun, run_heating
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
 from tubeopt.shaping.firmware.parts import parts_list
 from tubeopt.shaping.firmware.simulated import SimulatedRig
-from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
+from tubeopt.shaping.firmware.sketch_files import (
+    CHARGES,
+    board_header,
+    schedule_header,
+    schedules,
+    tabled,
+    write_sketch,
+)
 from tubeopt.shaping.heating.law import HeatingLaw, begin, decide
 from tubeopt.shaping.heating.leading import fleet_of
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
+from tubeopt.show.firmware_report import LedHeatingReport
+from tubeopt.show.rig_page import HeatingRunReport
 from tubeopt.typing import Array
 
 from .firmware_host import COMPILER, Fault, built, run
@@ -204,6 +215,33 @@ def test_boards_have_the_frequencies_that_their_timers_have() -> None:
         pwm_frequency(Wiring(), losing)
 
 
+@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("cells", [1, 2])
+def test_a_battery_is_read_in_full_and_never_harms_its_pin(board: str, cells: int) -> None:
+    # Both resistors in series carry the same current: that is all there is to a divider.
+    volts = tuple((charge, cells * volt) for charge, volt in thesis_rig().battery.open_circuit)
+    rig = replace(plan().rig, battery=replace(plan().rig.battery, open_circuit=volts))
+    planned, wiring, reference = replace(plan(), rig=rig), Wiring(board=board), BOARDS[board].reference
+    bought = {part.name: part.rating for part in parts_list(planned, wiring)}["divider"]
+    upper, lower = (1e3 * float(number) for number in re.findall(r"([0-9.]+) kohm", bought))
+    rest, step = rig.battery.voltage, _defined(board_header(wiring, rig), "VOLT_PER_STEP")
+    assert 0.4 * reference < rest * lower / (upper + lower) < reference / 1.5
+    assert step == pytest.approx(reference / BOARDS[board].steps * (upper + lower) / lower, rel=1e-6)
+    readable = (BOARDS[board].steps - 1) * step
+    assert readable > 1.2 * rest
+    lowest = _defined(schedule_header(planned, led(), [(rest, led().law.planned)]), "LOWEST_VOLT")
+    assert 0 < lowest < rest
+    charges = [replace(rig.battery, state_of_charge=charge).voltage for charge in CHARGES]
+    assert step < 0.1 * np.abs(np.diff(charges)).min()
+
+
+def _defined(header: str, name: str) -> float:
+    """A number that a header defines."""
+    found = re.search(rf"#define {name} \(([-0-9.e]+)f\)", header)
+    assert found is not None
+    return float(found[1])
+
+
 def test_parts_bear_the_currents() -> None:
     parts = {part.name: part.rating for part in parts_list(plan(), Wiring())}
     peak = plan().peak_current
@@ -227,6 +265,42 @@ def test_a_run_is_logged_row_by_row(tmp_path: Path) -> None:
     log = (tmp_path / "run" / "log.csv").read_text().splitlines()
     assert log[0] == "time_s,duty,temperature_degC,voltage_V,current_A"
     assert len(log) == len(found.rows) + 1
+
+
+@pytest.mark.parametrize(
+    ("read", "missed", "words"),
+    [
+        ((501.0, 549.0), 0.0, "501.0 to 549.0 degC: window of 500 to 550 degC kept"),
+        ((488.0, 503.0), 12.0, "488.0 to 503.0 degC: window of 500 to 550 degC missed by 12.0 K"),
+        ((510.0, 551.5), 1.5, "510.0 to 551.5 degC: window of 500 to 550 degC missed by 1.5 K"),
+        ((), None, "nothing was measured"),
+    ],
+)
+def test_a_run_says_whether_its_readings_kept_the_window(
+    read: tuple[float, ...], missed: float | None, words: str
+) -> None:
+    # Readings before the hold are below the window in every heating.
+    told = [("heating", 300.0), *(("holding", value) for value in read)]
+    rows = tuple({"state": state, "temperature_degC": value, "dry": False, "time_s": 1.0} for state, value in told)
+    shown = HeatingRunReport(HeatingRun(rows, "done", window=(500.0, 550.0)))
+    assert shown.record()["shortfall_K"] == missed
+    assert dict(shown.rows())["in the hold"] == words
+    if missed:
+        with pytest.raises(SolveError, match=f"missed by {missed} K"):
+            shown.conclude()
+    else:
+        shown.conclude()
+
+
+def test_a_sketch_for_a_heating_that_is_not_held_says_so() -> None:
+    outcome = plan().outcome
+    held = LedHeating(plan(), led(), Wiring(), plan().rig.circuit.pwm_frequency)
+    LedHeatingReport(held).conclude()
+    broken = replace(plan(), outcome=replace(outcome, broken=("the ramp is 9 K/s",)))
+    with pytest.raises(SolveError, match="the ramp is 9 K/s"):
+        LedHeatingReport(replace(held, plan=broken)).conclude()
+    with pytest.raises(SolveError, match=r"0\.0 % of \d+ uncertain rigs keep the window"):
+        LedHeatingReport(replace(held, feedback=replace(led(), kept=0 * led().kept))).conclude()
 
 
 def test_a_run_that_is_interrupted_stops_the_rig(tmp_path: Path) -> None:

@@ -48,7 +48,8 @@ def firmware(study: LedHeatingStudy, output: Output) -> None:
 
     The schedule is that of `tubeopt heat plan`; the law corrects it by what the sensor reads; its gains follow from the
     model.
-    Ends with 3 where most rigs do not keep the window, nor the rig as filed.
+    Ends with 3 where the schedule does not keep window, limit, ramp and currents on the rig as filed, or most uncertain
+    rigs do not keep the window; everything is shown and saved all the same.
     """
     answer(study, output)
 
@@ -61,7 +62,8 @@ def firmware(study: LedHeatingStudy, output: Output) -> None:
 def run(study: HeatingRunStudy, output: Output) -> None:
     """Heat a tube: start the rig, show what it does, and log it for `tubeopt heat calibrate`.
 
-    Ctrl-C stops the rig and ends with 130. Ends with 3 where the rig stopped before it was done.
+    Ctrl-C stops the rig and ends with 130. Ends with 3 where the rig stopped before it was done, or where
+    the sensor's reading missed the window in the hold.
     """
     can_be_saved(output.out)
     log = "nothing was saved" if output.out is None else f"{output.out / LOG_FILE} holds what was reported so far"

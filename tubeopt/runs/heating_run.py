@@ -50,12 +50,14 @@ class HeatingRun(Displayed):
     """A heating that was run.
 
     rows: what the rig reported, slot by slot. reason: why it ended. log: where it was written. name: of the rig.
+    window: degC, that is to be kept in the hold, as the rig says it; None where it does not.
     """
 
     rows: tuple[dict[str, Any], ...]
     reason: str
     log: Path | None = None
     name: str = "rig"
+    window: tuple[float, float] | None = None
 
     @property
     def done(self) -> bool:
@@ -66,6 +68,19 @@ class HeatingRun(Displayed):
     def hottest(self) -> float:
         """Greatest reading, degC."""
         return float(max((row["temperature_degC"] for row in self.rows), default=np.nan))
+
+    @property
+    def held(self) -> tuple[float, float] | None:
+        """Least and greatest reading from the hold's first slot on, degC; None where nothing was heated so far."""
+        read = [row["temperature_degC"] for row in self.rows if row["state"] == "holding" and not row["dry"]]
+        return (float(min(read)), float(max(read))) if read else None
+
+    @property
+    def shortfall(self) -> float | None:
+        """By how much a reading of the hold lay outside the window at most, K; None where there is nothing to tell."""
+        if self.held is None or self.window is None:
+            return None
+        return max(self.window[0] - self.held[0], self.held[1] - self.window[1], 0.0)
 
     @property
     def time(self) -> float:
@@ -192,7 +207,8 @@ def run_heating(
             if show is not None:
                 show(hello, found)
             if found["state"] == "stopped":
-                return HeatingRun(tuple(rows), str(found["reason"]), log)
+                window = hello.get("window_degC")
+                return HeatingRun(tuple(rows), str(found["reason"]), log, window=window and (window[0], window[1]))
     except BaseException:
         # Whatever happens here, nothing stays hot there; a line that is gone can carry no word.
         with contextlib.suppress(SolveError):

@@ -97,7 +97,9 @@ class LedHeatingReport(Report[LedHeating]):
         return {"feedback": drawing(plot_feedback, self.answer), "wiring": drawing(plot_wiring, self.answer)}
 
     def conclude(self) -> None:
-        """Raise SolveError where most rigs do not keep the window, or the rig as filed does not."""
-        answer = self.answer
-        if not answer.plan.feasible and answer.feedback.probability < 0.5:
+        """Raise SolveError where the schedule does not keep everything on the rig as filed, or most rigs fail."""
+        answer, feedback = self.answer, self.answer.feedback
+        if not answer.plan.feasible:
             raise SolveError(missed(answer.plan))
+        if feedback.probability < 0.5:
+            raise SolveError(f"{100 * feedback.probability:.1f} % of {feedback.samples} uncertain rigs keep the window")

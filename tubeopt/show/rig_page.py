@@ -22,9 +22,26 @@ RUN: tuple[Quantity[HeatingRun], ...] = (
     Quantity("done", "whether the whole schedule was run through"),
     Quantity("time_s", "how long it took", label="after", words="{time_s:.1f} s"),
     Quantity("hottest_degC", "greatest reading", label="greatest reading", words="{hottest_degC:.1f} degC"),
+    Quantity("window_degC", "window that is to be kept in the hold"),
+    Quantity("lowest_degC", "least reading in the hold, null without any", lambda r: r.held and r.held[0]),
+    Quantity("highest_degC", "greatest reading in the hold", lambda r: r.held and r.held[1]),
+    Quantity("shortfall_K", "by how much the readings of the hold miss the window; 0 where they keep it",
+             label="in the hold", words=lambda r: _held(r)),
     Quantity("rows", "reports of the rig", lambda r: len(r.rows)),
     Quantity("log", "where every report is written", lambda r: None if r.log is None else str(r.log)),
-)
+)  # fmt: skip
+
+
+def _held(run: HeatingRun) -> str:
+    """What was read in the hold, in words."""
+    if run.held is None:
+        return "nothing was measured"
+    read = f"{run.held[0]:.1f} to {run.held[1]:.1f} degC"
+    if run.window is None or run.shortfall is None:
+        return f"{read}; the rig tells no window"
+    window = f"{run.window[0]:g} to {run.window[1]:g} degC"
+    verdict = f"missed by {run.shortfall:.1f} K" if run.shortfall > 0 else "kept"
+    return f"{read}: window of {window} {verdict}"
 
 
 class HeatingRunReport(Report[HeatingRun]):
@@ -38,9 +55,11 @@ class HeatingRunReport(Report[HeatingRun]):
         return self.answer.name
 
     def conclude(self) -> None:
-        """Raise SolveError where the rig stopped before it was done."""
+        """Raise SolveError where the rig stopped before it was done, or readings of the hold missed the window."""
         if not self.answer.done:
             raise SolveError(f"the rig stopped after {self.answer.time:.1f} s: {self.answer.reason}")
+        if self.answer.shortfall:
+            raise SolveError(f"in the hold {_held(self.answer)}")
 
 
 def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = True) -> HeatingRun:

@@ -40,7 +40,7 @@ int digitalRead(uint8_t pin) {
   return button;
 }
 int analogRead(uint8_t pin) {
-  if (pin == PIN_VOLTAGE) return (int)lroundf(volt / VOLT_PER_STEP);
+  if (pin == PIN_VOLTAGE) return (int)fminf(lroundf(volt / VOLT_PER_STEP), ANALOG_STEPS - 1);
   must(pin == PIN_CURRENT, "reads a pin that carries nothing");
   // Pulses come and go while it looks.
   return (int)lroundf((++looks / 3 % 2 ? on : off) / AMPERE_PER_STEP) + AMPERE_ZERO;

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from ...errors import InputError, choice
 from ...files.marks import POSITIVE, OneOf, check_fields, key, unit
-from ..heating.rig import Rig
+from ..heating.rig import Battery, Rig
 
 CONVERTERS = ("max31855", "max6675", "analog")
 """Converter of a thermocouple, or an analog line such as a camera's."""
@@ -18,6 +18,20 @@ READS = {"thermocouple": ("max31855", "max6675"), "camera": ("analog",)}
 
 CONVERSION_MS = {"max31855": 125, "max6675": 250, "analog": 20}
 """Least time between two readings, ms: data sheets of Maxim, 100 and 220 ms at most, and what is left to be sure."""
+
+LOWER = 10e3
+"""Resistor of the divider from the pin to ground, ohm: whatever is above it, the pin sees less than the 10 kohm that
+the ATmega's converter wants of a source (data sheet of the ATmega328P)."""
+
+SURPLUS = 1.5
+"""Greatest voltage that can be read, as a multiple of a full battery's at rest: for chargers and peaks of switching,
+and as the ESP32's converter is straight up to about three quarters of its reference."""
+
+E24 = (
+    1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2,
+    9.1,
+)  # fmt: skip
+"""Resistors of a decade (IEC 60063)."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +77,6 @@ class Wiring:
     board: Annotated[str, OneOf(tuple(BOARDS)), "which board"] = "uno"
     converter: Annotated[str, OneOf(CONVERTERS), "what reads the thermometer"] = "max31855"
     measures_electrics: Annotated[bool, "whether battery voltage and current are wired to it"] = True
-    divider: Annotated[float, POSITIVE, "battery voltage per volt at the pin"] = 4.0
     shunt_V_per_A: Annotated[float, POSITIVE, "volt at the pin per ampere: of a Hall sensor"] = 0.01
     current_zero: Annotated[float, unit("V"), "at the pin without current"] = 0.5
     analog_low: Annotated[float, key("analog_low_degC"), "temperature at 0 V of an analog line"] = 0.0
@@ -92,6 +105,20 @@ def converter_for(sensor: str, wanted: str | None = None) -> str:
             "heating tells plan_heating(..., sensor=) in Python"
         )
     return READS[sensor][0] if wanted is None else choice(f"converter of a {sensor}", wanted, READS[sensor])
+
+
+def upper_resistor(wiring: Wiring, battery: Battery) -> float:
+    """Resistor of the divider from the battery to the pin, ohm: the least of E24 with which `SURPLUS` times the voltage
+    of the full battery is no more than the board's reference; 1 kohm or more."""
+    _, full = battery.open_circuit[-1]
+    least = max(LOWER * (SURPLUS * full / wiring.known.reference - 1), 1e3)
+    decade = 10.0 ** math.floor(math.log10(least))
+    return next(value * decade for value in (*E24, 10.0) if value * decade >= least)
+
+
+def divider(wiring: Wiring, battery: Battery) -> float:
+    """Voltage of the battery per volt at the pin."""
+    return 1 + upper_resistor(wiring, battery) / LOWER
 
 
 def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> float:

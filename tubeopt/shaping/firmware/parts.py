@@ -9,7 +9,7 @@ import numpy as np
 
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS
-from .boards import Wiring
+from .boards import LOWER, Wiring, divider, upper_resistor
 
 FUSES = (5, 10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 100, 125, 150, 175, 200)
 """A, of blade and bolt fuses (ISO 8820)."""
@@ -52,10 +52,12 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     sensor = {
         "max31855": "thermocouple type K 0.25 mm with MAX31855",
         "max6675": "thermocouple type K 0.25 mm with MAX6675",
-        "analog": "0 to 5 V line of a camera or amplifier",
+        "analog": f"0 to {wiring.known.reference:g} V line of a camera or amplifier",
     }[wiring.converter]
     bears = math.ceil(2.5 * rest / 10) * 10
     resistance = 1e3 * plan.rig.circuit.mosfet_resistance
+    reference, ratio = wiring.known.reference, divider(wiring, plan.rig.battery)
+    upper = f"{upper_resistor(wiring, plan.rig.battery) / 1e3:g}"
     hall = f"Hall, {math.ceil(SPARE * peak / 50) * 50} A, {1e3 * wiring.shunt_V_per_A:g} mV/A"
     return (
         Part("fuse", f"{fuse} A, slow, at the battery's plus", current),
@@ -68,7 +70,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("emergency stop", "normally closed, in the gate driver's supply, second contact to the board",
              "stops without the board too"),
         Part("current sensor", hall, current),
-        Part("divider", f"1 : {wiring.divider:g} to {wiring.known.reference:g} V with 100 nF", f"{rest:.1f} V at rest"),
+        Part("divider", f"{upper} kohm to the battery, {LOWER / 1e3:g} kohm and 100 nF to ground",
+             f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, "at the middle of the curved part"),
         Part("board", wiring.known.title, "runs the sketch"),
     )  # fmt: skip

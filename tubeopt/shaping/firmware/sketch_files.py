@@ -19,9 +19,9 @@ from ..heating.feedback import Feedback
 from ..heating.law import HeatingLaw
 from ..heating.leading import prolonged
 from ..heating.plan import HeatingPlan
-from ..heating.rig import COUNTS
+from ..heating.rig import COUNTS, Rig
 from ..heating.robust import at_charge
-from .boards import CONVERSION_MS, Wiring
+from .boards import CONVERSION_MS, Wiring, divider
 
 NAME = "tube_heater"
 SOURCES = (
@@ -160,9 +160,9 @@ def _numbers(plan: HeatingPlan, feedback: Feedback, slot: int, ticks: int, table
     }
 
 
-def board_header(wiring: Wiring, frequency: float) -> str:
+def board_header(wiring: Wiring, rig: Rig) -> str:
     """board.h: pins, frequency, and how the board measures."""
-    board = wiring.known
+    board, frequency = wiring.known, rig.circuit.pwm_frequency
     volt = board.reference / board.steps
     prescaler = min((1024, 256, 64), key=lambda p: abs(16e6 / p / 510 - frequency))
     numbers = {
@@ -171,7 +171,7 @@ def board_header(wiring: Wiring, frequency: float) -> str:
         "MEASURES_ELECTRICS": str(int(wiring.measures_electrics)),
         "PWM_HZ": f"{frequency:.2f}f",
         "PWM_PRESCALER": str(prescaler),
-        "VOLT_PER_STEP": _float(volt * wiring.divider),
+        "VOLT_PER_STEP": _float(volt * divider(wiring, rig.battery)),
         "AMPERE_PER_STEP": _float(volt / wiring.shunt_V_per_A),
         "AMPERE_ZERO": f"{round(wiring.current_zero / volt)}",
         "ANALOG_ZERO": _float(wiring.analog_low),
@@ -218,7 +218,7 @@ def write_sketch(
     folder = directory / NAME
     texts = {
         "schedule.h": schedule_header(plan, feedback, schedules(plan, feedback)),
-        "board.h": board_header(wiring, plan.rig.circuit.pwm_frequency),
+        "board.h": board_header(wiring, plan.rig),
     }
     sketch = resources.files(__package__) / "sketch"
     for name in (*SOURCES, *((HOST,) if host else ())):
