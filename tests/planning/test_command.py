@@ -39,6 +39,22 @@ def test_a_plan_is_saved_drawn_and_verified(run: Run, tmp_path: Path) -> None:
     assert abs(again["least_margin"] - data["proof"]["least_margin"]) < 1e-6
 
 
+def test_flags_replace_what_the_plan_study_says(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "little.csv"
+    path.write_text("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n10,200,0,0\n")
+    asked = ("verify", str(path), "--robot", THESIS, "--study", str(STUDY))
+    bare = answer(run(*asked, "--json"))
+    assert bare["proved"]
+    strict = run(*asked, "--min-margin", "0.99", "--json")
+    assert strict.code == 3
+    assert not json.loads(strict.out)["proved"]
+    pushed = json.loads(run(*asked, "--tip-force-mN", "0,20,0", "--json").out)
+    assert pushed["assumed"] != bare["assumed"]
+    assert abs(pushed["least_margin"] - bare["least_margin"]) > 1e-5
+    both = refused(run(*asked, "--tip-force-mN", "0,5,0", "--max-tip-force-mN", "3"))
+    assert "both given" in both[0]
+
+
 def test_a_trajectory_made_elsewhere_is_refuted(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "naive.csv"
     path.write_text("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n10,270,0,0\n")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -97,7 +98,7 @@ def test_a_fit_writes_the_calibrated_robot(run: Run, tmp_path: Path) -> None:
         "after the fit",
         "held out",
         "95 % interval",
-        "their offsets, gains and latency are in robot.yaml",
+        "their offsets, gains and latency go into robot.yaml of --out",
     ):
         assert part in outcome.out
     record = json.loads((tmp_path / "report.json").read_text())
@@ -110,6 +111,16 @@ def test_a_fit_writes_the_calibrated_robot(run: Run, tmp_path: Path) -> None:
     assert isinstance(robot, EccentricRobot)
     assert robot.tube.curvature * 0.12 == pytest.approx(curvature["value"])
     assert "held_out_error_mm" in (tmp_path / "residuals.csv").read_text()
+
+
+def test_what_was_noticed_in_the_file_is_printed_without_a_fit(run: Run, tmp_path: Path) -> None:
+    ctr().save(tmp_path / "robot.yaml")
+    m = turned(ctr(), 6)
+    save_measurements(replace(m, sensors=1e-3 * m.sensors), tmp_path / "m.csv")
+    outcome = run("validate", str(tmp_path / "robot.yaml"), str(tmp_path / "m.csv"))
+    assert outcome.code == 0
+    assert "remark: the tips lie within" in outcome.out
+    assert "are positions in m, in columns that say mm" in " ".join(outcome.out.split())
 
 
 def test_a_concentric_robot_from_a_known_base(run: Run, tmp_path: Path) -> None:

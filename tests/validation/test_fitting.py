@@ -166,11 +166,22 @@ def test_a_parameter_without_effect_is_named() -> None:
     together = bent.rows(np.isclose(bent.separation if bent.separation is not None else 0, 0.0))
     found = fit(given, noisy(together, 1), ["nu"], FitOptions(folds=0))
     assert found.estimates[0].held
-    assert found.remarks[0].startswith("nu has no effect on the measured tips")
+    assert found.remarks[0].startswith("nu has next to no effect on the measured tips: a change by")
     known = FitOptions(registration="base-axis", base=DEVICE_BASE, folds=0)
     found = fit(given, noisy(together, 1), ["curvature", "nu"], known)
     assert [e.held for e in found.estimates] == [False, True]
     assert "held at 0.3488" in found.remarks[0]
+
+
+def test_residuals_beyond_the_noise_that_was_given_are_said() -> None:
+    options = FitOptions(registration="base-axis", base=DEVICE_BASE, folds=0, noise=(1e-6, None))
+    given, measured = etr(), noisy(mirrored(etr(), 4), 1)
+    found = fit(given, measured, ["curvature"], options)
+    times = np.sqrt((found.after.residuals**2).mean()) / 1e-6
+    (told,) = [float(words.split()[2]) for words in found.remarks if "times the noise that was given" in words]
+    assert told == pytest.approx(times, rel=0.1)
+    quiet = fit(given, measured, ["curvature"], replace(options, noise=(NOISE, None)))
+    assert not any("times the noise" in words for words in quiet.remarks)
 
 
 def test_what_is_hardly_determined_is_named() -> None:

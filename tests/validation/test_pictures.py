@@ -38,6 +38,13 @@ def test_errors_of_a_mirrored_robot_are_a_radar_and_of_another_one_a_row() -> No
     assert rows.get_xlabel() == "row of the measurements"
 
 
+def test_headings_say_that_a_picture_is_of_what_a_fit_left() -> None:
+    found = validate(ctr(), noisy(turned(ctr(), 5), 1))
+    for plot in (plot_residuals, plot_errors):
+        assert "after the fit" not in plot(found).get_suptitle()
+        assert plot(found, when="after the fit").get_suptitle().startswith(f"{ctr().name}, after the fit")
+
+
 def test_the_radar_of_a_table_has_its_numbers() -> None:
     table = load_error_table(CONFIGS / "experiments" / "thesis_table_4_1.csv")
     (axes,) = plot_error_table(table).axes

@@ -182,6 +182,19 @@ def test_units_that_cannot_be_right_are_said(tmp_path: Path, joint_unit: float, 
     assert any(word in remark for remark in load_measurements(tmp_path / "m.csv", robot()).remarks)
 
 
+@pytest.mark.parametrize(
+    ("time_unit", "shuffled", "said"), [(1e3, False, True), (1.0, False, False), (1e3, True, False)]
+)
+def test_times_in_ms_along_a_path_are_said(tmp_path: Path, time_unit: float, shuffled: bool, said: bool) -> None:
+    m = driven(trivial(), count=120)
+    assert m.time is not None
+    order = np.random.default_rng(0).permutation(120) if shuffled else np.arange(120)
+    rows = np.column_stack([m.time * time_unit, np.degrees(m.rotations[order]), m.tip_position[order] * 1e3])
+    table(tmp_path / "m.csv", "time_s rotation_1_deg rotation_2_deg x_mm y_mm z_mm", rows)
+    remarks = load_measurements(tmp_path / "m.csv", robot()).remarks
+    assert any("are times in ms" in remark for remark in remarks) == said
+
+
 def test_a_way_is_saved_with_its_times_and_directions(tmp_path: Path) -> None:
     m = driven(count=20)
     frames = Rotation.random(20, random_state=1).as_matrix()

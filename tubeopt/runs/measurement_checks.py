@@ -20,6 +20,12 @@ SMALL, LARGE = 0.02, 8.0
 MOVES = 0.3
 """rad: a robot whose tubes turn by more against each other moves its tip."""
 
+SLOW = 1.0
+"""s: recorders of a moving arm are faster."""
+
+PATH, ROWS = 0.1, 20
+"""Rows that are at least so many are a path where the joints usually move by less than this part of their range."""
+
 
 def unwrapped(time: Array, rotations: Array, words: list[str]) -> Array:
     """Rotations (N, n) without the jumps by full turns between rows of a run; says where there were any."""
@@ -63,4 +69,16 @@ def doubts_of(found: Measurements, robot: Robot) -> list[str]:
     reach = np.abs(found.translations).max()
     if 0 < reach < 1e-3 * length and np.ptp(found.translations) > 0:
         words.append(f"no translation is beyond {1e3 * reach:.2g} mm: are they in m, in columns that say mm?")
-    return words
+    return words + _doubts_of_time(found)
+
+
+def _doubts_of_time(found: Measurements) -> list[str]:
+    if found.time is None or len(found) < ROWS:
+        return []
+    step = float(np.median(np.abs(np.diff(found.time))))
+    joints = np.hstack([found.rotations, found.translations])
+    extent = np.ptp(joints, axis=0)
+    moved = np.abs(np.diff(joints, axis=0))[:, extent > 0] / extent[extent > 0]
+    if step <= SLOW or not moved.size or np.median(moved.max(1)) > PATH:
+        return []
+    return [f"rows follow each other after {step:.3g} s on a path of the joints: are times in ms, taken for s?"]

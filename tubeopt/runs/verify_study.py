@@ -57,7 +57,9 @@ class VerifyStudy(LoadedStudy):
         description="path of a CSV file with columns time_s, rotation_1_deg, ... and, where tubes slide, "
         "translation_1_mm, ..."
     )
-    min_margin: NotNegative = Field(Decimal(0), lt=1, description="least stability margin", examples=["MU"])
+    min_margin: NotNegative | None = Field(
+        None, lt=1, description="least stability margin, below 1; by default 0", examples=["MU"]
+    )
     obstacles: Bodies = Field(
         (),
         description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
@@ -66,16 +68,16 @@ class VerifyStudy(LoadedStudy):
     anatomy: AnatomyKey | None = Field(
         None, description="images, meshes and clouds of a patient: a YAML file", examples=["ANATOMY.yaml"]
     )
-    clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
-    max_tip_force_mN: NotNegative = Field(
-        Decimal(0),
-        description="margin and clearance under any force on the tip of up to this size, in any direction",
+    clearance_mm: NotNegative | None = Field(None, description="least distance of the arm from obstacles; by default 0")
+    max_tip_force_mN: NotNegative | None = Field(
+        None,
+        description="margin and clearance under any tip force of up to this size, in any direction; by default 0",
         examples=["F"],
     )
     rates: RatesEntry | None = Field(None, description="how fast the actuators are; by default not looked at")
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
         None,
-        description="margin, obstacles, clearance, force, load and rates of this plan study instead",
+        description="margin, obstacles, clearance, force, load and rates of this plan study, where none are given here",
         examples=["STUDY.yaml"],
     )
 
@@ -84,11 +86,19 @@ class VerifyStudy(LoadedStudy):
         """Obstacles, and those of the anatomy."""
         return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
 
+    def _asked(self) -> VerifyStudy | PlanStudy:
+        """What is asked: of the plan study where there is one, but for the keys that are given beside it."""
+        if self.study is None:
+            return self
+        shared = (VerifyStudy.model_fields.keys() & PlanStudy.model_fields) - {"kind", "robot"}
+        given = {key: getattr(self, key) for key in self.model_fields_set & shared}
+        return self.study.model_copy(update={key: value for key, value in given.items() if value is not None})
+
     def run(self, progress: Progress | None = None) -> Checked:
         """What is found on the trajectory; raises SolveError where it cannot be followed."""
         if progress is not None:
             progress(0, 0)
-        asked = self.study or self
+        asked = self._asked()
         file, joints = self.trajectory
         proof = verify_trajectory(
             joints.robot,
@@ -97,10 +107,10 @@ class VerifyStudy(LoadedStudy):
             joints.translations,
             start=joints.start(asked.pushing()),
             obstacles=asked.bodies,
-            min_margin=float(asked.min_margin),
-            clearance=to_si(asked.clearance_mm, MM),
+            min_margin=float(asked.min_margin or 0),
+            clearance=to_si(asked.clearance_mm or Decimal(0), MM),
             rate_limits=None if asked.rates is None else asked.rates.build(),
-            max_force=to_si(asked.max_tip_force_mN, UNITS["mN"]),
+            max_force=to_si(asked.max_tip_force_mN or Decimal(0), UNITS["mN"]),
             load=asked.pushing(),
         )
         return Checked(file, joints, proof)

@@ -148,15 +148,24 @@ class ValidationReport(Report[Validation]):
     quantities = COMPARISON
     file = "report.json"
 
+    def table(self) -> Group:
+        """The rows, the remarks."""
+        noticed = remarks(self.answer.measurements.remarks, what="remark")
+        return Group(two_columns(self.title(), self.rows()), *noticed)
+
     def save(self, directory: Path) -> list[Path]:
         """Write report.json and residuals.csv."""
         return [self.save_record(directory), save_residuals(directory, self.answer)]
 
     def pictures(self) -> dict[str, Drawing]:
         """Residuals in space, and errors in order."""
-        from .plots.validation import plot_errors, plot_residuals
+        return _pictures(self.answer, "")
 
-        return {"residuals": drawing(plot_residuals, self.answer), "errors": drawing(plot_errors, self.answer)}
+
+def _pictures(v: Validation, when: str) -> dict[str, Drawing]:
+    from .plots.validation import plot_errors, plot_residuals
+
+    return {"residuals": drawing(plot_residuals, v, when=when), "errors": drawing(plot_errors, v, when=when)}
 
 
 def save_residuals(directory: Path, v: Validation, held_out: Array | None = None) -> Path:
@@ -206,7 +215,9 @@ FIT: tuple[Quantity[Fit], ...] = (
         "what robot.yaml holds of the drives",
         lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
         label="drives",
-        words=lambda f: None if f.robot.calibration is None else "their offsets, gains and latency are in robot.yaml",
+        words=lambda f: (
+            None if f.robot.calibration is None else "their offsets, gains and latency go into robot.yaml of --out"
+        ),
     ),
     Quantity(
         "held_out_axis_deg",
@@ -264,7 +275,7 @@ class FitReport(Report[Fit]):
 
     def pictures(self) -> dict[str, Drawing]:
         """Residuals and errors after the fit."""
-        return ValidationReport(self.answer.after).pictures()
+        return _pictures(self.answer.after, "after the fit")
 
 
 def _step(step: Step, length: float) -> dict[str, Any]:
@@ -297,6 +308,7 @@ EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
     Quantity("steps", "effects that pay, in order", lambda c: [_step(s, _length(c)) for s in c.steps]),
     Quantity("dropped", "effects that later ones made useless", lambda c: list(c.dropped)),
     Quantity("refused", "effects that do not pay beside them", lambda c: [_step(s, _length(c)) for s in c.refused]),
+    Quantity("remarks", "what was noticed when the file was read", lambda c: list(c.remarks)),
     Quantity("fit", "the fit of the effects that pay", of=(*FIT_ERRORS[2:], *FIT)),
 )
 
@@ -321,7 +333,7 @@ class EffectsReport(Report[Comparison]):
         heads = ("effect", "held out, RMS >", "direction >", "gain >", "")
         steps = grid(heads, [first, *cells], key=True)
         if c.fit is None:
-            return Group(two_columns(self.title(), self.rows()), steps)
+            return Group(two_columns(self.title(), self.rows()), steps, *remarks(c.remarks, what="remark"))
         return Group(two_columns(self.title(), self.rows()), steps, FitReport(c.fit).table())
 
     def _cells(self, word: str, s: Step) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from .errors import ErrorSummary
 from .folds import deal, passes
 from .held_out import bootstrap_errors, hold_out
 from .history import entangled_history
-from .identifiability import doubts, undetermined
+from .identifiability import doubts, louder, undetermined
 from .measurements import Measurements
 from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters
@@ -267,7 +267,12 @@ class FitProblem:
         return found
 
     def _noise(self, found: Descent) -> tuple[float, float]:
-        """Standard deviations of a coordinate of positions and of directions: given, or left by the fit.
+        """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
+        left, given = self._left(found), self.options.noise
+        return given[0] or left[0], given[1] or left[1]
+
+    def _left(self, found: Descent) -> tuple[float, float]:
+        """Standard deviations of a coordinate of positions and of directions that a fit leaves.
 
         With a robust loss, from the median, which outliers do not move.
         """
@@ -278,8 +283,8 @@ class FitProblem:
         spare = max(total - unknowns, 1) / total
         out = []
         for sizes, coordinates, given in ((size[~a], 3, self.options.noise[0]), (size[a], 2, self.options.noise[1])):
-            if given is not None or not len(sizes):
-                out.append(given if given is not None else FIRST_GUESS[1])
+            if not len(sizes):
+                out.append(given or FIRST_GUESS[1])
             elif self.options.loss == "linear":
                 out.append(float(np.sqrt((sizes**2).sum() / (coordinates * len(sizes) * spare))))
             else:
@@ -350,6 +355,7 @@ class FitProblem:
     def _doubts(self, half: Array, correlation: Array) -> list[str]:
         words = doubts(self.chosen, self.free, self.values, half, correlation)
         words += entangled_history(self.model, self.fit)
+        words += louder(self._left(self.fit), self.options.noise)
         if not self.fit.converged:
             words.append(
                 f"the fit had not settled after {ITERATIONS} steps: estimate fewer parameters, or start from a closer "

@@ -20,6 +20,9 @@ INVOLVED = 0.05
 ENTANGLED = 0.99
 """Correlation of two estimates above which they are told as entangled."""
 
+LOUDER = 3.0
+"""Residuals that are more than so many times the noise that was given are told."""
+
 
 def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float) -> tuple[list[int], list[str]]:
     """Indices of parameters to hold, so that all others are determined, and the reasons in words.
@@ -42,12 +45,14 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
         if with_it:
             words.append(
                 f"{parameter.name} cannot be told from a change of {join(with_it)} together with the registration; "
-                f"held at {shown(parameter)}"
+                f"held at {shown(parameter.start, parameter.unit)}"
             )
         else:
             words.append(
-                f"{parameter.name} has no effect on the measured tips that the registration does not undo; held at "
-                f"{shown(parameter)}"
+                f"{parameter.name} has next to no effect on the measured tips: a change by "
+                f"{shown(parameter.scale, parameter.unit)} moves them by less than "
+                f"{shown(NO_EFFECT * length, 'm')} (RMS) once the registration has followed; held at "
+                f"{shown(parameter.start, parameter.unit)}"
             )
     return held, words
 
@@ -87,13 +92,26 @@ def doubts(
     return words
 
 
-def shown(parameter: Parameter) -> str:
-    """The start of a parameter in the unit that people use."""
-    if parameter.unit == "rad":
-        return f"{math.degrees(parameter.start):.4g} deg"
-    if parameter.unit == "m":
-        return f"{1e3 * parameter.start:.4g} mm"
-    return f"{parameter.start:.4g} {parameter.unit}".strip()
+def louder(left: Sequence[float], given: Sequence[float | None]) -> list[str]:
+    """Remarks where residuals are far beyond the noise that was given: of positions, m, and of directions, rad."""
+    words = []
+    for spread, noise, unit in zip(left, given, ("m", "rad"), strict=True):
+        if noise and spread > LOUDER * noise:
+            words.append(
+                f"residuals are {spread / noise:.2g} times the noise that was given ({shown(spread, unit)} for "
+                f"{shown(noise, unit)}): the intervals are too narrow, since the model lacks something or the noise is "
+                "larger"
+            )
+    return words
+
+
+def shown(value: float, unit: str) -> str:
+    """A value of a parameter in the unit that people use."""
+    if unit == "rad":
+        return f"{math.degrees(value):.4g} deg"
+    if unit == "m":
+        return f"{1e3 * value:.4g} mm"
+    return f"{value:.4g} {unit}".strip()
 
 
 def join(names: Sequence[str]) -> str:

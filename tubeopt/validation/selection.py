@@ -82,6 +82,7 @@ class Comparison(Displayed):
         refused: those that do not pay beside the kept ones, the best first.
         fit: with the kept effects; None where none pays.
         folds: how many there are.
+        remarks: what was noticed when the measurements were read, in words.
     """
 
     start: ErrorSummary
@@ -91,6 +92,7 @@ class Comparison(Displayed):
     refused: tuple[Step, ...]
     fit: Fit | None
     folds: int
+    remarks: tuple[str, ...]
 
     @property
     def chosen(self) -> tuple[str, ...]:
@@ -289,6 +291,7 @@ class _Search:
             refused=self._refused(),
             fit=found,
             folds=len(np.unique(self.fold)),
+            remarks=self.measurements.remarks,
         )
 
     def _kept(self) -> tuple[Step, ...]:

@@ -27,13 +27,14 @@ LONG_ENOUGH = 0.16
 
 
 @picture
-def plot_residuals(validation: Validation) -> Figure:
+def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     """Predicted tips with arrows towards the measured ones, seen along the plate's axis and from the side.
 
     Arrows are to scale, or lengthened by the factor that the heading tells.
 
     Args:
         validation: what to draw.
+        when: words for the heading, such as "after the fit".
     """
     v = validation
     figure = new_figure(8.0, 4.6)
@@ -51,7 +52,7 @@ def plot_residuals(validation: Validation) -> Figure:
     s = v.summary
     headed(
         figure,
-        f"{v.robot.name or 'robot'}: {s.count} measured tips, registration {v.registration.method}, error mean "
+        f"{_named(v, when)}: {s.count} measured tips, registration {v.registration.method}, error mean "
         f"{s.mean * TO_MM:.2f} mm, max {s.max * TO_MM:.2f} mm\narrows from predicted to measured, {scale}",
     )
     return figure
@@ -92,11 +93,12 @@ def _round_factor(value: float) -> float:
 
 
 @picture
-def plot_errors(validation: Validation) -> Figure:
+def plot_errors(validation: Validation, *, when: str = "") -> Figure:
     """Tip errors: how they are distributed, and by direction (radar) and separation, or else by row.
 
     Args:
         validation: what to draw.
+        when: words for the heading, such as "after the fit".
     """
     v = validation
     m, errors = v.measurements, v.errors * TO_MM
@@ -110,7 +112,11 @@ def plot_errors(validation: Validation) -> Figure:
     else:
         _draw_by_row(figure.add_subplot(places[0]), errors)
     _draw_histogram(figure.add_subplot(places[-1]), v)
-    return figure
+    return headed(figure, _named(v, when)) if when else figure
+
+
+def _named(v: Validation, when: str) -> str:
+    return ", ".join(filter(None, (v.robot.name or "robot", when)))
 
 
 def _mean_by_place(direction: Array, separation: Array, errors: Array) -> tuple[Array, Array, Array]:
