@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -119,6 +120,24 @@ def test_certificate_is_that_of_the_library(robot: Robot) -> None:
     problem.maximize(100 * out)
     found = block.equilibrium(problem.solve())
     assert tubeopt.snap_free_certificate(robot, found.translations) == pytest.approx(floor, abs=1e-7)
+
+
+@pytest.mark.parametrize("force", [0.0, 0.05])
+def test_a_certificate_that_a_determinant_does_not_deny_is_refused(force: float) -> None:
+    """Of three tubes that are nearly alike two eigenvalues are, too: beyond both the determinant is positive."""
+    like = {"curvature": 15.0, "straight_length": 0.1, "bending_stiffness": 0.05, "torsional_stiffness": 0.04}
+    tubes = [replace(tube, **like, curved_length=0.12 - 0.004 * i) for i, tube in enumerate(THESIS.tubes)]
+    robot = tubeopt.ConcentricRobot(tuple(tubes))
+    near = forward_kinematics(robot, [0.0, 0.1, -0.1], np.full(3, -1e-3))
+    problem = Problem()
+    out = problem.variable("out", guess=0.0, lower=-2e-3, upper=2e-3, scale=1e-3)
+    block = EquilibriumBlock(problem, near, translations=near.translations + out * ca.DM.ones(3))
+    block.certificate_at_least(0.0, max_force=force)
+    problem.minimize((1e3 * out - 0.5) ** 2)
+    solution = problem.solve()
+    assert tubeopt.snap_free_certificate(robot, solution.value(block.translations), max_force=force) < -3
+    with pytest.raises(SolveError, match=r"the certificate (under 50 mN )?is -3\.\d+ where 0 was demanded"):
+        block.equilibrium(solution)
 
 
 @pytest.mark.parametrize(

@@ -129,9 +129,14 @@ def test_largest_certificate_that_can_be_demanded_is_the_certificate() -> None:
     known = snap_free_certificate(EXAMPLE, SHIFT)
     problem = Problem()
     least = problem.variable("certificate", guess=known - 0.3)
-    EquilibriumBlock(problem, near).certificate_at_least(least)
+    block = EquilibriumBlock(problem, near)
+    block.certificate_at_least(least)
     problem.maximize(least)
-    assert problem.solve().value(least) == pytest.approx(known, abs=1e-6)
+    solution = problem.solve()
+    assert solution.value(least) == pytest.approx(known, abs=1e-6)
+    # Looked at again by the largest eigenvalue in place of a determinant.
+    assert block.bounds[0].value(block.model.at(solution.value), block.chain) == pytest.approx(known, abs=1e-6)
+    assert block.equilibrium(solution).margin > known
     with pytest.raises(InputError, match="whose curvature or stiffness varies"):
         EquilibriumBlock(Problem(), forward_kinematics(BEFORE, [0.3, 1.4])).certificate_at_least(0.0)
 
