@@ -77,7 +77,7 @@ def test_a_move_arrives_or_says_why_not() -> None:
     for k in range(200):
         arm.tick(1 + 1e-2 * k, 1e-2)
     assert tip(arm) == pytest.approx(SEED.tip_position, abs=1e-5)
-    arm.command({"op": "move_cp", "position": [1.0, 0, 0]}, 10.0)
+    arm.command({"op": "move_cp", "position": [0.29, 0, 0]}, 10.0)
     k = 0
     while arm.busy and k < 2000:
         arm.tick(10 + 1e-2 * k, 1e-2)
@@ -129,6 +129,17 @@ def test_what_makes_no_sense_changes_nothing() -> None:
         {"op": "state_command", "command": "resume"},
     ):
         with pytest.raises(InputError):
+            arm.command(message, 0.0)
+    joints = {"rotations": [0, 1, 2], "translations": [-0.05, -0.03, -0.02]}
+    for message, words in (
+        ({"op": "move_cp", "position": [30, 0, 120]}, r"position is 123\.\d+ m from .* at most 0\.\d+ m, the length"),
+        ({"op": "servo_cp", "position": [30, 0, 120]}, "the length of the longest arm"),
+        ({"op": "move_jp", **joints, "translations": [-0.05, -50, 0]},
+         r"translations of tube 2 is -50 m; it must lie between -0\.15 and 0\.15 m"),
+        ({"op": "servo_jp", **joints, "rotations": [0, 57, 0]}, r"rotations of tube 2 is 57 rad; .* between -6\.28"),
+        ({"op": "move_cp", "positon": [0, 0, 0.1]}, "'positon' is not known of move_cp; .*did you mean 'position'"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
             arm.command(message, 0.0)
     arm.tick(0.0, 1e-3)
     assert np.array_equal(tip(arm), SEED.tip_position)

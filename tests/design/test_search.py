@@ -97,7 +97,12 @@ def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
     assert region["proved"] == region["planned"]
     assert np.linalg.norm(region["base_direction"]) == pytest.approx(1)
     page = (tmp_path / "out" / "report.md").read_text()
-    assert "of 2 places not searched with" in page
+    before, after = (round(100 * region[key]) for key in ("before", "after"))
+    assert f"at least {before} % before, at least {after} % after, of 2 places not searched with" in page
+    assert "objective | share of the region" in page
+    assert "change" not in page
+    assert told["objectives"] == {"reach_share": region["after"]}
+    assert any("roadmap may be too small" in words for words in told["remarks"]) == (region["after"] <= 0.05)
 
 
 def test_regions_that_make_no_study_are_refused(run: Run, tmp_path: Path) -> None:

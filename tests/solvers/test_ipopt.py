@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.examples import CRL, THESIS, configurations, eccentric_assembly, unstable_home
-from tubeopt import Ipopt, SolveError
+from tubeopt import InputError, Ipopt, SolveError
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.program import structure_of
@@ -76,6 +77,22 @@ def test_started_at_the_solution_there_is_nothing_to_do(formulation: str) -> Non
 
 
 HASTY = Ipopt(tolerance=1e-12, iterations=1, expand=True)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"iterations": "100"}, "iterations is '100'; it must be a whole number"),
+        ({"iterations": 0}, "iterations is 0; it must be at least 1"),
+        ({"print_level": 2.5}, "print_level is 2.5; it must be a whole number"),
+        ({"print_level": 13}, "print_level is 13; it must lie between 0 and 12"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Ipopt(**wrong)
+
+
 """IPOPT that gives up after one iteration."""
 
 

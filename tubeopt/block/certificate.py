@@ -69,11 +69,8 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
     floor, force = checked("margin", margin), positive("max_force", max_force, zero=True)
     if block.model.place:
         raise InputError("the robot is eccentric; this certificate holds for concentric tubes")
-    if block.load is not None and not _covered(block.load, force):
-        raise InputError(
-            "load is no force on the tip in axes of the plate of at most max_force; the certificate would not be of "
-            "the arm that the block has"
-        )
+    if block.load is not None:
+        _check_covered(block.load, force)
     if not force:
         block.demand("certificate", _without_force(block, 1 - floor))
         # A determinant has the same sign beyond the second eigenvalue: what is found is looked at again.
@@ -86,10 +83,19 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
     _add_under_force(block, floor, force)
 
 
-def _covered(load: Load, force: float) -> bool:
-    """Whether a load is one of those that a certificate is about."""
-    alone = load == Load(load.force)
-    return alone and float(np.linalg.norm(load.force)) <= force * (1 + 1e-12)
+def _check_covered(load: Load, force: float) -> None:
+    """Raise InputError unless a load is one of those that a certificate is about."""
+    if load != Load(load.force):
+        raise InputError(
+            "load is something else than a force on the tip in axes of the plate; the certificate would not be of the "
+            "arm that the block has"
+        )
+    pull = float(np.linalg.norm(load.force))
+    if pull > force * (1 + 1e-12):
+        raise InputError(
+            f"load is a force of {1e3 * pull:g} mN on the tip, beyond max_force, which is {1e3 * force:g} mN; "
+            "max_force must be at least as much, or the certificate would not be of the arm that the block has"
+        )
 
 
 def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..errors import InputError, vector
+from ..errors import InputError, nearest, vector
 from ..inverse.joints import JointSpace
 from ..typing import Array
 from .servo import Command, ServoOptions
@@ -29,6 +29,19 @@ ends."""
 
 WARNING = 0.1
 """Margin above the floor below which a snap is warned of."""
+
+ROUND_OFF = 1e-9
+"""Length (m) and angle (rad) by which a target may be beyond what is allowed."""
+
+KEYS = {
+    "servo_cp": ("position", "direction"),
+    "servo_cv": ("linear",),
+    "servo_jp": ("rotations", "translations"),
+    "move_cp": ("position", "direction"),
+    "move_jp": ("rotations", "translations"),
+    "state_command": ("command",),
+}
+"""What a message may have besides its "op"."""
 
 TRANSITIONS = {
     "enable": "ENABLED",
@@ -94,22 +107,23 @@ class CrtkRobot:
             InputError: it makes no sense, or not in this state; nothing changes.
         """
         name = message.get("op")
+        if not isinstance(name, str) or name not in KEYS:
+            raise InputError(f"op is {name!r}; it must be one of {', '.join(KEYS)}")
+        _check_keys(name, message)
         known: dict[str, Callable[[Mapping[str, Any]], Command]] = {
-            "servo_cp": _pose,
+            "servo_cp": self._pose,
             "servo_cv": _twist,
             "servo_jp": self._joints,
-            "move_cp": _pose,
+            "move_cp": self._pose,
             "move_jp": self._joints,
         }
         if name == "state_command":
             self._change(message.get("command"))
-        elif isinstance(name, str) and name in known:
+        else:
             wanted = known[name](message)
             if self.state != "ENABLED":
                 raise InputError(f"{name} is refused: the robot is {self.state}; enable it first")
             self._goal = _Goal(wanted, now, name.startswith("servo"), closer=now)
-        else:
-            raise InputError(f"op is {name!r}; it must be one of {', '.join([*known, 'state_command'])}")
 
     def release(self) -> None:
         """Whoever commanded has gone: hold."""
@@ -163,12 +177,26 @@ class CrtkRobot:
 
     def _joints(self, message: Mapping[str, Any]) -> Command:
         n = self.servo.space.robot.n_tubes
-        return Command(
-            joints=(
-                vector("rotations", message.get("rotations", ()), n, "rad"),
-                vector("translations", message.get("translations", ()), n, "m"),
+        low, high = self.servo.space.ranges
+        joints = []
+        for name, unit, tubes in (("rotations", "rad", slice(n)), ("translations", "m", slice(n, None))):
+            values = vector(name, message.get(name, ()), n, unit)
+            for i in np.flatnonzero((values < low[tubes] - ROUND_OFF) | (values > high[tubes] + ROUND_OFF))[:1]:
+                raise InputError(
+                    f"{name} of tube {i + 1} is {values[i]:g} {unit}; it must lie between {low[tubes][i]:g} and "
+                    f"{high[tubes][i]:g} {unit}"
+                )
+            joints.append(values)
+        return Command(joints=(joints[0], joints[1]))
+
+    def _pose(self, message: Mapping[str, Any]) -> Command:
+        place, pointing = _numbers(message, "position", "m"), message.get("direction")
+        far, longest = float(np.linalg.norm(place)), self.servo.space.longest
+        if far > longest + ROUND_OFF:
+            raise InputError(
+                f"position is {far:g} m from the plate; it must be at most {longest:g} m, the length of the longest arm"
             )
-        )
+        return Command(position=place, direction=None if pointing is None else _numbers(message, "direction", ""))
 
     def report(self, now: float) -> dict[str, Any]:
         """What watchers are told: plain data in SI units under the names of CRTK, with margin and warning beside."""
@@ -196,12 +224,12 @@ class CrtkRobot:
         }
 
 
-def _pose(message: Mapping[str, Any]) -> Command:
-    pointing = message.get("direction")
-    return Command(
-        position=_numbers(message, "position", "m"),
-        direction=None if pointing is None else _numbers(message, "direction", ""),
-    )
+def _check_keys(name: str, message: Mapping[str, Any]) -> None:
+    """Raise InputError where a message has what its "op" does not know."""
+    for key in message:
+        if key != "op" and key not in KEYS[name]:
+            allowed = " and ".join(KEYS[name])
+            raise InputError(f"{key!r} is not known of {name}; it takes {allowed}{nearest(str(key), KEYS[name])}")
 
 
 def _twist(message: Mapping[str, Any]) -> Command:

@@ -101,10 +101,7 @@ class Goal:
     def beyond_reach(self) -> float:
         """By how much the target is farther from the plate than the longest arm that the joints' ranges allow, m: the
         tip is certainly no closer. Negative where it is not."""
-        robot, n = self.space.robot, self.space.robot.n_tubes
-        shift = self.space.spread[n:] @ self.space.upper + self.space.offset[n:]
-        ends = shift + np.array([tube.length - tube.straight_length for tube in robot.tubes])
-        return float(np.linalg.norm(self.position) - ends.max())
+        return float(np.linalg.norm(self.position)) - self.space.longest
 
     def residual(self, at: Posture) -> Array:
         """(3,) or (6,) what is left to the target: position over length, and direction."""

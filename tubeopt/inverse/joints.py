@@ -51,6 +51,18 @@ class JointSpace:
         """Length of the longest tube, m: what distances are measured by."""
         return max(tube.length for tube in self.robot.tubes)
 
+    @cached_property
+    def ranges(self) -> Array:
+        """(2, 2n) least and greatest rotations and translations of the tubes."""
+        which = self.spread.argmax(1)  # one joint moves each; a product would make NaN of an endless range
+        return np.stack([self.lower[which], self.upper[which]]) + self.offset
+
+    @cached_property
+    def longest(self) -> float:
+        """Length of the longest arm that the ranges allow, m: no tip is farther from the plate."""
+        shift = self.ranges[1, self.robot.n_tubes :]
+        return float((shift + [tube.length - tube.straight_length for tube in self.robot.tubes]).max())
+
     def joint(self, q: Array) -> Array:
         """(2n,) rotations and translations of independent joint values."""
         return np.asarray(self.spread @ q + self.offset)

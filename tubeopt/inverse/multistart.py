@@ -334,12 +334,15 @@ class Multistart:
         closest = self._packed(at, status, ("table", "gauss_newton"))
         if on_failure == "closest":
             return closest
-        why = ", ".join(closest.active) or "no limit is active, the search ended in a local minimum"
+        local = "no limit is active, the search " + ("was cut short" if late else "ended in a local minimum")
+        why = ", ".join(closest.active) or local
         tried = f"in {self.tries} start{'' if self.tries == 1 else 's'}"
         if late:
             tried = f"within {self.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
         beyond = goal.beyond_reach()
         far = f"; the target is out of reach, {beyond:.3g} m beyond the longest arm" if beyond > 0 else ""
+        if late and not far:
+            far = "; whether the target can be reached is not known"
         raise SolveError(f"no answer was found {tried}: {missed_by(goal, at)}: {why}{far}", closest)
 
     def _without_a_pose(self, late: bool) -> str:

@@ -29,7 +29,8 @@ class RegionReach(Displayed):
     """What `search_design` asks of a robot: to reach places of a region from where it starts, by ways that keep margin
     and clearance, maybe from a plate that may be moved.
 
-    The share of few places does not tell neighbours apart; the score takes in how far those are missed that are not
+    The share is a lower bound: a larger roadmap (`count`) may lead to more places, and one of too few points to none.
+    That of few places does not tell neighbours apart; the score takes in how far those are missed that are not
     reached. Robots are compared by the same random numbers.
 
     Args:

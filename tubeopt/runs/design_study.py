@@ -77,6 +77,11 @@ class DesignAnswer(Displayed):
     stock: StockChoice | None
     region: RegionAnswer | None = None
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Of the design, and of the search for what it reaches of a region."""
+        return self.solution.remarks + (() if self.region is None else self.region.remarks)
+
 
 class DesignStudy(Study):
     """The best robot that keeps a list of requirements."""

@@ -15,6 +15,7 @@ from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
+from ..inverse.clock import Clock
 from ..robots.readings import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
@@ -38,6 +39,8 @@ class Postures(Displayed):
     """That was asked."""
     solutions: tuple[InverseSolution, ...]
     """One or several configurations."""
+    timed_out: bool = False
+    """Whether the time limit ended the search for more of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,7 @@ class InverseStudy(LoadedStudy):
         "auto", description="how to solve: auto, gauss_newton or nlp"
     )
     starts: Annotated[Whole, Field(ge=1)] = Field(48, description="most starting configurations")
+    time_limit_s: Positive = Field(Decimal(20), description="on the clock, for each target, with the way to it")
     all: bool = Field(False, description="all distinct postures for the target, the best first")
     closest: bool = Field(False, description="where the target is out of reach, the closest pose")
     follow: bool = Field(False, description="solve each target of a table from the last one, on its branch")
@@ -162,6 +166,7 @@ class InverseStudy(LoadedStudy):
             clearance=to_si(self.clearance_mm, MM),
             method=self.method,
             starts=self.starts,
+            time_limit=float(self.time_limit_s),
         )
 
     def _common(self) -> dict[str, Any]:
@@ -190,8 +195,9 @@ class InverseStudy(LoadedStudy):
         }
         position = point(self.target_mm)
         if self.all:
+            clock = Clock(float(self.time_limit_s))
             every = inverse_kinematics(self.robot, position, all_solutions=True, **given, **self._common())
-            return Postures(self.robot, tuple(every))
+            return Postures(self.robot, tuple(every), clock.over)
         found = inverse_kinematics(self.robot, position, load=self.pushing(), **given, **self._common())
         return Postures(self.robot, (found,))
 

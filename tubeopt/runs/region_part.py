@@ -30,6 +30,10 @@ OTHER = 100
 """By how much seed, and by what part roadmaps differ with which other places are judged."""
 
 
+HARDLY = 0.05
+"""Share of a region below which the roadmap may be what is missing, and not the robot."""
+
+
 @dataclass(frozen=True, eq=False)
 class RegionAnswer(Displayed):
     """What a design reaches of a region.
@@ -45,6 +49,22 @@ class RegionAnswer(Displayed):
     proved: int
     planned: int
     base: Frame
+
+    @property
+    def words(self) -> str:
+        """What is reached, in words: at least, since a larger roadmap may lead to more places."""
+        before, after = (f"at least {100 * one.share:.0f} %" for one in (self.before, self.after))
+        judged = f"of {len(self.after.targets)} places not searched with"
+        return f"{self.search.wanted}: {before} before, {after} after, {judged}"
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """That the roadmap may be too small, where it leads to next to nothing."""
+        if self.after.share > HARDLY:
+            return ()
+        return (
+            "next to nothing of the region was reached; the roadmap may be too small to tell: raise objective.points",
+        )
 
 
 class RegionEntry(Entry):

@@ -93,8 +93,8 @@ REGION: tuple[Quantity[RegionAnswer], ...] = (
     Quantity("searched_after", "the same of the design", lambda r: r.search.after),
     Quantity("tried", "designs that were looked at", lambda r: r.search.tried),
     Quantity("places", "others, by which it is judged", lambda r: len(r.after.targets)),
-    Quantity("before", "share of them that the robot reaches", lambda r: r.before.share),
-    Quantity("after", "share of them that the design reaches", lambda r: r.after.share),
+    Quantity("before", "share of them that the robot reaches at least", lambda r: r.before.share),
+    Quantity("after", "share of them that the design reaches at least", lambda r: r.after.share),
     Quantity("planned", "places among them to which plans were made"),
     Quantity("proved", "of these plans"),
     Quantity("base_mm", "where the plate stands, in its own frame as given", lambda r: r.base.origin),
@@ -107,19 +107,11 @@ DESIGN: tuple[Quantity[DesignAnswer], ...] = (
             Quantity[DesignSolution]("task", "name of the task", lambda s: s.task.name),
             Quantity[DesignSolution]("robot", "name of the robot", lambda s: s.robot.name),
             Quantity[DesignSolution]("certificate", "lower bound of the margin at all rotations"),
-            Quantity[DesignSolution](
-                "objectives",
-                "what was wanted, each with its unit",
-                lambda s: {_key(one): s.objectives[key_of(one)] * one.factor for one in s.task.objectives},
-            ),
             Quantity[DesignSolution]("dimensions", "what was free", lambda s: list(s.dimensions), of=DIMENSION),
             Quantity[DesignSolution]("binding", "requirements that bind", lambda s: list(s.sensitivities), of=BINDING),
             Quantity[DesignSolution]("poses", "the poses of the task", lambda s: list(s.equilibria), of=POSE),
             Quantity[DesignSolution](
                 "checks", "checked again by other code", lambda s: list(s.verification.checks), of=CHECK
-            ),
-            Quantity[DesignSolution](
-                "remarks", "what holds the design, and tubes that it hardly needs", lambda s: list(s.remarks)
             ),
             Quantity[DesignSolution]("starts", "that were tried", lambda s: s.ranking.starts),
             Quantity[DesignSolution]("designs", "different ones that were found", lambda s: len(s.ranking.designs)),
@@ -128,6 +120,12 @@ DESIGN: tuple[Quantity[DesignAnswer], ...] = (
             Quantity[DesignSolution]("seconds", "wall time, s"),
         ),
         lambda a: a.solution,
+    ),
+    Quantity("objectives", "what was wanted, each with its unit", lambda a: _objectives(a)),
+    Quantity(
+        "remarks",
+        "what holds the design, tubes that it hardly needs, a search that is too coarse",
+        lambda a: list(a.remarks),
     ),
     Quantity("tolerance", "what becomes of it as manufactured, where that was asked for", of=TOLERANCE),
     Quantity("pareto", "what margin costs, where that was asked for", lambda a: a.front, of=FRONT),
@@ -166,7 +164,11 @@ class DesignReport(Report[DesignAnswer]):
         """The answer in short."""
         s = self.answer.solution
         failed = ", ".join(f"{count} at the {name}" for name, count in s.ranking.failures.items())
-        rows = [("objective", shown(one, s.objectives[key_of(one)])) for one in s.task.objectives]
+        region = self.answer.region
+        if region is None:
+            rows = [("objective", shown(one, s.objectives[key_of(one)])) for one in s.task.objectives]
+        else:
+            rows = [("objective", region.words)]
         rows.append(("certificate", f"{s.certificate:.6f}, a lower bound of the margin at all rotations"))
         if s.equilibria:
             rows.append(("task poses", f"{len(s.equilibria)}, least margin {min(e.margin for e in s.equilibria):.4f}"))
@@ -187,7 +189,7 @@ class DesignReport(Report[DesignAnswer]):
                         f"RMS up to {t.spread.max() * TO_MM:.3f} mm, 95 % within {t.spread_95.max() * TO_MM:.3f} mm",
                     )
                 )
-        rows += _reached(self.answer.region)
+        rows += _searched(region)
         if self.answer.stock is not None and self.answer.stock.best is not None:
             names = ", ".join(size.name for size in self.answer.stock.best.sizes)
             rows.append(("from stock", f"{names} (of {len(self.answer.stock.candidates)} choices)"))
@@ -199,7 +201,7 @@ class DesignReport(Report[DesignAnswer]):
         s = self.answer.solution
         parts: list[Text | Table] = [two_columns(s.robot.name or "design", self.summary())]
         parts.append(grid(("", "before", "after", ""), self.dimension_rows(), title="dimensions", key=True))
-        parts += [Text(f"  {words}") for words in s.remarks]
+        parts += [Text(f"  {words}") for words in self.answer.remarks]
         if s.sensitivities:
             parts.append(Text("what binds, and what easing it would buy", style="italic"))
             parts += [Text(f"  {one.sentence}") for one in s.sensitivities]
@@ -276,7 +278,8 @@ class DesignReport(Report[DesignAnswer]):
         lines = [f"# {s.robot.name or 'Design'}", ""]
         lines += _markdown(("", ""), self.summary())
         lines += ["", "## Dimensions", "", *_markdown(("", "before", "after", ""), self.dimension_rows())]
-        lines += ["", *(f"- {words}" for words in s.remarks)] if s.remarks else []
+        remarks = self.answer.remarks
+        lines += ["", *(f"- {words}" for words in remarks)] if remarks else []
         lines += ["", "## Requirements that bind", ""]
         rows = [(o.limit.words, o.limit.shown(), o.sentence) for o in s.sensitivities]
         lines += _markdown(("limit", "at", "price"), rows) if rows else ["None."]
@@ -292,14 +295,12 @@ class DesignReport(Report[DesignAnswer]):
         return "\n".join(lines) + "\n"
 
 
-def _reached(region: RegionAnswer | None) -> list[tuple[str, str]]:
-    """What is reached of a region, in short."""
+def _searched(region: RegionAnswer | None) -> list[tuple[str, str]]:
+    """How a design for a region was searched for, in short."""
     if region is None:
         return []
-    before, after = (f"{100 * one.share:.0f} %" for one in (region.before, region.after))
     x, y, z = region.base.origin * TO_MM
     return [
-        ("region", f"{before} reached before, {after} after, of {len(region.after.targets)} places not searched with"),
         ("search", f"{region.search.tried} designs looked at; no optimum is claimed"),
         ("plans", f"{region.proved} of {region.planned} to places that are reached are proved"),
         ("plate", f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm"),
@@ -313,6 +314,13 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
 
     before, after = (stability_map(robot, samples=MAP_SAMPLES, directions=60, workers=1) for robot in robots)
     return plot_before_after(before, after, path)
+
+
+def _objectives(a: DesignAnswer) -> dict[str, float]:
+    """Values of what was wanted; of a region what the design reaches of it, since its task has no objective."""
+    if a.region is not None:
+        return {"reach_share": a.region.after.share}
+    return {_key(one): a.solution.objectives[key_of(one)] * one.factor for one in a.solution.task.objectives}
 
 
 def _key(one: AnyObjective) -> str:

@@ -82,6 +82,7 @@ def _how(s: InverseSolution) -> str:
 POSTURES: tuple[Quantity[Postures], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     Quantity("solutions", "the answers, the best first", lambda a: list(a.solutions), of=SOLUTION),
+    Quantity("timed_out", "whether the time limit ended the search for all postures, or for ways to them"),
 )
 
 
@@ -108,6 +109,8 @@ class PosturesReport(Report[Postures]):
             ]
             parts.append(Text(f"\nother postures with the same tip: {len(others)}"))
             parts.append(grid(("rotations (deg)", "translations (mm)", "margin >", "mJ >"), cells))
+        if self.answer.timed_out:
+            parts.append(Text("\nthe time limit ended the search: there may be more postures, and ways to them"))
         return Group(*parts)
 
     def save(self, directory: Path) -> list[Path]:

@@ -118,9 +118,8 @@ class Ipopt(Displayed):
         if self.time_limit != math.inf:
             positive("time_limit", self.time_limit)
         choice("hessian", self.hessian, HESSIANS)
-        if self.iterations < 1:
-            raise InputError(f"iterations is {self.iterations}; it must be at least 1")
-        if not 0 <= self.print_level <= 12:
+        whole("iterations", self.iterations, 1)
+        if whole("print_level", self.print_level, 0) > 12:
             raise InputError(f"print_level is {self.print_level}; it must lie between 0 and 12")
 
     def options(self, *, warm: bool) -> dict[str, Any]:
