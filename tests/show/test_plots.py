@@ -14,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from tubeopt import ConcentricRobot, Equilibrium, InputError, Tube, forward_kinematics
+from tubeopt import ConcentricRobot, Equilibrium, InputError, Tube, forward_kinematics, load_robot
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, plot_torsions, tube_colour
 from tubeopt.show.plots.mesh import Centreline, Mesh, ring_mesh, tube_mesh
 from tubeopt.show.plots.shape import exposed, robot_mesh
@@ -268,3 +268,26 @@ def test_neither_display_nor_pyplot_is_needed(tmp_path: Path) -> None:
     environment = {**os.environ, "MPLBACKEND": "tkagg", "DISPLAY": ""}
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "shape.png")], check=True, env=environment)
     assert (tmp_path / "shape.png").exists()
+
+
+def test_torsion_jumps_where_pieces_meet_as_the_torque_does_not() -> None:
+    """GJ (theta' - natural twist) goes on across a jump, and nothing is drawn beyond what was solved for."""
+    robot = load_robot(Path(__file__).resolve().parents[2] / "configs" / "robots" / "example_pieces.yaml")
+    arm = forward_kinematics(robot, np.radians((0.0, 120.0, -60.0)))
+    assembly = arm.robot.assembly(arm.translations)
+    assert assembly.lengthwise is not None
+    lines = plot_torsion(arm).axes[1].lines
+    for tube, at in ((0, 0.03), (2, 0.01)):
+        line = next(line for line in lines if line.get_label() == f"tube {tube + 1}")
+        s, drawn = np.array(line.get_xdata()) * 1e-3, np.radians(np.array(line.get_ydata())) * 1e3
+        (gap,) = np.flatnonzero(np.isnan(s))
+        np.testing.assert_allclose(s[[gap - 1, gap + 1]], at)
+        behind, before = (assembly.lengthwise.values(at + d + assembly.transmission[None]) for d in (-1e-9, 1e-9))
+        torque = [
+            float(v[1][0, tube] * (t - v[4][0, tube])) for v, t in ((behind, drawn[gap - 1]), (before, drawn[gap + 1]))
+        ]
+        assert torque[1] == pytest.approx(torque[0], rel=1e-6)
+        solved = arm.torsion[tube]
+        room = 1e-3 * float(np.ptp(solved))
+        assert solved.min() - room < np.nanmin(drawn)
+        assert np.nanmax(drawn) < solved.max() + room
