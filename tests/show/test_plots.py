@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
+from tubeopt.robots.load import PointForce
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, plot_torsions, tube_colour
 from tubeopt.show.plots.mesh import Centreline, Mesh, ring_mesh, tube_mesh
 from tubeopt.show.plots.shape import exposed, forces, robot_mesh
@@ -295,7 +296,7 @@ def test_torsion_jumps_where_pieces_meet_as_the_torque_does_not() -> None:
 
 def test_forces_are_drawn_and_named() -> None:
     """An arrow from the tip along the force as it is seen, and force and gravity in words."""
-    load = Load((0.02, 0.03, 0.0), points=((0.05, (0.0, 0.01, 0.0)),))
+    load = Load((0.02, 0.03, 0.0), points=(PointForce(0.05, (0.0, 0.01, 0.0)),))
     arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=load)
     tip, along = forces(arm)
     np.testing.assert_allclose(tip[0], arm.tip_position)
@@ -308,10 +309,7 @@ def test_forces_are_drawn_and_named() -> None:
     arrow = next(text for text in texts if text.arrow_patch is not None)
     seen = View(20.0, -60.0).project(arm.tip_position)
     np.testing.assert_allclose(arrow.xyann, seen[:2])
-    heading = figure.get_suptitle()
-    assert "load: 20, 30, 0 mN at the tip" in heading.replace("(", "").replace(")", "").replace("[", "").replace(
-        "]", ""
-    )
+    assert "load: 20, 30, 0 mN at the tip" in figure.get_suptitle()
 
 
 def test_a_following_force_turns_with_the_tip_in_the_picture() -> None:
