@@ -22,6 +22,7 @@ from tubeopt.show.plots.shape import exposed, forces, robot_mesh
 from tubeopt.show.plots.stage import Box, View, rule_step, widest_view
 from tubeopt.show.plots.style import number
 from tubeopt.show.plots.torsion import breakpoints
+from tubeopt.show.plots.trajectory import arm_mesh
 
 ROBOT = ConcentricRobot(
     (
@@ -316,3 +317,12 @@ def test_a_following_force_turns_with_the_tip_in_the_picture() -> None:
     arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=Load((0.0, 0.0, 0.02), frame="tip"))
     ((start, end, _),) = forces(arm)
     np.testing.assert_allclose(np.cross(end - start, arm.tip_rotation[:, 2]), 0.0, atol=1e-12)
+
+
+def test_arms_of_a_plan_are_round_along_their_length(circle: Equilibrium) -> None:
+    """No facet of the tube turns by more than 2 deg along the arm, whatever its size."""
+    corners = arm_mesh(circle, 1.0).corners.reshape(-1, 10, 4, 3).mean(axis=(1, 2))
+    steps = np.diff(corners, axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    turns = np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(1), -1, 1)))
+    assert turns.max() < 2.0
