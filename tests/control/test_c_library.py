@@ -188,6 +188,7 @@ def test_bad_input_is_refused(thesis: CRobot) -> None:
 
 def test_the_library_is_clean_c99_without_memory_of_its_own_and_passes_its_test(tmp_path: Path) -> None:
     save_c_library(c_library(CRL, prefix="crl", loads=True), tmp_path)
+    assert "test.c crl_robot.c crl_load.c -lm -o test" in (tmp_path / "README.md").read_text()
     own = compiler()
     assert own is not None
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-fno-pie"]

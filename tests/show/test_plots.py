@@ -14,13 +14,15 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from tubeopt import ConcentricRobot, Equilibrium, InputError, Tube, forward_kinematics
+from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
+from tubeopt.robots.load import PointForce
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, plot_torsions, tube_colour
 from tubeopt.show.plots.mesh import Centreline, Mesh, ring_mesh, tube_mesh
-from tubeopt.show.plots.shape import exposed, robot_mesh
+from tubeopt.show.plots.shape import exposed, forces, robot_mesh
 from tubeopt.show.plots.stage import Box, View, rule_step, widest_view
 from tubeopt.show.plots.style import number
 from tubeopt.show.plots.torsion import breakpoints
+from tubeopt.show.plots.trajectory import arm_mesh
 
 ROBOT = ConcentricRobot(
     (
@@ -268,3 +270,59 @@ def test_neither_display_nor_pyplot_is_needed(tmp_path: Path) -> None:
     environment = {**os.environ, "MPLBACKEND": "tkagg", "DISPLAY": ""}
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "shape.png")], check=True, env=environment)
     assert (tmp_path / "shape.png").exists()
+
+
+def test_torsion_jumps_where_pieces_meet_as_the_torque_does_not() -> None:
+    """GJ (theta' - natural twist) goes on across a jump, and nothing is drawn beyond what was solved for."""
+    robot = load_robot(Path(__file__).resolve().parents[2] / "configs" / "robots" / "example_pieces.yaml")
+    arm = forward_kinematics(robot, np.radians((0.0, 120.0, -60.0)))
+    assembly = arm.robot.assembly(arm.translations)
+    assert assembly.lengthwise is not None
+    lines = plot_torsion(arm).axes[1].lines
+    for tube, at in ((0, 0.03), (2, 0.01)):
+        line = next(line for line in lines if line.get_label() == f"tube {tube + 1}")
+        s, drawn = np.array(line.get_xdata()) * 1e-3, np.radians(np.array(line.get_ydata())) * 1e3
+        (gap,) = np.flatnonzero(np.isnan(s))
+        np.testing.assert_allclose(s[[gap - 1, gap + 1]], at)
+        behind, before = (assembly.lengthwise.values(at + d + assembly.transmission[None]) for d in (-1e-9, 1e-9))
+        torque = [
+            float(v[1][0, tube] * (t - v[4][0, tube])) for v, t in ((behind, drawn[gap - 1]), (before, drawn[gap + 1]))
+        ]
+        assert torque[1] == pytest.approx(torque[0], rel=1e-6)
+        solved = arm.torsion[tube]
+        room = 1e-3 * float(np.ptp(solved))
+        assert solved.min() - room < np.nanmin(drawn)
+        assert np.nanmax(drawn) < solved.max() + room
+
+
+def test_forces_are_drawn_and_named() -> None:
+    """An arrow from the tip along the force as it is seen, and force and gravity in words."""
+    load = Load((0.02, 0.03, 0.0), points=(PointForce(0.05, (0.0, 0.01, 0.0)),))
+    arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=load)
+    tip, along = forces(arm)
+    np.testing.assert_allclose(tip[0], arm.tip_position)
+    np.testing.assert_allclose(np.cross(tip[1] - tip[0], load.force), 0.0, atol=1e-12)
+    assert tip[2] == pytest.approx(np.hypot(0.02, 0.03))
+    np.testing.assert_allclose(np.linalg.norm(along[1] - along[0]) / np.linalg.norm(tip[1] - tip[0]), 0.01 / tip[2])
+    figure = plot_shape(arm, view=(20.0, -60.0))
+    texts = [text for text in figure.axes[0].texts if isinstance(text, matplotlib.text.Annotation)]
+    assert {"36.06 mN", "10 mN"} <= {text.get_text() for text in texts}
+    arrow = next(text for text in texts if text.arrow_patch is not None)
+    seen = View(20.0, -60.0).project(arm.tip_position)
+    np.testing.assert_allclose(arrow.xyann, seen[:2])
+    assert "load: 20, 30, 0 mN at the tip" in figure.get_suptitle()
+
+
+def test_a_following_force_turns_with_the_tip_in_the_picture() -> None:
+    arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=Load((0.0, 0.0, 0.02), frame="tip"))
+    ((start, end, _),) = forces(arm)
+    np.testing.assert_allclose(np.cross(end - start, arm.tip_rotation[:, 2]), 0.0, atol=1e-12)
+
+
+def test_arms_of_a_plan_are_round_along_their_length(circle: Equilibrium) -> None:
+    """No facet of the tube turns by more than 2 deg along the arm, whatever its size."""
+    corners = arm_mesh(circle, 1.0).corners.reshape(-1, 10, 4, 3).mean(axis=(1, 2))
+    steps = np.diff(corners, axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    turns = np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(1), -1, 1)))
+    assert turns.max() < 2.0

@@ -77,6 +77,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         "tubeopt_robot.h": _filled("robot.h", name=name, version=__version__, n=str(robot.n_tubes), **told),
         "tubeopt_robot.c": _source(robot, space, name),
         "CMakeLists.txt": _filled("CMakeLists.txt", name=name, load=" tubeopt_load.c" if loads else ""),
+        "README.md": _filled("README.md", name=name, version=__version__, load=" tubeopt_load.c" if loads else ""),
         "example.c": _filled("example.c", name=name, START=_joints(cases[0])),
         "test.c": _filled("test.c", CASES=_rows(cases), LOADED=_rows(loaded_cases(robot, cases[:8]) if loads else ())),
     }

@@ -12,7 +12,8 @@ LIBRARY: tuple[Quantity[CLibrary], ...] = (
     Quantity("prefix", "with which all names of the library begin"),
     Quantity("sources", "files of the library", lambda a: list(a.files), label="files",
              words=lambda a: ", ".join(a.files)),
-    Quantity("lines", "of C", lambda a: sum(text.count("\n") for text in a.files.values())),
+    Quantity("lines", "of C", lambda a: sum(
+        text.count("\n") for file, text in a.files.items() if file.endswith((".c", ".h")))),
 )  # fmt: skip
 
 

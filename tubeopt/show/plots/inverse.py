@@ -10,7 +10,7 @@ import numpy as np
 from ...files.units import TO_MM
 from .mesh import Mesh
 from .shape import draw_scenes, robot_mesh
-from .stage import Box, View, draw_box, facets, note, widest_view
+from .stage import Box, View, draw_arrow, draw_box, facets, note, widest_view
 from .style import FAINT, INK, caption, headed, new_figure, picture, tube_colour
 
 if TYPE_CHECKING:
@@ -63,9 +63,8 @@ def _draw_target(scene: Axes, solution: InverseSolution, view: View) -> None:
     scene.plot(at[0], at[1], marker="+", ms=11, mew=1.3, color=TARGET, zorder=7)
     if solution.target_direction is not None:
         length = ARROW_SHARE * float(solution.equilibrium.arc_length[-1])
-        end = view.project(solution.target_position + length * solution.target_direction)
-        style = {"arrowstyle": "-|>", "color": TARGET, "lw": 1.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
-        scene.annotate("", (end[0], end[1]), (at[0], at[1]), arrowprops=style, zorder=7)
+        end = solution.target_position + length * solution.target_direction
+        draw_arrow(scene, view, solution.target_position, end, TARGET)
     if not solution.reached:
         tip = view.project(solution.equilibrium.tip_position)
         scene.plot([tip[0], at[0]], [tip[1], at[1]], color=TARGET, lw=1.0, ls=(0, (4, 2)), zorder=7)

@@ -16,7 +16,7 @@ from ...typing import Array
 from ..slots import shade, slotted
 from . import mesh as surfaces
 from .mesh import Centreline, Mesh
-from .stage import Box, View, draw_box, facets, note, rule_step, widest_view
+from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
 from .style import FAINT, INK, caption, headed, new_figure, number, picture, tube_colour
 
 if TYPE_CHECKING:
@@ -35,6 +35,10 @@ SCENE_HEIGHT = 250.0
 """Points that a scene is high, about."""
 
 UNSTABLE = "#A02020"
+
+FORCE = "#7A3E9D"
+FORCE_SHARE = 0.2
+"""Length of the arrow of the largest force, as a share of the arm."""
 
 SHEATH_COLOUR = np.array([0.62, 0.68, 0.76, 0.22])
 
@@ -126,7 +130,8 @@ def draw_scenes(
     everyone = [*equilibria, *(ghost for some in ghosts for ghost in some)]
     seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in everyone]))
     meshes = [_scene_mesh(equilibrium, some) for equilibrium, some in zip(equilibria, ghosts, strict=True)]
-    box = Box.around(np.concatenate([mesh.corners.reshape(-1, 3) for mesh in meshes]))
+    heads = [head for equilibrium in equilibria for _, head, _ in forces(equilibrium)]
+    box = Box.around(np.concatenate([*(mesh.corners.reshape(-1, 3) for mesh in meshes), np.reshape(heads, (-1, 3))]))
     last = equilibria[-1]
     ends = bundles(last) if close_ups else []
     widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0] * close_ups
@@ -138,12 +143,39 @@ def draw_scenes(
         scene.add_collection(facets(mesh, seen))
         if exposed(equilibrium):
             _name_tubes(scene, equilibrium, seen)
+        _draw_forces(scene, equilibrium, seen)
     for row, bundle in enumerate(reversed(ends)):
         close_up = figure.add_subplot(grid[row, -1])
         _draw_close_up(close_up, scenes[-1], last, bundle, seen)
         if row == len(ends) - 1:
             _draw_scale_bar(close_up)
     return scenes
+
+
+def forces(equilibrium: Equilibrium) -> list[tuple[Array, Array, float]]:
+    """Where each force on the arm acts, where its arrow ends (3,), m, and its size, N: at the tip, then along the arm.
+
+    The largest arrow is FORCE_SHARE of the arm long, the others in proportion.
+    """
+    load = equilibrium.load
+    if load is None:
+        return []
+    turned = equilibrium.tip_rotation if load.frame == "tip" else np.eye(3)
+    acting = [(equilibrium.tip_position, turned @ load.force)]
+    line = Centreline(equilibrium) if load.points else None
+    acting += [(line.position([part.at])[0], np.array(part.force)) for part in load.points if line is not None]
+    sizes = [float(np.linalg.norm(force)) for _, force in acting]
+    scale = FORCE_SHARE * float(equilibrium.arc_length[-1]) / (max(sizes) or 1.0)
+    return [(at, at + scale * force, size) for (at, force), size in zip(acting, sizes, strict=True) if size > 0]
+
+
+def _draw_forces(scene: Axes, equilibrium: Equilibrium, view: View) -> None:
+    """An arrow from where each force acts, with its size."""
+    for at, head, size in forces(equilibrium):
+        draw_arrow(scene, view, at, head, FORCE)
+        tail, end = view.project(np.array([at, head]))[:, :2]
+        along = (end - tail) / max(float(np.linalg.norm(end - tail)), 1e-9)
+        note(scene, f"{size * TO_MILLI:.4g} mN", end, 4 * along, colour=FORCE)
 
 
 def exposed(equilibrium: Equilibrium) -> list[tuple[int, float, float]]:

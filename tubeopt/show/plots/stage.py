@@ -174,6 +174,13 @@ def _spaced(box: Box, axis: int, edge: Array, four_inches: float) -> Array:
     return kept
 
 
+def draw_arrow(axes: Axes, view: View, start: Array, end: Array, colour: str) -> None:
+    """An arrow between two points (3,) in m, in front of everything."""
+    (tail, head) = view.project(np.array([start, end]))[:, :2]
+    style = {"arrowstyle": "-|>", "color": colour, "lw": 1.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
+    axes.annotate("", (head[0], head[1]), (tail[0], tail[1]), arrowprops=style, zorder=7)
+
+
 def note(
     axes: Axes,
     text: str,

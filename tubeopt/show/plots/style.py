@@ -16,6 +16,7 @@ from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
+from ..load_words import load_in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -219,7 +220,8 @@ def _fold_lines(text: Text, room: float) -> None:
 
 
 def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) -> str:
-    """Heading of a picture: `title` or the robot's name, tip, margin and joint values, in two lines or one each."""
+    """Heading of a picture: `title` or the robot's name, tip, margin and joint values, in two lines or one each;
+    under a load, what pushes in a line more."""
     kind = "Concentric" if equilibrium.robot.nested_pairs or equilibrium.robot.n_tubes == 1 else "Eccentric"
     name = title or equilibrium.robot.name or f"{kind} robot, {equilibrium.robot.n_tubes} tubes"
     rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
@@ -231,9 +233,10 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     verdict = margin if equilibrium.stable else f"{margin}, unstable"
     verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
+    pushed = [] if equilibrium.load is None else [f"load: {load_in_words(equilibrium.load)}"]
     if narrow:
-        return "\n".join([name, *joints, *state])
-    return f"{name}:  {',  '.join(state)}\n{',  '.join(joints)}"
+        return "\n".join([name, *joints, *state, *pushed])
+    return "\n".join([f"{name}:  {',  '.join(state)}", ",  ".join(joints), *pushed])
 
 
 def _millimetres(lengths: Array) -> str:

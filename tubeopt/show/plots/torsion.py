@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,12 +19,16 @@ if TYPE_CHECKING:
 
     from ...equilibrium.result import Equilibrium
 
+JUMP = 1e-3
+"""Share of the range of theta' from which a difference across a breakpoint is drawn as a jump."""
+
 
 @picture
 def plot_torsion(equilibrium: Equilibrium) -> Figure:
     """Picture of the rotation and the torsion of every tube over arc length.
 
-    theta_i(s) in deg stands above theta_i'(s) in deg/mm; each curve ends where its tube ends. Curves of outer tubes are
+    theta_i(s) in deg stands above theta_i'(s) in deg/mm; each curve ends where its tube ends, and theta' is
+    broken where it jumps. Curves of outer tubes are
     thicker, so that curves that coincide stay visible inside one another.
 
     Args:
@@ -83,15 +88,38 @@ def _draw_curves(above: Axes, below: Axes, equilibrium: Equilibrium) -> None:
 
 
 def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Array, Array]:
-    """Arc length, theta and theta' of one tube up to its `end`: cubic between the points of the solution."""
+    """Arc length, theta and theta' of one tube up to its `end`, cubic between the points of a section.
+
+    Where theta' jumps from one section to the next, as between an arc and a helix, NaN stands between both values.
+    """
     inside = equilibrium.arc_length <= end + 1e-12
     s = equilibrium.arc_length[inside]
     rotation, torsion = equilibrium.rotation[tube, inside], equilibrium.torsion[tube, inside]
     if len(s) < 2:
         return s, rotation, torsion
-    fine = np.union1d(s, np.linspace(0.0, s[-1], 301))
-    curve = scipy.interpolate.CubicHermiteSpline(s, rotation, torsion)
-    return fine, curve(fine), curve(fine, 1)
+    cuts = np.unique(np.searchsorted(s, [0.0, *equilibrium.section_start, s[-1]] - np.array(1e-12)))
+    parts: list[Array] = []
+    for first, last in pairwise(cuts[cuts < len(s)]):
+        own = slice(first, last + 1)
+        slopes = torsion[own].copy()
+        if first > 0:
+            slopes[0] = _first_slope(s[own], rotation[own], torsion[own])
+        fine = np.union1d(s[own], np.linspace(s[first], s[last], 2 + int(300 * (s[last] - s[first]) / s[-1])))
+        curve = scipy.interpolate.CubicHermiteSpline(s[own], rotation[own], slopes)
+        if parts and abs(slopes[0] - torsion[first]) > JUMP * np.ptp(torsion):
+            parts.append(np.full((3, 1), np.nan))
+        parts.append(np.array([fine, curve(fine), curve(fine, 1)]))
+    arc_length, angle, slope = np.concatenate(parts, axis=1)
+    return arc_length, angle, slope
+
+
+def _first_slope(s: Array, rotation: Array, torsion: Array) -> float:
+    """theta' where a section begins, from what stands behind it: the answer holds the value in front of a jump."""
+    points = np.r_[0, np.repeat(np.arange(1, min(len(s), 4)), 2)]
+    values = rotation[points]
+    values[2::2] = torsion[points[2::2]]
+    slope = scipy.interpolate.KroghInterpolator(s[points] - s[0], values).derivative(0.0)
+    return float(slope)
 
 
 def _draw_inputs(axes: Axes, equilibrium: Equilibrium) -> None:

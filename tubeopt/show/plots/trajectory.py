@@ -37,6 +37,9 @@ SHOWN = 9
 FRAMES = 48
 """Pictures of the film."""
 
+FACETS = 120
+"""Facets along an arm."""
+
 SIDES = 20
 """Facets around what is round."""
 
@@ -185,7 +188,7 @@ def arm_mesh(arm: Equilibrium, strong: float) -> Mesh:
         colour = np.array(to_rgba(tube_colour(i)))
         colour[3] = strong
         offset = assembly.offset[i] * np.array([np.cos(assembly.offset_angle[i]), np.sin(assembly.offset_angle[i])])
-        count = max(3, int(np.ceil((end - start) * 300)))
+        count = max(3, 1 + int(np.ceil(FACETS * (end - start) / line.length)))
         radius = arm.robot.tubes[i].outer_diameter / 2
         parts.append(tube_mesh(line, np.linspace(start, end, count), radius, colour, offset=offset, sides=10))
     return Mesh.join(parts)
