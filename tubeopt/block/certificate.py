@@ -22,7 +22,6 @@ from ..physics.strain import SMOOTH
 from ..robots.load import Load
 from ..typing import Array
 from .composed import ComposedBlock
-from .given import symbolic
 from .stability import checked
 from .transcription.chain import Chain
 from .transcription.model import Model
@@ -75,8 +74,6 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
         block.demand("certificate", _without_force(block, 1 - floor))
         # A determinant has the same sign beyond the second eigenvalue: what is found is looked at again.
         block.bounds.append(Bound(floor, 0.0, TURNED))
-        if symbolic(margin):
-            block.demand("certificate's floor, which is below 1", 1 - floor)
         return
     if block.model.along is not None:
         raise InputError(f"max_force is {force:g} N; for tubes made of pieces it must be 0: there is no proof")
