@@ -175,6 +175,6 @@ def on_files(files: Any, config: Any) -> Any:
     files.append(File.generated(config, "gallery/index.md", content=index(problems)))
     for problem in problems:
         files.append(File.generated(config, f"gallery/{problem.name}.md", content=page(problem)))
-        for path in problem.pictures:
-            files.append(File.generated(config, f"gallery/images/{path.name}", abs_src_path=str(path)))
+    for path in {path for problem in problems for path in problem.pictures}:  # two scripts may show the same
+        files.append(File.generated(config, f"gallery/images/{path.name}", abs_src_path=str(path)))
     return files
