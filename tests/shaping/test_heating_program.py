@@ -23,7 +23,7 @@ STEP = 1e-5
 
 def test_derivatives_are_those_of_the_program() -> None:
     generator = np.random.default_rng(5)
-    made = program(Structure(PROGRAM))
+    made = program(Structure(PROGRAM, clear=True))
     answer = solve_ideal(TUBE, thesis_rig(), HeatingSpec(hold_time=10))
     wishes = generator.uniform(0.5, 2.0, len(WISHES))
     p = np.concatenate([physics(TUBE, thesis_rig(), PROGRAM), wishes])
@@ -51,3 +51,13 @@ def test_what_stalls_would_not_get_there_in_five_times_the_time(lead: float) -> 
     model, spec = thermal_model(TUBE, rig, COARSE), HeatingSpec(hold_time=10)
     longer = replace(spec, longest_heating=1800)
     assert (soonest(model, spec, rig, 1.0) is None) == (soonest(model, longer, rig, 1.0) is None)
+
+
+def test_a_lead_that_may_be_longer_is_so_where_its_multiplier_says_it() -> None:
+    """That of the lead where it is fixed, against what is chosen where it is free."""
+    for lead in (5e-3, 20e-3):
+        rig = replace(thesis_rig(), mold=replace(thesis_rig().mold, lead=lead))
+        fixed = solve_ideal(TUBE, rig, HeatingSpec(hold_time=10))
+        free = HeatingSpec(hold_time=10, free=("lead",), lead_range=(lead, 60e-3))
+        chosen = solve_ideal(TUBE, rig, free, guess=fixed).rig.mold.lead
+        assert fixed.lead_gains == (chosen > 1.001 * lead)

@@ -69,7 +69,9 @@ def guarded_counts(
     for k in range(watched):
         due = math.floor(sums[k] - given + 0.5)
         least = math.ceil(sums[k] - given - owed - 1e-9) if hopeless else 0
-        counts[k] = min(max(min(due, most_count(model, state, spec, rig)), least, 0), COUNTS)
+        # Where nothing is due, or all of it must be given, it does not matter how much would be kept.
+        most = most_count(model, state, spec, rig) if due > max(least, 0) else due
+        counts[k] = min(max(min(due, most), least, 0), COUNTS)
         given += float(counts[k])
         if not hopeless:
             given = max(given, sums[k] - owed)

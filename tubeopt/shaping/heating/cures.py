@@ -108,11 +108,16 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
     said, limited = best.program, bool(best.outcome.broken)
     assert said is not None
     near = said
+    answers = [] if spec.free or spec != plain else [(rig, spec, said.ideal)]
     for change in _candidates(rig, plain, said.ideal, said.shift)[:TRIES]:
+        if _in_vain(change, answers):
+            continue
         cure = _kept(change, tube, by, limited)
         if cure is None and (tried := _tried(change, tube, spec, near)) is not None:
-            # What frees more begins with what less has made of it.
-            near = replace(near, ideal=tried[1])
+            answers.append((*change[1:], tried[1]))
+            if change[2].free:
+                # What frees more begins with what less has made of it.
+                near = replace(near, ideal=tried[1])
             cure = _settled(change, tube, tried, limited, by)
         if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
             found.append(cure)
@@ -120,6 +125,18 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
             if cure.cures or (limited and cure.shortfall <= 0):
                 break
     return _ordered(found)
+
+
+def _in_vain(change: Change, answers: Sequence[tuple[Rig, HeatingSpec, Ideal]]) -> bool:
+    """Whether a change frees the lead alone, upwards, where by an answer to the same without that no longer one is
+    better: what is best with the lead fixed is best with it free then."""
+    _, rig, asked = change
+    if asked.free != ("lead",):
+        return False
+    return any(
+        rig == other and replace(asked, free=(), lead_range=spec.lead_range) == spec and not ideal.lead_gains
+        for other, spec, ideal in answers
+    )
 
 
 def _kept(change: Change, tube: Tube, by: Search, anyway: bool) -> Cure | None:
@@ -161,7 +178,7 @@ def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: boo
         return kept
     for asked in _slower(tube, answer.rig, fixed):
         outcome = by.counted(tube, asked, answer)
-        if outcome.kept:
+        if outcome.kept or (limited and outcome.shortfall <= 0):
             break
     return replace(cure, shortfall=outcome.shortfall, broken=outcome.broken)
 

@@ -24,7 +24,7 @@ from .rates import State, warming_span
 from .rig import COUNTS, Rig
 from .simulation import History, simulate, simulate_feedback
 from .spec import HeatingSpec
-from .thermal import PROGRAM, ThermalModel, thermal_model, vent_profile
+from .thermal import PROGRAM, ThermalModel, curve_start, thermal_model, vent_profile
 
 GUESS_SLOT = 0.25
 DUTY_POINTS = 401
@@ -40,12 +40,11 @@ MOST_MISS = 1500.0
 """The program is always solvable: the window may be missed by this much, K, at a price."""
 
 WEIGHTS = {
-    "time": {"below": 0.0, "w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
-    "energy": {"below": 0.0, "w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_drive": 0.01},
-    "margin": {"below": 1.0, "w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
+    "time": {"w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
+    "energy": {"w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_drive": 0.01},
+    "margin": {"w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
 }
-"""Whether the limit keeps off by as much as the window's ends; per s / 30, J / 1e4, square of 25 K, K, and square of
-steps of the drive of 100 A^2."""
+"""Per s / 30, J / 1e4, square of 25 K, K, and square of steps of the drive of 100 A^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +73,11 @@ class Ideal:
     iterations: int
     x: Array
     multipliers: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+
+    @property
+    def lead_gains(self) -> bool:
+        """Whether a longer lead would be better: at its bound, the multiplier of the lead is its slope."""
+        return bool(self.multipliers[0][-1 - VENTS] > 0)
 
     def duty(self, slot: float, count: int) -> Array:
         """(count,) mean duty in every slot from the start; the last duty goes on after the end."""
@@ -121,12 +125,6 @@ class Shift:
         return bool(np.abs(self.held - other.held).max() < tolerance)
 
 
-def curve_start(model: ThermalModel) -> float:
-    """Where the curved part begins, m from the outer end of the clamp."""
-    first = int(np.argmax(model.curved))
-    return float(model.position[first] - 0.5 * model.width[first])
-
-
 def solve_ideal(
     tube: Tube,
     rig: Rig,
@@ -151,13 +149,15 @@ def solve_ideal(
     Raises:
         SolveError: IPOPT did not converge; the message says at what the worst constraint is.
     """
-    structure = Structure(PROGRAM)
+    structure = Structure(PROGRAM, clear=below and spec.objective == "margin")
     made = program(structure)
     x = guess.x if guess is not None else _start(made, tube, rig, spec)
     lower, upper = _unknown_bounds(made, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
+    if not structure.clear:
+        tubes = upper[: structure.points * structure.states].reshape(structure.points, -1)[:, : PROGRAM.cells]
+        tubes[:] = (spec.limit - reserve[1] + ZERO_CELSIUS - rig.ambient - (0 if shift is None else shift.tube)) / RISE
     p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, tube, rig, reserve, room)])
-    p[-len(WISHES) + WISHES.index("below")] *= below
     x = np.clip(x, lower, upper)
     bounds = {"p": p, "lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     found, stats = _solved(made, spec, x, bounds, guess)
@@ -179,7 +179,8 @@ def _solved(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Solution and statistics of the first solver that converges: from the earlier answer, anew, convex Hessian."""
     attempts: list[tuple[Any, dict[str, Array]]] = [(made.exact, {}), (made.convex, {})]
-    if guess is not None and not spec.free:
+    # The multipliers of a program with other constraints are of no use.
+    if guess is not None and not spec.free and guess.multipliers[1].size == bounds["lbg"].size:
         attempts.insert(0, (made.again, {"lam_x0": guess.multipliers[0], "lam_g0": guess.multipliers[1]}))
     for solver, start in attempts:
         found = solver(x0=x, **start, **bounds)
@@ -254,7 +255,8 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
         # The constraints of the window are written in units of WINDOW, that of the limit in units of RISE.
         limits["low"] = (-shift.held / WINDOW, np.inf)
         limits["high"] = (-np.inf, -shift.held / WINDOW)
-        limits["limit"] = (-np.inf, -shift.tube / RISE)
+        if made.structure.clear:
+            limits["limit"] = (-np.inf, -shift.tube / RISE)
     lower, upper = (
         np.concatenate([np.broadcast_to(np.ravel(limits[name][side]), (size,)) for name, size in made.sizes.items()])
         for side in (0, 1)

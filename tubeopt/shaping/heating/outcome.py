@@ -61,8 +61,7 @@ def outcome_of(
     miss = max(low - lowest, highest - high, hottest - spec.limit) + mesh_error
     warming = history.tube[1:, 0] - history.tube[:-1, 0]
     ramp = float(warming[:, model.zone > GRIP].max() / (history.time[1] - history.time[0]))
-    steepest, mean, peak = (float(row.max()) for row in (within.rate, within.mean_current, within.current))
-    found = {"steepest": steepest, "mean_current": mean, "peak_current": peak}
+    found = {"steepest": within.rate, "mean_current": within.mean_current, "peak_current": within.current}
     return Outcome(lowest, highest, hottest, max(miss, 0.0), ramp, **found, broken=broken(rig, spec, **found))
 
 

@@ -44,7 +44,10 @@ NEAR = 0.3
 """Change of the shift, K, below which another round would change nothing."""
 
 HOPELESS = 5.0
-"""Miss of the window, K, for which a second round is enough: no third one lets it be held."""
+"""Miss of the window, K, from which on a first round is far from what a correction can mend."""
+
+SETTLED = 2.0
+"""Miss of the window by the corrected program, K, from which on no other round lets it be held."""
 
 FINE_SWING = 0.5
 """Swing by rounding to counts, K, up to which it is told well enough before it is known."""
@@ -226,6 +229,7 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
     reserve = (swing + error, swing + error)
     said: Programmed | None = None
     shift: Shift | None = None
+    best: Schedule | None = None
     for round_ in range(ROUNDS):
         said = _programmed(tube, rig, spec, room, (said, shift, reserve))
         ideal, run = said.ideal, _exactly(tube, spec, said.ideal)
@@ -234,16 +238,19 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
         if round_ or swing > FINE_SWING or not _hopeless(ideal, run, spec):
             found = replace(_counted(spec, run), program=said)
             # The margin is that of the fine grid only after a correction.
+            if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
+                best = found
             if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
                 break
-            if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS):
+            if ideal.miss > (SETTLED if round_ else 10 * HOPELESS):
                 break
             lost = _rounded(run.model, run.exact, found.checked, spec, ideal)
         before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
         if before is not None and before.near(shift, NEAR):
             break
         reserve = (lost[0] + run.error + LEAST_RESERVE, lost[1] + run.error + LEAST_RESERVE)
-    return trimmed(spec, found) if found.outcome.hottest + found.run.error > spec.limit else found
+    assert best is not None
+    return trimmed(spec, best) if best.outcome.hottest + best.run.error > spec.limit else best
 
 
 def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:

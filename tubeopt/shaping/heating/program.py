@@ -23,7 +23,7 @@ from .derivatives import Parts
 from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
 
 WISHES = (
-    "hold", "low", "high", "limit", "below", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_drive",
+    "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_drive",
 )  # fmt: skip
 """Numbers of the question: s, K, K, K, K/s, A, and the weights of the objective."""
 
@@ -54,7 +54,8 @@ IPOPT: dict[str, Any] = {
 FEW = {"ipopt.max_iter": 25}
 """From an earlier answer few steps are enough; where they are not, a new start is better."""
 
-COLD: dict[str, Any] = {"ipopt.mu_init": 1e-3}
+# What is nearly a linear program may leave each barrier soon.
+COLD: dict[str, Any] = {"ipopt.mu_init": 3e-3, "ipopt.barrier_tol_factor": 100.0}
 WARM: dict[str, Any] = {
     "ipopt.mu_init": 1e-5,
     "ipopt.warm_start_init_point": "yes",
@@ -86,10 +87,16 @@ MESH = TimeMesh()
 
 @dataclass(frozen=True)
 class Structure:
-    """What a compiled program depends on."""
+    """What a compiled program depends on.
+
+    Attributes:
+        clear: the limit gives way by the miss as the window's ends do; otherwise it is a bound of the unknowns, and no
+            constraint is spent on it.
+    """
 
     resolution: Resolution
     mesh: TimeMesh = MESH
+    clear: bool = False
 
     @property
     def states(self) -> int:
@@ -213,13 +220,13 @@ def program(s: Structure) -> Program:
     equations, power = everywhere(x.z, rate, x.circuit, drive, x.design, p)
     held = _held(s, x, numbers)
     misses = ca.repmat(x.misses[s.points - s.holding_points :], held.size1(), 1)
-    limit = (w["limit"] - numbers.scalar["ambient"] + w["below"] * x.misses) / RISE
+    limit = (w["limit"] - numbers.scalar["ambient"] + x.misses) / RISE
     blocks = {
         "equations": equations,
         "same": ca.horzcat(ca.diff(x.durations, 1, 1), ca.diff(x.misses, 1, 1)),
         "low": (held + misses - w["low"]) / WINDOW,
         "high": (held - misses - w["high"]) / WINDOW,
-        "limit": x.z[: s.resolution.cells, :] - ca.repmat(limit, s.resolution.cells, 1),
+        "limit": (x.z[: s.resolution.cells, :] - ca.repmat(limit, s.resolution.cells, 1))[:, : s.clear * s.points],
         "ramp": rate[s.resolution.grip : s.resolution.cells, :] * RISE / w["ramp"],
         "current": drive * DRIVE / (x.circuit[0, :] * AMPERE) / w["current"],
         "duty": drive * DRIVE / AMPERE**2 - x.circuit[0, :] ** 2,

@@ -29,19 +29,19 @@ BATCH = 60
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """The extremes within every slot (T-1,) of one member, looked for every `LOOK` seconds at least and at its ends.
+    """The extremes of one member, looked for every `LOOK` seconds at least and at the slots' ends.
 
     Attributes:
-        coldest, hottest: (T-1, n) of the tube's cells, K.
-        rate: (T-1,) fastest warming of any cell outside of the clamps, K/s, the duty taken for a mean power.
-        current: (T-1,) greatest current while the MOSFET conducts, A; mean_current: the same times the duty.
+        coldest, hottest: (T-1, n) of the tube's cells within every slot, K.
+        rate: fastest warming of any cell outside of the clamps, K/s, the duty taken for a mean power.
+        current: greatest current while the MOSFET conducts, A; mean_current: the same times the duty.
     """
 
     coldest: Array
     hottest: Array
-    rate: Array
-    current: Array
-    mean_current: Array
+    rate: float
+    current: float
+    mean_current: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,26 +213,27 @@ def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:
     levels = np.asarray(duty, dtype=float)
     looks = math.ceil(slot / LOOK - 1e-9)
     course = _trace(model, slot / looks, np.repeat(levels, looks), at_rest(model))
-    ends = State(course.cells[::looks], course.lumped[::looks])
-    return replace(history_of(model, slot, ends), within=_extremes(model, course, levels, looks))
+    whole = history_of(model, slot / looks, course)
+    seen = ("time", "tube", "walls", "lumped", "voltage", "current", "resistance")
+    ends = {name: getattr(whole, name)[::looks] for name in seen}
+    return replace(whole, **ends, within=_extremes(model, course, whole.current[:, 0], levels, looks))
 
 
-def _extremes(model: ThermalModel, course: State, duty: Array, looks: int) -> Extremes:
-    """Of slots (T-1,) at these duties, from states at `looks` times in every slot and at the start."""
-    at = (looks * np.arange(len(duty))[:, None] + np.arange(looks + 1)).ravel()
-    level = np.repeat(duty, looks + 1)
-    free = model.zone > GRIP
-    rate, ampere = [], []
-    for first in range(0, len(at), BATCH):
-        some = at[first : first + BATCH]
-        cells, lumped = course.cells[some, 0], course.lumped[some, 0]
-        found = warming(model, cells, lumped, level[first : first + BATCH])
-        rate.append(found[:, free, 0].max(1))
-        ampere.append(current(model, cells[:, :, 0], lumped).total)
-    shape = len(duty), looks + 1
-    tube = course.cells[:, 0, :, 0][at].reshape(*shape, -1)
-    most = np.concatenate(ampere).reshape(shape).max(1)
-    return Extremes(tube.min(1), tube.max(1), np.concatenate(rate).reshape(shape).max(1), most, duty * most)
+def _extremes(model: ThermalModel, course: State, ampere: Array, duty: Array, looks: int) -> Extremes:
+    """Of slots (T-1,) at these duties, from states, and currents while the MOSFET conducts, at `looks` times in every
+    slot and at the start."""
+    # Where one duty ends and another begins, the greater one warms faster.
+    either = np.repeat(duty, looks)
+    level = np.maximum(np.append(either, 0.0), np.append(0.0, either))
+    rate, free = 0.0, model.zone > GRIP
+    for first in range(0, len(level), BATCH):
+        some = slice(first, first + BATCH)
+        found = warming(model, course.cells[some, 0], course.lumped[some, 0], level[some])
+        rate = max(rate, float(found[:, free, 0].max()))
+    tube, slots = course.cells[:, 0, :, 0], (len(duty), looks, -1)
+    starts, ends = (part.reshape(slots) for part in (tube[:-1], tube[1:]))
+    coldest, hottest = np.minimum(starts, ends).min(1), np.maximum(starts, ends).max(1)
+    return Extremes(coldest, hottest, rate, float(ampere.max()), float((level * ampere).max()))
 
 
 def simulate_feedback(

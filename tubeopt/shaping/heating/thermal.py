@@ -299,3 +299,9 @@ def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> Ther
         properties=numbers[None],
         volumes=volumes_function(resolution)(numbers, width, vent, *shells).full().T,
     )
+
+
+def curve_start(model: ThermalModel) -> float:
+    """Where the curved part begins, m from the outer end of the clamp."""
+    first = int(np.argmax(model.curved))
+    return float(model.position[first] - 0.5 * model.width[first])
