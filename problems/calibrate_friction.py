@@ -48,9 +48,9 @@ def joints(time: Array, slow: float) -> Array:
     return np.asarray(waves * [1.4, 1.6, 6 * MM, 4 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 
-def measure(slow: float = 5.0) -> Measurements:
+def measure(samples: int) -> Measurements:
     """Rows of the way as the laboratory records them."""
-    time = np.arange(int(RATE * slow * (1 + 1 / FASTER))) / RATE
+    time, slow = np.arange(samples) / RATE, samples / RATE / (1 + 1 / FASTER)
     read, lagging = joints(time, slow), joints(np.maximum(time - DRIVES.latency, 0.0), slow)
     alpha, shift = DRIVES.to_model(lagging[:, :2], lagging[:, 2:])
     tips = np.array([e.tip_position for e in follow(ROBOT, alpha, shift, friction=FRICTION).equilibria])
@@ -58,9 +58,9 @@ def measure(slow: float = 5.0) -> Measurements:
     return Measurements(read[:, :2], read[:, 2:], tips + noise, time=time, source="a synthetic way")
 
 
-def main(directory: Path) -> list[Path]:
-    """Draw what each effect explains, and print what was found."""
-    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=2))
+def main(directory: Path, samples: int = 75) -> list[Path]:
+    """Draw what each effect explains of `samples` rows, and print what was found."""
+    found = compare_effects(ROBOT, measure(samples), TRIED, FitOptions(folds=2))
     print(f"as given: {found.start.rms / MM:.2f} mm held out")
     for step in found.steps:
         print(f"+ {step.effect}: {step.held_out.rms / MM:.2f} mm ({100 * step.gain:.0f} % less)")

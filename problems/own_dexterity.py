@@ -38,14 +38,15 @@ def minors(matrix: ca.MX) -> ca.MX:
     return ca.vertcat(matrix[0, 0], second, ca.dot(columns[0], ca.cross(columns[1], columns[2])))
 
 
-def main(out: Path) -> list[Path]:
-    """Make the robot dexterous, print what came of it, save the picture into `out`, and return its path."""
+def main(out: Path, samples: int = len(TRANSLATIONS)) -> list[Path]:
+    """Make the robot dexterous in the first `samples` poses, print what came of it, save the picture into `out`, and
+    return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     problem = tubeopt.Problem("dexterity")
     curvature = problem.variable("curvature", 2, guess=12.5, lower=2.0, upper=20.0, scale=10.0)
     least = problem.variable("least squared singular value", guess=0.01)
     blocks, jacobians, inside = [], [], ca.MX(0.0)
-    for k, translations in enumerate(TRANSLATIONS, start=1):
+    for k, translations in enumerate(TRANSLATIONS[:samples], start=1):
         near = tubeopt.forward_kinematics(robot, [1.2, 0.0], translations)
         turn = problem.variable(f"turn {k}", guess=1.2, lower=0.0, upper=np.pi)
         tubes = {"curvature": curvature}

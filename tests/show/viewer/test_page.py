@@ -170,8 +170,10 @@ def test_a_trajectory_is_scrubbed_and_a_design_changed_and_all_of_it_saved(tab: 
     assert np.degrees(way.rotations[:, 0]) == pytest.approx([180, 200], abs=1e-9)
     (tmp_path / "joints.yaml").write_bytes(tab.download("Joint values (YAML)"))
     assert load_joints(tmp_path / "joints.yaml", THESIS)[0] == pytest.approx(np.radians([200, 0, 0]))
+    tab.draw(True)
     with Image.open(io.BytesIO(tab.download("Picture (PNG)"))) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 24) or []) > 100
+    tab.draw(False)
     tab.tab("Layers")
     tab.box("volume swept by the trajectory").click()
     tab.wait_for("message", "the arm sweeps")
