@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.bodies import cloud
 from tests.examples import CONFIGS, CRL, THESIS
-from tubeopt import IkSession, forward_kinematics, load_robot
+from tests.inverse_targets import reachable
+from tubeopt import IkSession, InverseOptions, InverseSolver, forward_kinematics, inverse_kinematics, load_robot
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Scene
@@ -21,6 +23,9 @@ from tubeopt.inverse.posture import compiled_slopes, posture_of
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
+
+TIP = (0.055, 0.02, 0.15)
+"""Where the tip goes, m."""
 
 
 def arms() -> Iterator[Equilibrium]:
@@ -84,6 +89,24 @@ def test_contacts_are_the_closest_places_of_every_body() -> None:
         np.testing.assert_allclose(scene.gradients(contacts.body.tolist(), contacts.point), np.reshape(own, (-1, 3)))
 
 
+def test_the_nearest_bodies_are_told_without_the_others() -> None:
+    """However many are asked for, no closer one is left out, and one that is asked for by name is not."""
+    random = np.random.default_rng(2)
+    for e in arms():
+        scene = Scene(bodies_near(e, random))
+        every = Outline(e).contacts(scene, 0.05)
+        bodies, first = np.unique(every.body, return_index=True)
+        least = every.distance[first]
+        farthest = int(bodies[least.argmax()])
+        told = Outline(e).contacts(scene, 0.05, 3, frozenset([farthest]))
+        near = bodies[np.argsort(least)[:3]]
+        assert {*near.tolist(), farthest} <= set(told.body.tolist())
+        known, reach = dict(zip(bodies.tolist(), least, strict=True)), np.sort(least)[2]
+        for k in told.body:
+            mine = told.distance[told.body == k].min()
+            assert mine == pytest.approx(known[int(k)], abs=1e-5), (k, reach)
+
+
 def test_a_vessel_is_a_body_like_others() -> None:
     """Its distance is a bound only, and grows and falls by kinks: nothing may be left out on that account."""
     for e in arms():
@@ -130,6 +153,29 @@ def test_far_bodies_change_no_answer_of_a_session_and_cost_little() -> None:
         np.testing.assert_array_equal(free.translations, among.translations)
         assert among.clearance > 0.0
     assert times[1] < 3 * times[0]
+
+
+def test_bodies_beyond_the_nearest_are_kept_away_from_too() -> None:
+    """More small balls about the plate than a step knows of are the nearest wherever it goes; in its way is a wall."""
+    free = inverse_kinematics(THESIS, TIP).equilibrium
+    outline, turn = Outline(free), np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
+    about = [Sphere((3.5e-3 * np.cos(a), 3.5e-3 * np.sin(a), 2e-3), 0.3e-3) for a in turn]
+    middle, radius = outline.at(np.array([0.6 * free.arc_length[-1]]))
+    wall = [Sphere(tuple(middle[0] + [(radius[0] + 0.5e-3), 1e-3 * k, 0.0]), 1e-3) for k in range(-8, 9)]
+    found = inverse_kinematics(THESIS, TIP, obstacles=about + wall)
+    assert found.position_error < 1e-8
+    assert min(everywhere(found.equilibrium, body).min() for body in about + wall) > 0.0
+
+
+def test_a_target_inside_a_body_of_a_crowd_is_approached_as_close_as_it_goes() -> None:
+    """Starts end against many bodies at once, at some where breakpoints coincide; the tip ends at the sphere in the
+    way."""
+    bodies = cloud(600, list(reachable(THESIS, 4, seed=6))[3:])
+    target = np.array(bodies[0].centre)
+    options = InverseOptions(starts=12, solver=InverseSolver(closest_postures=1, clear_starts=0))
+    found = inverse_kinematics(THESIS, target, obstacles=bodies, on_failure="closest", options=options)
+    assert found.clearance >= -1e-9
+    assert found.position_error >= bodies[0].radius + THESIS.tubes[0].outer_diameter / 2
 
 
 def test_distances_change_with_the_joints_as_their_slopes_say() -> None:

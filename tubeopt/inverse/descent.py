@@ -55,14 +55,15 @@ class Search:
 def reach(goal: Goal, start: Posture) -> Search:
     """Levenberg-Marquardt with inequalities from a stable posture towards the target, and out of any obstacle."""
     here, step, solves, side = start, goal.solver.first_step, 0, 1
-    missing = _missing(goal, here)
-    sizes = [float(np.linalg.norm(missing))]
+    sizes = [float(np.linalg.norm(_missing(goal, here)))]
     for iteration in range(goal.solver.steps):
         if _done(goal, here, CLOSE_ENOUGH):
             return Search(here, True, iteration, solves)
-        slope = np.vstack([goal.slope(here, side=side), goal.collisions(here)[1]])
+        short, across = goal.collisions(here)
+        missing = np.concatenate([goal.residual(here), short])
+        slope = np.vstack([goal.slope(here, side=side), across])
         rows, bounds = goal.inequalities(here)
-        there, promised = None, 0.0
+        there, promised, touched = None, 0.0, len(goal.touched)
         while there is None and not goal.late:
             chosen = _towards(goal, slope, missing, rows, bounds, step)
             promised = sizes[-1] - float(np.linalg.norm(missing + slope @ chosen.x)) if chosen is not None else 0.0
@@ -72,6 +73,8 @@ def reach(goal: Goal, start: Posture) -> Search:
             solves += 1
             if there is None:
                 step = 0.35 * min(step, _length(goal, chosen.x))
+                if len(goal.touched) > touched:
+                    (rows, bounds), touched = goal.inequalities(here), len(goal.touched)
         if there is None and side > 0 and not goal.late and not _done(goal, here, 1e-8):
             # Breakpoints may coincide: what holds forwards may not hold backwards.
             side, step = -1, 0.5 * goal.solver.first_step
@@ -79,8 +82,8 @@ def reach(goal: Goal, start: Posture) -> Search:
         if there is None or _stagnant(sizes) or goal.late:
             here = here if there is None else there
             return Search(here, _done(goal, here, 1e-8), iteration, solves)
-        here, side, missing = there, 1, _missing(goal, there)
-        sizes.append(float(np.linalg.norm(missing)))
+        here, side = there, 1
+        sizes.append(float(np.linalg.norm(_missing(goal, here))))
         if sizes[-2] - sizes[-1] >= 0.7 * promised:
             step = min(2 * step, 2 * goal.solver.first_step)
     return Search(here, _done(goal, here, 1e-8), goal.solver.steps, solves)
@@ -168,8 +171,9 @@ class _Path:
         order = breakpoint_order(goal, here)
         kept, gap = order.steps(here.q)
         rows, bounds = goal.inequalities(here)
-        limits = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+        touched = len(goal.touched)
         while step > 1e-4 and not goal.late:
+            limits = np.vstack([rows, kept]), np.concatenate([bounds, gap])
             chosen = _downhill(goal, here, (slope, residual), limits, step)
             if chosen is None or _length(goal, chosen.x) < 1e-7:
                 return None, step
@@ -182,6 +186,8 @@ class _Path:
                     self.cost = goal.cost(back.posture)
                     return back.posture, step
             step = 0.35 * min(step, _length(goal, chosen.x))
+            if len(goal.touched) > touched:
+                (rows, bounds), touched = goal.inequalities(here), len(goal.touched)
         return None, step
 
     def across(self, here: Posture) -> Posture | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,6 +27,9 @@ CLEARANCE_ROOM = 1e-5
 NEAR = 0.1
 """Points of the arm closer to an obstacle than this share of its length are looked at."""
 
+FEWEST = 30
+"""Bodies of which a step knows at least, the nearest ones: of more only those that a step has come too close to."""
+
 
 @dataclass(frozen=True, eq=False)
 class Goal:
@@ -37,6 +40,7 @@ class Goal:
     min_margin, clearance (m) of all bodies of the scene: what must hold.
     objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
     until: moment of `time.perf_counter` at which searches end where they are.   solver: how hard they search.
+    touched: numbers of bodies that an arm was found too close to, which are looked at however many are closer.
     """
 
     space: JointSpace
@@ -52,6 +56,7 @@ class Goal:
     extras: Extras = NOTHING
     until: float = np.inf
     solver: InverseSolver = DEFAULT_SOLVER
+    touched: set[int] = field(default_factory=set, init=False)
 
     @property
     def left(self) -> float:
@@ -142,7 +147,10 @@ class Goal:
         """By how much the arm is too close to the obstacle that it violates most, m, or steps of an own constraint are
         missing, as lengths of the robot; 0 where it is clear."""
         missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
-        return max(0.0, self.gap - at.outline.clearance(self.scene, self.gap), missing)
+        close = self.gap - at.outline.clearance(self.scene, self.gap)
+        if close > 0 and len(self.scene.bodies) > FEWEST:
+            self.touched.update(self.contacts(at, self.gap).body.tolist())
+        return max(0.0, close, missing)
 
     def collisions(self, at: Posture) -> tuple[Array, Array]:
         """(v,) clearances that are missing, over length, steps of own constraints that are, and their slopes (v, m):
@@ -164,6 +172,10 @@ class Goal:
             within = -np.inf
         return at.outline.contacts(self.scene, within)
 
+    def ahead(self, at: Posture) -> Contacts:
+        """Where the arm comes close to the bodies of which a step from `at` shall know."""
+        return at.outline.contacts(self.scene, self.gap + NEAR * self.space.length, FEWEST, frozenset(self.touched))
+
     def inequalities(self, at: Posture) -> tuple[Array, Array]:
         """Rows and bounds of a step from `at` that keeps the joints' order, the margin, and what is clear now."""
         rows, bounds = self.space.inequalities(at.q)
@@ -171,7 +183,7 @@ class Goal:
         rows = np.vstack([rows, slope])
         bounds = np.append(np.minimum(bounds, 0.0), min(self.floor - at.margin, 0.0) if slope.any() else -np.inf)
         if self.scene.bodies:
-            contacts = at.outline.contacts(self.scene, self.gap + NEAR * self.space.length)
+            contacts = self.ahead(at)
             clear = contacts.chosen(contacts.distance >= self.gap)
             rows = np.vstack([rows, at.contact_slopes(self.scene, clear)])
             bounds = np.concatenate([bounds, self.gap - clear.distance])

@@ -64,6 +64,12 @@ class _Near:
     contacts: Contacts
     row: Index
     at_least: Array
+    also: frozenset[int]
+
+    @cached_property
+    def bodies(self) -> int:
+        """How many bodies they are of."""
+        return len(np.unique(self.contacts.body))
 
 
 NOWHERE = Contacts(np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
@@ -202,12 +208,15 @@ class Outline:
         points, radius = self.at((begin[:, None] + length[:, None] * share).ravel())
         return float((scene.nearest(points) - radius).min())
 
-    def contacts(self, scene: Scene, within: float) -> Contacts:
+    def contacts(
+        self, scene: Scene, within: float, fewest: int | None = None, also: frozenset[int] = frozenset()
+    ) -> Contacts:
         """Where the arm comes closest to each of the bodies, if closer than `within`, m: body by body, of each at most
-        MOST_CONTACTS, the closest first."""
+        MOST_CONTACTS, the closest first. With `fewest`, those farther than so many bodies may be left out, except
+        `also`, numbers of bodies."""
         known = self._known.get(scene)
-        if known is None or known.within < within:
-            known = self._known[scene] = self._near(scene, within)
+        if known is None or not (known.within >= within or (fewest and known.bodies >= fewest and also <= known.also)):
+            known = self._known[scene] = self._near(scene, within, fewest, also)
         return known.contacts.chosen(known.contacts.distance <= within)
 
     @cached_property
@@ -215,24 +224,27 @@ class Outline:
         """What is known of scenes."""
         return {}
 
-    def _near(self, scene: Scene, within: float) -> _Near:
+    def _near(self, scene: Scene, within: float, fewest: int | None, also: frozenset[int]) -> _Near:
         """Bodies and stretches of the arm that are far from each other are left out in pairs, first by points far
-        apart."""
-        few = self._few
+        apart; so is what is farther than `fewest` bodies certainly are not."""
+        few, whole = self._few, within
+        always = np.fromiter(also, int, len(also))
         reach, thick = self._window(few, STRIDES[0])
         body, at = scene.pairs(self.centreline(self.grid[few]), within + reach + thick + BEYOND)
         row, distance, bound = few[at], np.zeros(0), np.zeros(0)
         for stride, finer in zip(STRIDES, (*STRIDES[1:], 0), strict=True):
             if not len(body):
-                return _Near(within, NOWHERE, row, bound)
+                return _Near(within, NOWHERE, row, bound, also)
             reach, thick = self._window(row, stride)
-            distance = scene.pair_distances(body, self._points[row], within + reach + thick + BEYOND)
+            distance = scene.pair_distances(body, self._points[row], whole + reach + thick + BEYOND)
             bound = self._at_least(scene, distance, reach) - thick
-            near = bound <= within
+            if fewest:
+                within = min(within, _farthest(body, distance - self._radii[row], fewest))
+            near = bound <= (np.where(np.isin(body, always), whole, within) if also else within)
             body, row, distance, bound = body[near], row[near], distance[near], bound[near]
             if finer and len(body):
                 body, row = _once(body, self._around(row, stride, finer), len(self.grid))
-        return _Near(within, self._closest(scene, body, row, distance - self._radii[row]), row, bound)
+        return _Near(within, self._closest(scene, body, row, distance - self._radii[row]), row, bound, also)
 
     def _closest(self, scene: Scene, body: Index, row: Index, distance: Array) -> Contacts:
         """Contacts from pairs (k,) in order of bodies, then rows of the grid: those closer than their neighbours."""
@@ -265,6 +277,13 @@ class Outline:
             np.where(closer, between[every, best], contacts.distance),
         )
         return out.chosen(np.lexsort((out.distance, out.body)))
+
+
+def _farthest(body: Index, distance: Array, count: int) -> float:
+    """Distance within which there are `count` bodies, of pairs (k,); infinite where there are fewer."""
+    least = np.full(body.max(initial=-1) + 1, np.inf)
+    np.minimum.at(least, body, distance)
+    return float(np.partition(least, count - 1)[count - 1]) if len(least) >= count else np.inf
 
 
 def _once(body: Index, rows: Index, count: int) -> tuple[Index, Index]:
