@@ -315,6 +315,29 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     np.testing.assert_allclose(motion.curve([0.0, motion.duration], nu=1), 0.0, atol=1e-12)
 
 
+def test_a_way_with_corners_is_passed_piece_by_piece() -> None:
+    random = np.random.default_rng(0)
+    corners = np.cumsum(random.normal(size=(5, 3)), axis=0)
+    limits = Limits(random.uniform(0.5, 2, 3), random.uniform(0.5, 2, 3))
+    pieces = [
+        a + np.linspace(0, 1, count)[:, None] * (b - a)
+        for count, a, b in zip((2, 7, 40, 3), corners, corners[1:], strict=False)
+    ]
+    alone = [stopping_at([piece], limits) for piece in pieces]
+    motion = stopping_at(pieces, limits)
+    assert motion.duration == pytest.approx(sum(each.duration for each in alone), rel=1e-4)
+    # A straight piece at rest at both ends: the joint that needs longest has a trapezoidal profile of speed.
+    for piece, each in zip(pieces, alone, strict=True):
+        far = np.abs(piece[-1] - piece[0])
+        ramp = limits.rate**2 / limits.acceleration
+        least = np.where(
+            far > ramp, far / limits.rate + limits.rate / limits.acceleration, 2 * np.sqrt(far / limits.acceleration)
+        )
+        assert least.max() * (1 - 1e-9) <= each.duration <= least.max() * 1.03
+    rests = motion.curve(np.cumsum([each.duration for each in alone[:-1]]), nu=1)
+    assert np.abs(rests).max() < 0.02
+
+
 def test_arguments_of_another_kind_are_named() -> None:
     body: Any = Sphere((0.0, 0.0, 0.1), 0.01)
     wrong: list[tuple[dict[str, Any], str]] = [

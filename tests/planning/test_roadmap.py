@@ -14,6 +14,7 @@ from tubeopt.bodies.anatomy import field_of_image
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.phantoms import LUMEN, TARGET, kidney
 from tubeopt.inverse.clock import Clock
+from tubeopt.inverse.search import without_corners
 from tubeopt.planning import plan_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
 from tubeopt.planning.question import asked
@@ -64,3 +65,41 @@ def test_plans_over_a_roadmap_are_proved() -> None:
     assert plan.statistics.how == "roadmap"
     with pytest.raises(InputError, match="roadmap is 3; it must be a Roadmap"):
         PlanOptions(roadmap=3)  # type: ignore[arg-type]
+
+
+def test_a_place_of_the_tip_is_planned_for_from_the_map_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    image = kidney().image(1e-3)
+    free = image.chosen([LUMEN, TARGET])
+    body = field_of_image(image, lumen=free)
+    roadmap = build_roadmap(ROBOT, obstacles=[body], options=OPTIONS, count=80)
+    task, _ = asked(ROBOT, [body], 0.05, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
+    roomy = task.arms(roadmap.points[task.holds(roadmap.points)]).tip
+    start = np.zeros(3), np.array([-0.033, -0.092, -0.096])
+    place = roomy[np.argmax(roomy[:, 2])] + [5e-4, -5e-4, 0.0]
+    near = roadmap.near(task, place, 3)
+    away = np.linalg.norm(task.arms(roadmap.points).tip - place, axis=1)
+    assert np.array_equal(near, roadmap.points[np.argsort(away)[:3]])
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("joint values are those beside the map, and no other way is searched for")
+
+    monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", never)
+    monkeypatch.setattr("tubeopt.planning.plan.find_way", never)
+    quick = PlanOptions(clearance=2e-4, objective="none", roadmap=roadmap)
+    plan = plan_trajectory(ROBOT, start, place, obstacles=[body], options=quick)
+    assert plan.proved
+    assert plan.statistics.how == "roadmap"
+    assert plan.proof.least_clearance >= 2e-4
+    assert np.linalg.norm(plan.tip_position[-1] - place) < 1e-8
+    for arm in plan.arms:
+        index = np.rint(image.frame.seen(arm.position) / image.spacing).astype(int)
+        assert free[tuple(index.T)].all()
+
+
+def test_a_way_does_without_corners_that_it_can_pass_straight() -> None:
+    task, _ = asked(ROBOT, [], 0.05, DEFAULT_RATES, None, PlanOptions())
+    first = task.chart.space.join(np.zeros(3), np.array([-0.02, -0.08, -0.09]))
+    last = first + task.scale * [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
+    corner = (first + last) / 2 + task.scale * [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert np.array_equal(without_corners(task, np.stack([first, corner, last])), [first, last])
+    assert np.array_equal(without_corners(task, np.stack([first, last])), [first, last])

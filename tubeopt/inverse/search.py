@@ -275,6 +275,15 @@ def _bounds(task: Task, ends: Sequence[Array]) -> tuple[Array, Array]:
     return low / task.scale, np.maximum(high, low + 1e-9) / task.scale
 
 
+def without_corners(task: Task, points: Array) -> Array:
+    """The way without the corners past which it can go straight, from each as far as that holds."""
+    way = [points[0]]
+    for last, there in pairwise(points[1:]):
+        if not task.motion(way[-1], there):
+            way.append(last)
+    return np.stack([*way, points[-1]])
+
+
 def shorten(task: Task, points: Array, clock: Clock, *, seed: int = 0, rounds: int = 60) -> Array:
     """The way with corners cut: random places on it joined straight where that holds and is shorter in joint space."""
     random = np.random.default_rng(seed)

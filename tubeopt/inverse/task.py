@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -67,6 +67,8 @@ class Task:
     effort: WaySearch = DEFAULT_WAY
     reserve: float = 0.0
     clock: Clock | None = None
+    _held: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)
+    """`fineness` of motions that hold: a way is asked for more than once."""
 
     @cached_property
     def scene(self) -> Scene:
@@ -176,10 +178,16 @@ class Task:
 
     def fineness(self, start: Array, end: Array) -> int | None:
         """Times that the steps of a straight motion had to be halved to tell that it holds; None where it does not."""
-        try:
-            return self._fineness(start, end)
-        except LateError:
-            return None
+        key = start.tobytes(), end.tobytes()
+        if key not in self._held:
+            try:
+                found = self._fineness(start, end)
+            except LateError:
+                return None
+            if found is None:
+                return None
+            self._held[key] = found
+        return self._held[key]
 
     def _fineness(self, start: Array, end: Array) -> int | None:
         ends = np.stack([start, end])

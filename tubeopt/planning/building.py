@@ -93,9 +93,6 @@ def build(
     q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
     table = np.array([space.joint(row) for row in q])
     n = space.robot.n_tubes
-    tracked = track(task, first, q, clock)
-    if tracked.lost:
-        return (no_time(clock) if clock.over else "the branch is lost between samples",)
     proof = verify_trajectory(
         space.robot,
         t,
@@ -116,10 +113,12 @@ def build(
         if 1 < hurry < MOST_HURRY and len(proof.faults) == 1:
             return build(task, first, end, motion.slower(hurry), rates, clock)
         return proof.faults
-    reached = tracked.equilibria[-1]
-    if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
+    if len(proof.samples) < len(t):
+        return (no_time(clock),)
+    if end is not None and float(np.abs(task.chart.of(proof.end) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
-    return Built(t, q, tracked.tip, tracked.margin, tracked.equilibria, proof)
+    tip, margin = np.array([e.tip_position for e in proof.samples]), np.array([e.margin for e in proof.samples])
+    return Built(t, q, tip, margin, proof.samples, proof)
 
 
 def no_time(clock: Clock) -> str:

@@ -23,6 +23,9 @@ class Ways(Protocol):
     def way(self, task: Task, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
         """A way from a point of the chart to one of goals; without points where it knows none."""
 
+    def near(self, task: Task, place: Array, count: int) -> Array:
+        """At most `count` points of the chart whose tips are nearest to a place."""
+
 
 @dataclass(frozen=True)
 class PlanOptions(Displayed):

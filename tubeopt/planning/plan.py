@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..inverse.clock import Clock, LateError
-from ..inverse.search import Way, find_way, shorten
+from ..inverse.search import Way, find_way, shorten, without_corners
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
@@ -22,7 +23,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Built, Faults, actuators, build, no_time
 from .candidates import motions_near
-from .goals import MOST_GOALS, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
+from .goals import MOST_GOALS, NODES, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked, bearing, in_time
@@ -108,7 +109,7 @@ def _planned(
     first = start_equilibrium(task.chart.space, start, task.chart.load)
     task = bearing(task, first.translations)
     check_start(task, first)
-    goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
+    goals = _goals(task, first, goal, clock, options)
     n = len(first.translations)
     task = bearing(task, first.translations, *(task.chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
@@ -127,6 +128,13 @@ def _planned(
             break
         task = _between(task.roomier(), first, goals)
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
+
+
+def _goals(task: Task, first: Equilibrium, goal: Any, clock: Clock, options: PlanOptions) -> list[End]:
+    """The equilibria at which the plan may end; for a goal of the tip those beside a roadmap first."""
+    known = options.roadmap
+    near = None if known is None else partial(known.near, task, count=NODES)
+    return ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns, near=near)
 
 
 def _between(task: Task, first: Equilibrium, goals: Sequence[End]) -> Task:
@@ -173,7 +181,7 @@ def _make(
     assert way.points is not None
     searched = clock.seconds
     try:
-        points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
+        points = _shorter(task, way, options, clock)
         raw = task.length(way.points)
         motions = motions_near(task, first, points, rates, options, clock)
     except LateError:
@@ -191,6 +199,15 @@ def _make(
         seconds = (searched, smoothed - searched, done - smoothed, done)
         return built.trajectory(task, first, end, rates, PlanStatistics(way.how, how, *numbers, *seconds))
     return faults
+
+
+def _shorter(task: Task, way: Way, options: PlanOptions, clock: Clock) -> Array:
+    """The points of a way with corners cut; of one over a roadmap, which is the shortest there, without smoothing only
+    those corners are left out that it can do without."""
+    assert way.points is not None
+    if way.how == "roadmap" and options.objective == "none":
+        return without_corners(task, way.points)
+    return shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
 
 
 def _not_found(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter as time_now
 
 import numpy as np
@@ -40,7 +40,7 @@ from .cross_sections import Constants
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .loaded_passage import LoadedFollower
 from .motion import RateLimits
-from .passage import TOLERANCE, Follower, Passage, follow
+from .passage import SHORTEST, TOLERANCE, Follower, Passage, Step, follow
 
 SAMPLES = 5
 """Equilibria that are integrated once more."""
@@ -79,7 +79,7 @@ class Proof(Displayed):
         largest_tip_step: between two equilibria of the proof, m.   tip_length: of the way of the tip, m.
         largest_tip_rate: speed of the tip between them, m/s.
         reintegration: largest difference of a tip from DOP853, m; under a load the largest estimate of its error.
-        equilibria: how many were solved.   end: the last of them.
+        equilibria: how many were solved.   end: the last of them.   samples: those at the samples up to `end`.
         faults: in words, what is not as it must be, or is not shown to be; empty for a trajectory that is proved.
         followed: share of the time up to `end`.
         open: whether a time limit ended the proof before anything was refuted.
@@ -107,6 +107,7 @@ class Proof(Displayed):
     followed: float = 1.0
     open: bool = False
     forced: ForceBound | None = None
+    samples: tuple[Equilibrium, ...] = field(default=(), repr=False)
 
     @property
     def value(self) -> float:
@@ -348,4 +349,14 @@ def _judge(
         end=steps[-1],
         faults=tuple(faults),
         followed=passage.steps[-1].at,
+        samples=_at_samples(passage.steps, t),
     )
+
+
+def _at_samples(steps: Sequence[Step], t: Array) -> tuple[Equilibrium, ...]:
+    """Of steps that follow times (T,) the equilibria at these, as far as they go."""
+    at = np.array([step.at for step in steps])
+    share = (t - t[0]) / ((t[-1] - t[0]) or 1.0) if len(t) > 1 else np.ones(1)
+    nearest = np.searchsorted(at, share - SHORTEST / 2)
+    reached = nearest < len(at)
+    return tuple(steps[k].equilibrium for k in nearest[reached])

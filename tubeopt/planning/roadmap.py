@@ -9,7 +9,7 @@ forgotten, and looked at once more as ways need it, while the points stay.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from os import PathLike
 from typing import Any
@@ -53,6 +53,8 @@ class Roadmap(Displayed):
     known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
     asked_with: tuple[Any, ...] = field(default=(), repr=False)
     """What `known` was found with: the last question."""
+    tips: Array | None = field(default=None, repr=False)
+    """(N, 3) m, of the points, once they were asked for."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -90,6 +92,14 @@ class Roadmap(Displayed):
             else:
                 return Way(points[found], "roadmap", tried)
         return Way(None, "roadmap", tried, why="the time for the roadmap was over")
+
+    def near(self, task: Task, place: Array, count: int) -> Array:
+        """(k, m) points of the map, at most `count`, whose tips are nearest to a place (3,), those first."""
+        self._remember(task)
+        if self.tips is None:
+            self.tips = replace(task, clock=None).arms(self.points).tip
+        far = np.linalg.norm(self.tips - place, axis=1)
+        return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
     def _told(self, own: dict[tuple[int, int], bool], a: int, b: int) -> bool | None:
         key = (min(a, b), max(a, b))

@@ -117,7 +117,7 @@ def _largest(curves: Sequence[scipy.interpolate.PPoly], grids: Sequence[Array], 
         all_tips = limits.tip[1](np.concatenate([curve(s) for curve, s in zip(curves, grids, strict=True)]))
         tips = list(np.split(all_tips, np.cumsum([len(s) for s in grids])[:-1]))
     asked = zip(curves, grids, tips, strict=True)
-    return [_Program.of(curve, s, limits, tip).largest() for curve, s, tip in asked]
+    return _paced([_Program.of(curve, s, limits, tip) for curve, s, tip in asked])
 
 
 def _time(s: Array, b: Array) -> Array:
@@ -142,13 +142,12 @@ def _terms(curve: scipy.interpolate.PPoly, s: Array) -> tuple[Array, Array, Arra
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """Of N cells: lengths h (N,); rows (N, r) and right-hand sides (r,), row_u u + row_b b <= right, of b at the begin
-    of each; and the greatest b (N + 1,)."""
+    """Of N cells: lengths h (N,); rows (N, r), |row_u u + row_b b| <= 1, of b at the begin of each; and the greatest b
+    (N + 1,)."""
 
     h: Array
     row_u: Array
     row_b: Array
-    right: Array
     most: Array
 
     @staticmethod
@@ -161,7 +160,6 @@ class _Program:
         row_u = [c1, c1 + 3 * c2 * long, c1 + 6 * c2 * long + 15 * c3 * long**2]
         row_b = [2 * c2, 2 * c2 + 3 * c3 * long, 2 * c2 + 6 * c3 * long]
         rows_u, rows_b = (np.concatenate(rows, axis=1) / np.tile(force, 3) for rows in (row_u, row_b))
-        rows_u, rows_b = (np.concatenate([rows, -rows], axis=1) for rows in (rows_u, rows_b))
         along = np.abs([c1, c1 + c2 * long, c1 + 2 * c2 * long + 3 * c3 * long**2]).max(0)
         pace = (along / (PRUDENCE * limits.rate)).max(1)
         if limits.tip is not None and tip is not None:
@@ -174,41 +172,45 @@ class _Program:
         # What does not move there is at rest however fast s is.
         moving = np.abs(curve(s[[0, -1]], nu=1) / limits.rate).max(1) * np.sqrt(most[[0, -1]]) > 1e-6
         most[[0, -1]] = np.where(moving, 0.0, most[[0, -1]])
-        return _Program(h, rows_u, rows_b, np.ones(rows_u.shape[1]), most)
+        return _Program(h, rows_u, rows_b, most)
 
-    def largest(self) -> Array:
-        """(N + 1,) the largest b."""
-        most = self.most.copy()
-        for k in reversed(range(len(self.h))):
-            most[k] = min(most[k], self._controllable(k, most[k + 1]))
-        b = most.copy()
-        for k in range(len(self.h)):
-            b[k + 1] = min(most[k + 1], max(0.0, b[k] + 2 * self.h[k] * self._hardest(k, b[k])))
-        return b
 
-    def _rows(self, k: int, after: float) -> tuple[Array, Array, Array]:
-        """Those of a cell, with 0 <= b + 2 h u <= after."""
-        grown = 2 * self.h[k]
-        return (
-            np.append(self.row_u[k], [grown, -grown]),
-            np.append(self.row_b[k], [1.0, -1.0]),
-            np.append(self.right, [after, 0.0]),
-        )
+def _paced(programs: Sequence[_Program]) -> list[Array]:
+    """(N + 1,) the largest b of every program: all at once, cell by cell, backwards from their ends and then forwards.
 
-    def _controllable(self, k: int, after: float) -> float:
-        """The largest b for which some u is allowed. Lines in b bound u from both sides, and rest is allowed."""
-        row_u, row_b, right = self._rows(k, after)
-        up, down = row_u > TINY, row_u < -TINY
-        level = ~(up | down) & (row_b > TINY)
-        most = float((right[level] / row_b[level]).min(initial=np.inf))
-        slope, bound = row_b / np.where(up | down, row_u, 1.0), right / np.where(up | down, row_u, 1.0)
-        falls = slope[up][:, None] - slope[down]
-        room = bound[up][:, None] - bound[down]
-        tight = falls > 0
-        return min(most, float((np.maximum(room[tight], 0.0) / falls[tight]).min(initial=np.inf)))
+    Every row is two lines between which u lies, |u + v b| <= w. A program of fewer cells ends in some without rows.
+    """
+    counts = [len(each.h) for each in programs]
+    most = np.zeros((len(programs), max(counts) + 1))
+    grown = np.full((len(programs), max(counts), 1), 2.0)  # what b grows by with u
+    rows = np.zeros((2, len(programs), max(counts), programs[0].row_u.shape[1]))
+    for k, (count, each) in enumerate(zip(counts, programs, strict=True)):
+        most[k, : count + 1], rows[:, k, :count] = each.most, (each.row_u, each.row_b)
+        grown[k, :count, 0] = 2 * each.h
+    steep = np.abs(rows[0]) > TINY
+    some = np.where(steep, rows[0], 1.0)
+    v, w = np.where(steep, rows[1] / some, 0.0), np.where(steep, 1 / np.abs(some), np.inf)
+    level = np.where(steep, np.inf, 1 / np.maximum(np.abs(rows[1]), TINY)).min(2)
+    most[:, :-1] = np.minimum(most[:, :-1], np.minimum(level, _between(v, w, grown)))
+    # What the next b is at most, of a line; and back from that, where it grows with b.
+    slope, bound = 1 - grown * v, grown * w
+    grows = slope > TINY
+    back, more = 1 / np.where(grows, slope, 1.0), np.where(grows, bound / np.where(grows, slope, 1.0), np.inf)
+    for k in reversed(range(max(counts))):
+        most[:, k] = np.minimum(most[:, k], (most[:, k + 1, None] * back[:, k] + more[:, k]).min(1))
+    b = most.copy()
+    for k in range(max(counts)):
+        after = (b[:, k, None] * slope[:, k] + bound[:, k]).min(1)
+        b[:, k + 1] = np.minimum(most[:, k + 1], np.maximum(after, 0.0))
+    return [row[: count + 1] for row, count in zip(b, counts, strict=True)]
 
-    def _hardest(self, k: int, b: float) -> float:
-        """The largest u that is allowed with b."""
-        row_u, row_b, right = self.row_u[k], self.row_b[k], self.right
-        up = row_u > TINY
-        return float(((right[up] - row_b[up] * b) / row_u[up]).min(initial=np.inf))
+
+def _between(v: Array, w: Array, grown: Array) -> Array:
+    """(p, N) the largest b for which some u with |u + v b| <= w (p, N, r) leaves the next b no less than 0."""
+    least = np.full(v.shape[:2], np.inf)
+    for k in range(v.shape[2]):
+        one = v[..., k, None]
+        falls = np.concatenate([np.abs(one - v[..., k + 1 :]), one - 1 / grown], axis=2)
+        room = np.concatenate([w[..., k, None] + w[..., k + 1 :], w[..., k, None]], axis=2)
+        np.minimum(least, np.where(falls > 0, room / np.where(falls > 0, falls, 1.0), np.inf).min(2), out=least)
+    return least
