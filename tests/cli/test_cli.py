@@ -332,10 +332,11 @@ def test_output_that_nobody_reads_on() -> None:
 
 
 def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(run: Run, tmp_path: Path) -> None:
-    outcome = run("fk", THESIS, *ACTUATED, "--out", str(tmp_path), "--format", "svg,urdf,mjcf", "--width-mm", "88")
+    outcome = run("fk", THESIS, *ACTUATED, "--out", str(tmp_path), "--format", "svg,pdf,urdf,mjcf", "--width-mm", "88")
     assert outcome.code == 0
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"result.json", "arrays.npz", "shape.svg", "torsion.svg", "arm.urdf", "arm.xml"}
+    pictures = {f"{name}.{form}" for name in ("shape", "torsion") for form in ("svg", "pdf")}
+    assert names == {"result.json", "arrays.npz", "arm.urdf", "arm.xml", *pictures}
     head = (tmp_path / "shape.svg").read_text(encoding="utf-8")[:2000]
     assert f'width="{88 / 25.4 * 72:.6f}pt"'[:14] in head
 

@@ -165,6 +165,10 @@ def test_flags_override_the_keys_of_a_file(run: Run, tmp_path: Path) -> None:
         "--min-margin is 2; it must be less than 1",
         "--seed is -1; it must be at least 0",
     ]
+    # Of two kinds of goal the one that is typed holds.
+    (path.parent / "tip.yaml").write_text(f"kind: plan\nrobot: {THESIS}\ntip_mm: [0, 0, 150]\nobjective: none\n")
+    planned = answer(run("plan", str(path.parent / "tip.yaml"), "--goal-deg", "9,0,0", "--json"))
+    assert planned["goal"]["rotations_deg"] == pytest.approx([9, 0, 0])
 
 
 @pytest.mark.parametrize(

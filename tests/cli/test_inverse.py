@@ -171,7 +171,7 @@ def test_postures_that_the_time_limit_left_out_are_told_of(run: Run) -> None:
 def test_a_target_out_of_reach_fails_with_3(run: Run) -> None:
     outcome = run("ik", ETR, "--target-mm", "0,0,200")
     assert outcome.code == 3
-    assert "m short" in outcome.err
+    assert "mm short" in outcome.err
     outcome = run("ik", ETR, "--target-mm", "0,0,200", "--closest", "--json")
     (message,) = answer(outcome, 3)["error"]["messages"]
     assert message.startswith(

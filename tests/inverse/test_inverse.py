@@ -249,7 +249,7 @@ class TestObstacles:
         nearest = 0.01 + THESIS.tubes[0].outer_diameter / 2
         for starts in (1, 6):
             options = InverseOptions(starts=starts)
-            with pytest.raises(SolveError, match=r"m short.*arm at obstacle 1 \(sphere\)") as told:
+            with pytest.raises(SolveError, match=r"mm short.*arm at obstacle 1 \(sphere\)") as told:
                 inverse_kinematics(THESIS, TARGET, obstacles=[body], options=options)
             closest = told.value.solution
             assert closest.position_error == pytest.approx(nearest, abs=2e-5)
@@ -279,7 +279,7 @@ class TestObstacles:
 class TestOutOfReach:
     def test_the_message_says_by_how_far_and_why(self) -> None:
         with pytest.raises(
-            SolveError, match=r"^no answer was found in \d+ starts: 0.\d+ m short: .*(at its end|touching)"
+            SolveError, match=r"^no answer was found in \d+ starts: [\d.]+ mm short: .*(at its end|touching)"
         ):
             inverse_kinematics(THESIS, [0, 0, 0.6], options=InverseOptions(starts=4))
 

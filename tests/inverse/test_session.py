@@ -100,7 +100,7 @@ def test_a_target_out_of_reach_leaves_it_where_it_was() -> None:
     session = IkSession(robot, seed=forward_kinematics(robot, [0.0, 0.5, -0.5], np.full(3, -0.01)))
     first = session.solve([0.0, -0.02, 0.078])
     # Straight up is as close as 94 mm of arm get, though the search ended at a part of the way.
-    with pytest.raises(SolveError, match=r"cannot be reached from here: 0\.1\d* m short"):
+    with pytest.raises(SolveError, match=r"cannot be reached from here: 1\d* mm short"):
         session.solve([0.0, 0.0, 0.2])
     assert session.solution is first
     again = session.solve([0.0, -0.02, 0.078])

@@ -39,6 +39,7 @@ from .messages import LOGGER
 from .output import Output, can_be_saved, present
 
 S = TypeVar("S", bound=Entry)
+F = TypeVar("F", bound=Study)
 Made = Callable[..., None]
 
 ROBOT = ("ROBOT.yaml", "Robot file.")
@@ -153,7 +154,7 @@ def asks(
     return command_of
 
 
-def asks_file(study: type[S], *, example: str, note: str = "") -> Callable[[Callable[[S, Output], None]], Made]:
+def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Callable[[F, Output], None]], Made]:
     """Make a command of a function that takes a study: it is read from a file, whose keys the flags override.
 
     Keys that are mappings, or lists of them, have no flag.
@@ -165,7 +166,7 @@ def asks_file(study: type[S], *, example: str, note: str = "") -> Callable[[Call
     shown = Annotated[str, typer.Argument(metavar="STUDY.yaml", help=f"Study of kind {kind}.", show_default=False)]
     file = inspect.Parameter("study", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=shown)
 
-    def command_of(function: Callable[[S, Output], None]) -> Made:
+    def command_of(function: Callable[[F, Output], None]) -> Made:
         keyed = [_override(key, field, called[key]) for key, field in fields.items()]
 
         def run(output: Output, **typed: Any) -> None:
@@ -175,7 +176,10 @@ def asks_file(study: type[S], *, example: str, note: str = "") -> Callable[[Call
                 key: str(Path(value).absolute()) if isinstance(value, str) and _is_file(fields[key]) else value
                 for key, value in _given(fields, typed).items()
             }
-            data, flags = {**load_yaml(path), **given}, {key: names[key] for key in given}
+            typed_sets = [keys for keys in study.either if not keys.isdisjoint(given)]
+            replaced = frozenset().union(*(keys for keys in study.either if typed_sets and keys not in typed_sets))
+            written = {key: value for key, value in load_yaml(path).items() if key not in replaced}
+            data, flags = {**written, **given}, {key: names[key] for key in given}
             with told_by_flag(flags, {key: flag for key, flag in flags.items() if flag}):
                 function(check_kind({kind: study}, data, path, names=flags), output)
 

@@ -66,8 +66,13 @@ def run(study: HeatingRunStudy, output: Output) -> None:
     the sensor's reading missed the window in the hold.
     """
     can_be_saved(output.out)
-    log = "nothing was saved" if output.out is None else f"{output.out / LOG_FILE} holds what was reported so far"
-    with keeping(f"the rig is told to stop; {log}"):
+    log = None if output.out is None else output.out / LOG_FILE
+
+    def kept() -> str:
+        saved = f"{log} holds what was reported so far" if log is not None and log.exists() else "nothing was saved"
+        return f"the rig is told to stop; {saved}"
+
+    with keeping(kept):
         found = with_live_page(study, output.out, shown=not output.quiet)
     present(report(found), output, written=() if found.log is None else (found.log,))
 

@@ -14,34 +14,35 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from .failures import INTERRUPTED, complain
 
 PATIENCE = 1.5
 """Seconds that a command has to end by itself."""
 
-_KEPT: list[str] = []
+_KEPT: list[Callable[[], str]] = []
 _OWN: list[bool] = []
 
 
 @contextlib.contextmanager
-def keeping(what: str) -> Iterator[None]:
-    """Say what is kept where the block is interrupted."""
-    _KEPT.append(what)
+def keeping(what: str | Callable[[], str]) -> Iterator[None]:
+    """Say what is kept where the block is interrupted: words, or what tells them then."""
+    tell = what if callable(what) else lambda: what
+    _KEPT.append(tell)
     try:
         yield
     except KeyboardInterrupt:
         raise  # and it is still to be told
     except BaseException:
-        _KEPT.remove(what)
+        _KEPT.remove(tell)
         raise
-    _KEPT.remove(what)
+    _KEPT.remove(tell)
 
 
 def kept() -> str:
     """What is kept of a command that is interrupted, in words."""
-    return _KEPT[-1] if _KEPT else "nothing was saved"
+    return _KEPT[-1]() if _KEPT else "nothing was saved"
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ from ..show.plots.style import WIDTH
 from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
 from ..show.reports import report
 from .failures import error_record, failure
+from .interruption import keeping
 from .messages import warnings
 
 NARROWEST_MM, WIDEST_MM = 60, 400
@@ -60,15 +61,20 @@ class Output:
         return tuple(part.strip().lower() for part in self.formats.split(","))
 
     @property
+    def pictures(self) -> tuple[str, ...]:
+        """The formats of pictures: the first there is, where none is named."""
+        return tuple(form for form in dict.fromkeys(self.wanted) if form in PICTURE_FORMATS) or PICTURE_FORMATS[:1]
+
+    @property
     def width(self) -> float | None:
         """Of pictures, m."""
         return None if self.width_mm is None else float(self.width_mm) / TO_MM
 
 
 @contextmanager
-def _saved_as(output: Output) -> Iterator[None]:
-    """Let reports write in the formats of an output, and pictures be as wide as it says."""
-    format_token, width_token = FORMATS.set(output.wanted), WIDTH.set(output.width)
+def _saved_as(output: Output, picture: str) -> Iterator[None]:
+    """Let reports write in the formats of an output, pictures in one of them, and as wide as it says."""
+    format_token, width_token = FORMATS.set((picture, *output.wanted)), WIDTH.set(output.width)
     try:
         yield
     finally:
@@ -86,10 +92,8 @@ def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()
     pictures: list[Path] = []
     ending: Exception | None = None
     try:
-        with _saved_as(output):
-            files += answer.save(output.out) if output.out else []
-            pictures += answer.draw(output.out or Path()) if output.out or output.plot else []
-            files += answer.convert(output.out) if output.out else []
+        with keeping("nothing was saved" if output.out is None else f"{output.out} may hold a part of the answer"):
+            _write(answer, output, files, pictures)
         answer.conclude()
     except (InputError, SolveError, NotProvedError, typer.Exit) as error:
         ending = error
@@ -104,6 +108,16 @@ def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()
             typer.launch(str(path))
     if ending is not None:
         raise ending
+
+
+def _write(answer: Report[Any], output: Output, files: list[Path], pictures: list[Path]) -> None:
+    """Save an answer and draw its pictures, and name in `files` and `pictures` what is there."""
+    with _saved_as(output, output.pictures[0]):
+        files += answer.save(output.out) if output.out else []
+        files += answer.convert(output.out) if output.out else []
+    for form in output.pictures if output.out or output.plot else ():
+        with _saved_as(output, form):
+            pictures += answer.draw(output.out or Path())
 
 
 def told(answer: object, output: Output) -> None:

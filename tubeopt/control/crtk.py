@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..errors import InputError, nearest, vector
+from ..files.units import TO_MM
 from ..inverse.joints import JointSpace
 from ..typing import Array
 from .servo import Command, ServoOptions
@@ -152,19 +153,26 @@ class CrtkRobot:
             self._goal, self._words = None, ""
         elif now - goal.closer > STUCK:
             self._goal = None
-            self._words = f"the move has ended {left:.3g} short (m or rad): {self._words or 'it comes no closer'}"
+            turn, shift = self._missing(goal.command)
+            parts = {f"{math.degrees(turn):.3g} deg": turn, f"{shift * TO_MM:.3g} mm": shift}
+            far = " and ".join(words for words, missing in parts.items() if missing >= ARRIVED)
+            self._words = f"the move has ended {far} short: {self._words or 'it comes no closer'}"
 
     def _left(self, command: Command) -> float:
         """What is left of a move: m and rad, the greater."""
+        return max(self._missing(command))
+
+    def _missing(self, command: Command) -> tuple[float, float]:
+        """What is left of a move, rad and m."""
         arm = self.servo.equilibrium
         if command.joints is not None:
             turn, shift = command.joints
-            return float(max(np.abs(turn - arm.rotations).max(), np.abs(shift - arm.translations).max()))
+            return float(np.abs(turn - arm.rotations).max()), float(np.abs(shift - arm.translations).max())
         left = float(np.linalg.norm(np.asarray(command.position) - arm.tip_position))
         if command.direction is None:
-            return left
+            return 0.0, left
         wanted = np.asarray(command.direction) / np.linalg.norm(command.direction)
-        return max(left, float(np.linalg.norm(wanted - arm.tip_rotation[:, 2])))
+        return float(np.linalg.norm(wanted - arm.tip_rotation[:, 2])), left
 
     def _change(self, wanted: Any) -> None:
         if wanted not in TRANSITIONS:

@@ -62,7 +62,7 @@ class ServerOptions:
             raise InputError(f"host is {self.host!r}; it must be this machine: 127.0.0.1, localhost or ::1")
         for name in ("period", "publish", "rate"):
             if not 0 < getattr(self, name) < 1e6:
-                raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0")
+                raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0 and less than 1e6")
         if not 0 <= self.port < 65536:
             raise InputError(f"port is {self.port}; it must be 0 to 65535")
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..files.units import TO_MM
 from ..typing import Array
 from .goal import Goal
 from .least_squares import LeastSquares, constrained_least_squares
@@ -274,7 +275,7 @@ def missed_by(goal: Goal, at: Posture) -> str:
     position, direction = goal.position_error(at), goal.direction_error(at)
     words = []
     if position > goal.solver.position_tolerance or not goal.pointed:
-        words.append(f"{position:.3g} m short")
+        words.append(f"{position * TO_MM:.3g} mm short")
     if goal.pointed and (direction > goal.solver.direction_tolerance or not words):
         words.append(f"{np.degrees(direction):.3g} deg off the direction")
     return " and ".join(words)

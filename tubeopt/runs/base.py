@@ -85,6 +85,9 @@ class Study(Entry):
     keeps: ClassVar[str] = ""
     """What `run_in` has saved into {out} where it is interrupted."""
 
+    either: ClassVar[tuple[frozenset[str], ...]] = ()
+    """Sets of keys of which a study has one: a flag in one of them stands for the keys of the others too."""
+
     kind: str
 
     def run(self, progress: Progress | None = None) -> Any:

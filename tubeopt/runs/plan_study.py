@@ -31,6 +31,12 @@ class PlanStudy(LoadedStudy):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
     doing = "planning"
+    either = (
+        frozenset({"goal_deg", "goal_mm"}),
+        frozenset({"tip_mm"}),
+        frozenset({"tip_at"}),
+        frozenset({"tip_path_mm"}),
+    )
 
     kind: Literal["plan"]
     robot: RobotPath

@@ -28,7 +28,10 @@ def status(address: str, **headers: str) -> int:
     """Status of a request for the page with other headers."""
     where = address.removeprefix("http://")
     connection = http.client.HTTPConnection(where, timeout=60)
-    connection.request("GET", "/", headers={"Host": where} | headers)
+    connection.putrequest("GET", "/", skip_host=True, skip_accept_encoding=True)  # as bare as a client may be
+    for name, value in ({"Host": where} | headers).items():
+        connection.putheader(name, value)
+    connection.endheaders()
     answer = connection.getresponse().status
     connection.close()
     return answer

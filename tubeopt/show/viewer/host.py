@@ -98,7 +98,8 @@ def _own_page_alone(host: str, title: str, beside: Beside | None) -> Iterator[No
             if not is_own(request.headers.get("Host", ""), request.headers.get("Origin"), host):
                 return connection.respond(HTTPStatus.FORBIDDEN, "tubeopt view answers to its own page alone\n")
             if request.path.split("?")[0] in ("/", "/index.html"):
-                del request.headers["Accept-Encoding"]
+                with suppress(KeyError):  # not every client sends it
+                    del request.headers["Accept-Encoding"]
                 return titled(process_request(connection, request), title, "" if beside is None else beside.script)
             return process_request(connection, request)
 
