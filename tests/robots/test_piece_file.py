@@ -107,9 +107,24 @@ def test_saved_and_loaded_is_equal_to_the_last_bit(tmp_path: Path) -> None:
     [
         ("{radius_mm: 80}", "", "pieces[0]: length_mm is missing"),
         (
-            "{length_mm: 10, helix: {radius_mm: 0.3, pitch_mm: 0.5}}",
+            "{length_mm: 10, helix: {radius_mm: 0.3, pitch_mm: 1.2}}",
             "",
             "per m; its radius must exceed half the outer_diameter (0.0005 m)",
+        ),
+        (
+            "{length_mm: 100, helix: {radius_mm: 10, pitch_mm: 0.5}}",
+            "",
+            "pieces[0]: helix.pitch_mm is 0.5; it must exceed the tube's diameter, 1 mm, or its turns run through each",
+        ),
+        (
+            "{length_mm: 10, radius_mm: 80, torsional_stiffness_N_mm2: 0.001}",
+            "",
+            "pieces[0]: torsional_stiffness_N_mm2 is 0.001; the cross-section and material give",
+        ),
+        (
+            "{length_mm: 10, radius_mm: 80, twist_deg_per_mm: 360}",
+            "",
+            "piece 1 is twisted by 6283.19 rad per m (360 deg per mm)",
         ),
         (
             "{length_mm: 10, radius_mm: 80}",

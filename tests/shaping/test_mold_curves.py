@@ -227,3 +227,15 @@ def test_what_no_plate_holds_is_refused() -> None:
     assert "tube 1 is strained 6.4 %" in refused(tight)
     steep = replace(MoldSpec(), springback=Springback(0.1, slope=0.01))
     assert "no mold yields more than 20.25 per m" in refused(S_SHAPE, steep)
+
+
+@pytest.mark.parametrize("plane", [0.0, 90.0, 180.0, 270.0])
+def test_an_s_in_any_plane_with_spring_back_that_grows_has_a_groove(plane: float) -> None:
+    """Where the bend runs through zero, round-off in a turned plane cuts stretches of no length."""
+    direction = np.array([np.cos(np.radians(plane)), np.sin(np.radians(plane)), 0.0])
+    s = np.linspace(0.0, 29e-3, 21)
+    between = Piece.table(s, np.outer(13.8 - 31.2 * s / s[-1], direction))
+    ends = [Piece(20e-3, tuple(bend * direction)) for bend in (13.8, -17.4)]
+    tube = Tube.of_pieces(1.2e-3, 0.9e-3, [ends[0], between, ends[1]], straight_length=50e-3)
+    mold = plan_mold(tube, MoldSpec(springback=Springback(0.06, 0.8e-3)))
+    assert mold.grooves[0].bend_length == pytest.approx(69e-3, rel=0.02)

@@ -118,7 +118,7 @@ class TubeEntry(Part):
         pieces = []
         for k, entry in enumerate(entries):
             try:
-                pieces.append(entry.build((float(tube.bending_stiffness), float(tube.torsional_stiffness))))
+                pieces.append(entry.build(tube))
             except InputError as error:
                 raise InputError("\n".join(f"pieces[{k}]: {line}" for line in str(error).splitlines())) from None
         total = sum(piece.length for piece in pieces)

@@ -15,7 +15,8 @@ from ..files.fields import Part, entry_of, to_data
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, shown, to_si
 from ..typing import Array
 from .pieces import Piece, Slots, check_table
-from .series import Quantity, Series, spline, turned
+from .series import Quantity, Series, extremes, spline, turned
+from .tubes import Tube
 
 DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 
@@ -137,13 +138,19 @@ class PieceEntry(Entry):
     pattern: PatternEntry | None = None
     slots: SlotsEntry | None = Field(None, description="where they are cut, for the strain of what they leave")
 
-    def build(self, own: tuple[float, float]) -> Piece:
-        """The piece in SI, of a tube with stiffnesses `own`, N m^2."""
+    def build(self, tube: Tube) -> Piece:
+        """The piece in SI, of a tube with these diameters and stiffnesses."""
         length = self._length()
         x, y, z = self._precurvature()
+        if self.helix is not None:
+            _check_pitch(self.helix, length, tube.outer_diameter)
         if self.plane_deg is not None:
             x, y = turned(x, y, to_si(self.plane_deg, DEG))
+        own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
         bending, torsional = self._stiffness(own)
+        for name, part, whole in (("bending", bending, own[0]), ("torsional", torsional, own[1])):
+            for value in () if part is None else extremes([part], length):
+                check_stiffness(f"{name}_stiffness_N_mm2", value, whole)
         slots = None if self.slots is None else self.slots.build()
         return Piece(length, (x, y, z), bending_stiffness=bending, torsional_stiffness=torsional, slots=slots)
 
@@ -193,6 +200,16 @@ class PieceEntry(Entry):
         if named != (None, None):
             raise InputError("pattern and a stiffness are both given; a piece has one or the other")
         return own[0] * float(self.pattern.bending_factor), own[1] * float(self.pattern.torsion_factor)
+
+
+def _check_pitch(helix: HelixEntry, length: float, diameter: float) -> None:
+    """Raise InputError where turns of a helix would run through each other."""
+    pitch = to_si(helix.pitch_mm, MM)
+    if pitch <= diameter and length > np.hypot(2 * np.pi * to_si(helix.radius_mm, MM), pitch):
+        raise InputError(
+            f"helix.pitch_mm is {helix.pitch_mm}; it must exceed the tube's diameter, {diameter * 1e3:g} mm, or its "
+            "turns run through each other"
+        )
 
 
 def _quantity(entry: Decimal | SeriesEntry, unit: Decimal) -> Quantity:

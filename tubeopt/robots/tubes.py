@@ -7,13 +7,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
+import numpy as np
+
 from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
 from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
 from .pieces import Piece
-from .series import Quantity
+from .series import Quantity, extremes
 
 
 def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
@@ -121,6 +123,12 @@ class Tube(Displayed):
                 raise InputError(
                     f"piece {k} is curved by {piece.largest_curvature:g} per m; its radius must exceed half the "
                     f"outer_diameter ({self.outer_diameter / 2:g} m)"
+                )
+            twist = max(map(abs, extremes([piece.precurvature[2]], piece.length)))
+            if self.outer_diameter / 2 * twist >= 1:
+                raise InputError(
+                    f"piece {k} is twisted by {twist:g} rad per m ({np.degrees(twist) * 1e-3:g} deg per mm); half the "
+                    f"outer_diameter ({self.outer_diameter / 2:g} m) times that must be less than 1"
                 )
         object.__setattr__(self, "pieces", pieces)
         object.__setattr__(self, "curved_length", total)

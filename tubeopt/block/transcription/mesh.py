@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import InputError
 from ...physics.certificate import coupling_rate_function
 from ...robots.assembly import Assembly
 from ...typing import Array, Mask
@@ -27,6 +28,9 @@ in the Bishop frame, and how they pull at each other."""
 
 DETAIL_PER_PIECE = 4.0
 """Largest polynomial degree of precurvature and stiffness along a piece."""
+
+MOST_UNKNOWNS = 5000
+"""Rotations of tubes at collocation points that are solved for at most: their matrices are dense."""
 
 SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
 """Fractions of a section where coupling and curvature of tubes made of pieces are looked at."""
@@ -149,6 +153,12 @@ def make_mesh(
 ) -> Mesh:
     """Mesh with the given number of pieces per section (by default `piece_counts`)."""
     counts = piece_counts(assembly) if pieces is None else pieces
+    unknown = int(counts[assembly.coupled].sum()) * degree * assembly.n_tubes
+    if max(unknown, int(counts.sum())) > MOST_UNKNOWNS:
+        raise InputError(
+            f"the tubes vary so quickly along them that {counts.sum()} pieces of the arm with {unknown} unknown "
+            f"rotations would have to be solved; there may be {MOST_UNKNOWNS}: are units right, and are tables smooth?"
+        )
     section = np.repeat(np.arange(assembly.n_sections), counts)
     rank = np.arange(len(section)) - np.repeat(np.cumsum(counts) - counts, counts)
     length = (assembly.length / counts)[section]

@@ -30,6 +30,9 @@ MOST_TURN = 0.5
 FLAT = 1e-9
 """Arcs that rise less than this (m) above their chord are lines: few cutters take a radius of kilometres."""
 
+NOTHING = 1e-12
+"""Length (m) below which a stretch is none: round-off may put a kink and a change of sign beside each other."""
+
 _GAUSS = np.polynomial.legendre.leggauss(16)
 
 
@@ -62,9 +65,11 @@ def _turn(length: float, coefficients: Array) -> float:
 
 
 def _merged(panels: list[tuple[float, Array]]) -> list[tuple[float, Array]]:
-    """Neighbouring panels of the same constant curvature as one."""
+    """Neighbouring panels of the same constant curvature as one, without those that round-off has cut."""
     out: list[tuple[float, Array]] = []
     for length, coefficients in panels:
+        if length < NOTHING:
+            continue
         if out and len(coefficients) == len(out[-1][1]) == 1 and coefficients[0] == out[-1][1][0]:
             out[-1] = (out[-1][0] + length, coefficients)
         else:

@@ -15,10 +15,14 @@ SCREEN_DPI = 100
 
 
 class NotebookFigure(Figure):
-    """A Matplotlib figure that draws into memory, and that notebooks know how to show."""
+    """A Matplotlib figure that draws into memory, and that notebooks know how to show.
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    drawn_for: width and height, in, that its panels were laid out for; a page may want another.
+    """
+
+    def __init__(self, *args: Any, drawn_for: tuple[float, float], **options: Any) -> None:
         super().__init__(*args, **options)
+        self.drawn_for = drawn_for
         FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:

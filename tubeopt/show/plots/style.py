@@ -135,7 +135,11 @@ def new_figure(width: float, height: float) -> Figure:
     scale = 1.0 if wanted is None else wanted / INCH / width
     # Letters keep their size, so that what is narrower needs more of its height.
     return NotebookFigure(
-        figsize=(scale * width, scale**HEIGHT_SHARE * height), dpi=DPI, layout="constrained", facecolor="white"
+        figsize=(scale * width, scale**HEIGHT_SHARE * height),
+        drawn_for=(width, height),
+        dpi=DPI,
+        layout="constrained",
+        facecolor="white",
     )
 
 
@@ -173,8 +177,13 @@ def angle_locator() -> MaxNLocator:
 
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     """Return `figure`, laid out, and saved under `path` if that is given."""
+    from .column import stack
+    from .figure import NotebookFigure
+
     engine = figure.get_layout_engine()
     if WIDTH.get() is not None:
+        if narrow() and isinstance(figure, NotebookFigure):
+            stack(figure)
         _fold(figure)
     if engine is not None:
         for _ in range(LAYOUT_PASSES):
