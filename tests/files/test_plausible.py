@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.command_line import ROOT, THESIS, Run, answer
-from tubeopt import InputError, load_robot
+from tubeopt import InputError, load_rig, load_robot
 from tubeopt.runs.inverse_study import InverseStudy
+from tubeopt.runs.study_file import load_study
 
 TUBE = {
     "outer_diameter_mm": "1.92",
@@ -18,6 +20,7 @@ TUBE = {
     "curved_length_mm": "60",
     "curvature_per_m": "10.7",
 }
+RIG = ROOT / "configs/rigs/thesis_mdf.yaml"
 METAL = "material: {name: a metal, youngs_modulus_GPa: %s, poisson_ratio: 0.3}"
 
 
@@ -94,3 +97,41 @@ def test_a_target_in_metres(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_names_of_materials_in_upper_case(tmp_path: Path) -> None:
     plain = load_robot(written(tmp_path / "x.yaml"))
     assert load_robot(written(tmp_path / "x.yaml", "material: Nitinol")) == plain
+
+
+def told(caplog: pytest.LogCaptureFixture, path: Path, text: str, load: Callable[[Path], object]) -> list[str]:
+    path.write_text(text)
+    with caplog.at_level(logging.WARNING, "tubeopt"):
+        load(path)
+    return [record.getMessage().removeprefix(f"{path}: ") for record in caplog.records]
+
+
+def test_a_window_in_kelvin(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    study = f"kind: heating\nrig: {RIG}\nwindow_degC: [773.15, 823.15]\nlimit_degC: 823.15\n"
+    assert told(caplog, tmp_path / "x.yaml", study, load_study) == [
+        "window_degC is [773.15, 823.15]; that would be usual in K: was 500, 550 meant?",
+        "limit_degC is 823.15; that would be usual in K: was 550 meant?",
+    ]
+
+
+def test_a_battery_in_milliampere_hours(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    rig = (RIG).read_text()
+    words = ["battery.capacity_Ah is 60000; that would be usual in mAh: was 60 meant?"]
+    assert told(caplog, tmp_path / "x.yaml", rig.replace("capacity_Ah: 60", "capacity_Ah: 60000"), load_rig) == words
+    wrong = tmp_path / "y.yaml"
+    wrong.write_text(rig.replace("capacity_Ah: 60", "capacity_mAh: 60000"))
+    with pytest.raises(InputError, match=r"did you mean 'capacity_Ah', 0[.]001 times the number"):
+        load_rig(wrong)
+
+
+def test_a_table_of_a_piece_in_metres(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    (tmp_path / "u.csv").write_text("arc_length_mm,curvature_x_per_m,curvature_y_per_m\n0,0,0\n0.03,9,1\n0.06,9,0\n")
+    robot = (
+        "kind: concentric\ntubes: [{outer_diameter_mm: 1.92, inner_diameter_mm: 1.57, straight_length_mm: 200, pieces: "
+    )
+    assert told(caplog, tmp_path / "x.yaml", f"{robot}[{{table: u.csv}}]}}]", load_robot) == [
+        f"{tmp_path}/u.csv: the last arc_length_mm is 0.06; that would be usual in m: was 60 meant?"
+    ]
+    (tmp_path / "v.csv").write_text("arc_length_m,curvature_x_per_m,curvature_y_per_m\n0,0,0\n0.03,9,1\n0.06,9,0\n")
+    with pytest.raises(InputError, match="arc_length_m is not known; did you mean 'arc_length_mm', 1000 times"):
+        told(caplog, tmp_path / "y.yaml", f"{robot}[{{table: v.csv}}]}}]", load_robot)

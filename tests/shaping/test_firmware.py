@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple
+from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple, load_rig
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.firmware_study import LedHeating
 from tubeopt.runs.heating_run import HeatingRun, run_heating
-from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, pwm_frequency
+from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, hall_slope, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
 from tubeopt.shaping.firmware.parts import parts_list
 from tubeopt.shaping.firmware.simulated import SimulatedRig
@@ -233,6 +233,42 @@ def test_a_battery_is_read_in_full_and_never_harms_its_pin(board: str, cells: in
     assert 0 < lowest < rest
     charges = [replace(rig.battery, state_of_charge=charge).voltage for charge in CHARGES]
     assert step < 0.1 * np.abs(np.diff(charges)).min()
+
+
+@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("limit", [40.0, 200.0, 300.0, 600.0, 1100.0])
+def test_the_current_at_which_the_board_stops_can_be_read(board: str, limit: float) -> None:
+    planned = replace(plan(), rig=replace(plan().rig, circuit=replace(plan().rig.circuit, peak_limit=limit)))
+    wiring, known = Wiring(board=board), BOARDS[board]
+    bought = {part.name: part.rating for part in parts_list(planned, wiring)}["current sensor"]
+    rating, slope = (float(number) for number in re.findall(r"([0-9.]+) (?:A|mV/A)", bought))
+    assert rating >= 1.2 * limit
+    # What the sensor that is bought puts on the pin at the limit, and what the sketch reads there.
+    volt = wiring.current_zero + 1e-3 * slope * limit
+    assert volt < known.reference - 0.1 * (known.reference - wiring.current_zero)
+    header = board_header(wiring, planned.rig)
+    step, zero = _defined(header, "AMPERE_PER_STEP"), int(re.findall("AMPERE_ZERO ([0-9]+)", header)[0])
+    most = _defined(schedule_header(planned, led(), [(12.7, led().law.planned)]), "MOST_AMPERE")
+    assert most == limit
+    assert (int(volt / known.reference * known.steps) - zero) * step == pytest.approx(limit, abs=1.5 * step)
+    assert (known.steps - 1 - zero) * step > 1.15 * most
+    assert _defined(header, "LEAKING_AMPERE") >= 2.9 * step
+
+
+def test_a_current_that_no_sensor_tells_is_refused() -> None:
+    circuit = replace(thesis_rig().circuit, peak_limit=1200.0)
+    with pytest.raises(InputError, match="1200 A; for the ESP32 it must be at most 1167 A, what it reads of a Hall"):
+        hall_slope(Wiring(board="esp32"), circuit)
+    assert hall_slope(Wiring(), circuit) == 0.002
+    with pytest.raises(InputError, match="at most 233 A, what it reads of a Hall sensor of 10 mV/A"):
+        hall_slope(Wiring(board="pico", shunt_V_per_A=0.01), replace(circuit, peak_limit=300.0))
+    assert hall_slope(Wiring(board="esp32", measures_electrics=False), circuit) == 0.002
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_every_shipped_rig_has_a_sensor_for_its_limit(board: str) -> None:
+    for file in sorted(Path("configs/rigs").glob("*.yaml")):
+        assert hall_slope(Wiring(board=board), load_rig(file).circuit) == 0.01
 
 
 def _defined(header: str, name: str) -> float:

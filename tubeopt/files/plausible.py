@@ -10,7 +10,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from .marks import Usual
-from .units import UNITS, others, to_si, unit_of
+from .units import UNITS, ZERO_CELSIUS, others, to_si, unit_of
 
 
 def suspects(entry: BaseModel, path: str = "", *, names: Mapping[str, str] | None = None) -> Iterator[str]:
@@ -24,7 +24,7 @@ def suspects(entry: BaseModel, path: str = "", *, names: Mapping[str, str] | Non
             continue
         here = f"{path}{(names or {}).get(key, key)}"
         if usual is not None:
-            yield from _unusual(here, unit_of(key), value, usual)
+            yield from unusual(here, unit_of(key), value, usual)
         for place, part in _parts(value):
             yield from suspects(part, f"{here}{place}.")
 
@@ -63,7 +63,7 @@ def _parts(value: Any) -> Iterator[tuple[str, BaseModel]]:
         yield from ((f"[{k}]", part) for k, part in enumerate(value) if isinstance(part, BaseModel))
 
 
-def _unusual(key: str, unit: str, value: Any, usual: Usual) -> Iterator[str]:
+def unusual(key: str, unit: str, value: Any, usual: Usual) -> Iterator[str]:
     """A sentence on a number, or on the largest of several: a position has coordinates that are small."""
     numbers: Sequence[Decimal] = value if isinstance(value, list) else [value]
     if not numbers or not all(isinstance(number, Decimal) for number in numbers):
@@ -74,10 +74,11 @@ def _unusual(key: str, unit: str, value: Any, usual: Usual) -> Iterator[str]:
         return
     shown = ", ".join(str(number) for number in numbers)
     sentence = f"{key} is {f'[{shown}]' if isinstance(value, list) else shown}"
-    for meant, scale in others(unit):
-        if usual.least <= abs(to_si(largest, scale)) <= usual.most:
+    meant_in = [(meant, scale, Decimal(0)) for meant, scale in others(unit)]
+    for meant, scale, zero in [("K", Decimal(1), ZERO_CELSIUS)] if unit == "degC" else meant_in:
+        if usual.least <= abs(to_si(largest - zero, scale)) <= usual.most:
             factor = scale / UNITS[unit]
-            right = ", ".join(f"{float(number * factor):.6g}" for number in numbers)
+            right = ", ".join(f"{float((number - zero) * factor):.6g}" for number in numbers)
             yield f"{sentence}; that would be usual in {meant.replace('per_', '1/')}: was {right} meant?"
             return
     low, high = (f"{bound / float(UNITS[unit] if unit else 1):.4g}" for bound in (usual.least, usual.most))

@@ -79,6 +79,7 @@ ALIKE = (
     {"s": Decimal(1), "ms": Decimal("1e-3"), "min": Decimal(60), "h": Decimal(3600)},
     {"N": Decimal(1), "mN": Decimal("1e-3")},
     {"rad": Decimal(1), "deg": DEG},
+    {"Ah": Decimal(3600), "mAh": Decimal("3.6")},
 )
 """Units that are taken for one another, the likeliest first -> each in SI."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from decimal import Decimal
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,13 +13,20 @@ from ..errors import InputError
 from ..files.checked import Entry, Number, Positive
 from ..files.csv_file import read_csv
 from ..files.fields import Part, entry_of, to_data
-from ..files.units import DEG, MM, PER_M, UNITS, in_unit, shown, to_si
+from ..files.marks import Usual
+from ..files.plausible import unusual
+from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, shown, to_si
 from ..typing import Array
 from .pieces import Piece, Slots, check_table
 from .series import Quantity, Series, extremes, spline, turned
 from .tubes import Tube
 
 DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
+
+LOGGER = logging.getLogger(__name__)
+
+LENGTH = Usual(3e-4, 10.0)
+"""Of a piece, m."""
 
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0
 """Of that of the cross-section: what is given outside has a wrong unit."""
@@ -97,18 +105,24 @@ def _load_table(value: object, info: ValidationInfo) -> tuple[Array, Array]:
     path = info.context["directory"] / value if info.context else value
     table = read_csv(path)
     wanted = [*COLUMNS, *(["twist_deg_per_mm"] if "twist_deg_per_mm" in table.columns else [])]
+    for name in table.columns:
+        if name not in wanted:
+            hint = (
+                meant(name, (*COLUMNS, "twist_deg_per_mm")) or f"; there may be {', '.join(wanted)}, twist_deg_per_mm"
+            )
+            raise InputError(f"{path}: column {name} is not known{hint}")
     for name in COLUMNS:
         if name not in table.columns:
             raise InputError(f"{path}: column {name} is missing")
-    for name in table.columns:
-        if name not in wanted:
-            raise InputError(f"{path}: column {name} is not known; there may be {', '.join(wanted)}, twist_deg_per_mm")
     s = table.numbers(COLUMNS[:1], MM)[:, 0]
     u = np.zeros((len(s), 3))
     u[:, :2] = table.numbers(COLUMNS[1:], PER_M)
     if len(wanted) == 4:
         u[:, 2] = table.numbers(wanted[3:], DEG_PER_MM)[:, 0]
     table.check()
+    end = in_unit(float(s[-1]), MM) if len(s) else 0
+    for words in unusual("the last arc_length_mm", "mm", Decimal(repr(end)), LENGTH):
+        LOGGER.warning(f"{path}: {words}")
     try:
         check_table(s, u, "arc_length_mm", 1e-3)
     except InputError as error:
@@ -126,7 +140,7 @@ Table = Annotated[
 class PieceEntry(Entry):
     """A piece of a tube: its length, its precurvature in one of several ways, and stiffnesses of its own."""
 
-    length_mm: Positive | None = Field(None, description="may be left out with a table")
+    length_mm: Annotated[Positive | None, LENGTH] = Field(None, description="may be left out with a table")
     radius_mm: Positive | None = None
     curvature_per_m: Curvature | None = Field(None, description="about x, or [x, y]")
     twist_deg_per_mm: Along | None = Field(None, description="natural twist: how fast the bend direction turns")

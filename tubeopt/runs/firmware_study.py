@@ -11,7 +11,7 @@ from ..display import Displayed
 from ..errors import choice
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import asking
-from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, pwm_frequency
+from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
 from ..shaping.heating.feedback import Feedback
 from ..shaping.heating.leading import lead_by
 from ..shaping.heating.plan import HeatingPlan
@@ -58,7 +58,9 @@ class LedHeatingStudy(HeatedTube):
     @model_validator(mode="after")
     def _buildable(self) -> Self:
         self._sensor()
-        pwm_frequency(self._wiring(), self.set_up(), self._wanted())
+        rig = self.set_up()
+        pwm_frequency(self._wiring(), rig, self._wanted())
+        hall_slope(self._wiring(), rig.circuit)
         return self
 
     def _sensor(self) -> Sensor:

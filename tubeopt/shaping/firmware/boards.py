@@ -8,7 +8,7 @@ from typing import Annotated
 
 from ...errors import InputError, choice
 from ...files.marks import POSITIVE, OneOf, check_fields, key, unit
-from ..heating.rig import Battery, Rig
+from ..heating.rig import Battery, Circuit, Rig
 
 CONVERTERS = ("max31855", "max6675", "analog")
 """Converter of a thermocouple, or an analog line such as a camera's."""
@@ -26,6 +26,12 @@ the ATmega's converter wants of a source (data sheet of the ATmega328P)."""
 SURPLUS = 1.5
 """Greatest voltage that can be read, as a multiple of a full battery's at rest: for chargers and peaks of switching,
 and as the ESP32's converter is straight up to about three quarters of its reference."""
+
+HALL = (0.04, 0.02, 0.01, 0.008, 0.005, 0.004, 0.002)
+"""Volt per ampere of Hall sensors that are sold for 100 to 2000 A, whose line rises by 4 V."""
+
+READABLE = 1.2
+"""Greatest current that can be read, at least, as a multiple of the one at which the sketch stops."""
 
 E24 = (
     1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2,
@@ -77,7 +83,11 @@ class Wiring:
     board: Annotated[str, OneOf(tuple(BOARDS)), "which board"] = "uno"
     converter: Annotated[str, OneOf(CONVERTERS), "what reads the thermometer"] = "max31855"
     measures_electrics: Annotated[bool, "whether battery voltage and current are wired to it"] = True
-    shunt_V_per_A: Annotated[float, POSITIVE, "volt at the pin per ampere: of a Hall sensor"] = 0.01
+    shunt_V_per_A: Annotated[
+        float | None,
+        POSITIVE,
+        "volt at the pin per ampere, of a Hall sensor; by default what the circuit's limit asks for",
+    ] = None
     current_zero: Annotated[float, unit("V"), "at the pin without current"] = 0.5
     analog_low: Annotated[float, key("analog_low_degC"), "temperature at 0 V of an analog line"] = 0.0
     analog_per_volt: Annotated[float, key("analog_per_volt_K"), POSITIVE, "rise of an analog line per volt"] = 200.0
@@ -119,6 +129,27 @@ def upper_resistor(wiring: Wiring, battery: Battery) -> float:
 def divider(wiring: Wiring, battery: Battery) -> float:
     """Voltage of the battery per volt at the pin."""
     return 1 + upper_resistor(wiring, battery) / LOWER
+
+
+def hall_slope(wiring: Wiring, circuit: Circuit) -> float:
+    """Volt per ampere of the Hall sensor: as wired, or the greatest of `HALL` with which the over-current limit, times
+    `READABLE`, is no more than the board's reference.
+
+    Raises:
+        InputError: the limit cannot be read: by the sensor as wired, or by any.
+    """
+    board, limit = wiring.known, circuit.peak_limit
+    steepest = (board.reference - wiring.current_zero) / (READABLE * limit)
+    wired = HALL if wiring.shunt_V_per_A is None else (wiring.shunt_V_per_A,)
+    found = next((slope for slope in wired if slope <= steepest), None)
+    if found is None and wiring.measures_electrics:
+        most = steepest * limit / wired[-1]
+        raise InputError(
+            f"peak_limit of the circuit is {limit:g} A; for the {board.title} it must be at most {most:.0f} A, what it "
+            f"reads of a Hall sensor of {1e3 * wired[-1]:g} mV/A with a fifth to spare: above that no over-current "
+            "would be seen"
+        )
+    return wired[-1] if found is None else found
 
 
 def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS
-from .boards import LOWER, Wiring, divider, upper_resistor
+from .boards import LOWER, READABLE, Wiring, divider, hall_slope, upper_resistor
 
 FUSES = (5, 10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 100, 125, 150, 175, 200)
 """A, of blade and bolt fuses (ISO 8820)."""
@@ -58,7 +58,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     resistance = 1e3 * plan.rig.circuit.mosfet_resistance
     reference, ratio = wiring.known.reference, divider(wiring, plan.rig.battery)
     upper = f"{upper_resistor(wiring, plan.rig.battery) / 1e3:g}"
-    hall = f"Hall, {math.ceil(SPARE * peak / 50) * 50} A, {1e3 * wiring.shunt_V_per_A:g} mV/A"
+    slope, limit = hall_slope(wiring, plan.rig.circuit), plan.rig.circuit.peak_limit
+    hall = f"Hall, {math.ceil(max(SPARE * peak, READABLE * limit) / 50) * 50} A, {1e3 * slope:g} mV/A"
     return (
         Part("fuse", f"{fuse} A, slow, at the battery's plus", current),
         Part("cable", f"{cable:g} mm2 copper, as short as can be", current),
@@ -69,7 +70,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              "the loop's inductance"),
         Part("emergency stop", "normally closed, in the gate driver's supply, second contact to the board",
              "stops without the board too"),
-        Part("current sensor", hall, current),
+        Part("current sensor", hall, f"{current}; the board stops at {limit:g} A"),
         Part("divider", f"{upper} kohm to the battery, {LOWER / 1e3:g} kohm and 100 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, "at the middle of the curved part"),

@@ -21,7 +21,7 @@ from ..heating.leading import prolonged
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Rig
 from ..heating.robust import at_charge
-from .boards import CONVERSION_MS, Wiring, divider
+from .boards import CONVERSION_MS, Wiring, divider, hall_slope
 
 NAME = "tube_heater"
 SOURCES = (
@@ -41,6 +41,9 @@ TICK = 0.1
 
 OVERSHOOT = 8.0
 """Reading above the limit, K, at which the firmware stops."""
+
+LEAKING, LEAKING_STEPS = 4.0, 3
+"""Current beside the pulses, A, above which the switch is stuck; and so many steps of the converter at least."""
 
 STUCK_RISE, STUCK_MS = 3.0, 300
 """A reading that did not move for so long, ms, while the schedule rose by so much, K, is of a thermometer that lost
@@ -155,7 +158,6 @@ def _numbers(plan: HeatingPlan, feedback: Feedback, slot: int, ticks: int, table
         "STUCK_HOLDING_MS": "20000ul",
         "MOST_AMPERE": _float(rig.circuit.peak_limit),
         "LEAST_AMPERE": _float(0.3 * full),
-        "LEAKING_AMPERE": "4.0f",
         "LOWEST_VOLT": _float(lowest),
     }
 
@@ -165,6 +167,7 @@ def board_header(wiring: Wiring, rig: Rig) -> str:
     board, frequency = wiring.known, rig.circuit.pwm_frequency
     volt = board.reference / board.steps
     prescaler = min((1024, 256, 64), key=lambda p: abs(16e6 / p / 510 - frequency))
+    ampere = volt / hall_slope(wiring, rig.circuit)
     numbers = {
         "SENSOR": f"SENSOR_{wiring.converter.upper()}",
         "SENSOR_MS": str(CONVERSION_MS[wiring.converter]),
@@ -172,8 +175,9 @@ def board_header(wiring: Wiring, rig: Rig) -> str:
         "PWM_HZ": f"{frequency:.2f}f",
         "PWM_PRESCALER": str(prescaler),
         "VOLT_PER_STEP": _float(volt * divider(wiring, rig.battery)),
-        "AMPERE_PER_STEP": _float(volt / wiring.shunt_V_per_A),
+        "AMPERE_PER_STEP": _float(ampere),
         "AMPERE_ZERO": f"{round(wiring.current_zero / volt)}",
+        "LEAKING_AMPERE": _float(max(LEAKING, LEAKING_STEPS * ampere)),
         "ANALOG_ZERO": _float(wiring.analog_low),
         "ANALOG_PER_STEP": _float(wiring.analog_per_volt * volt),
         "ANALOG_STEPS": str(board.steps),

@@ -55,7 +55,7 @@ FEW = {"ipopt.max_iter": 25}
 """From an earlier answer few steps are enough; where they are not, a new start is better."""
 
 # What is nearly a linear program may leave each barrier soon.
-COLD: dict[str, Any] = {"ipopt.mu_init": 3e-3, "ipopt.barrier_tol_factor": 100.0}
+COLD: dict[str, Any] = {"ipopt.mu_init": 1e-3, "ipopt.barrier_tol_factor": 100.0}
 WARM: dict[str, Any] = {
     "ipopt.mu_init": 1e-5,
     "ipopt.warm_start_init_point": "yes",

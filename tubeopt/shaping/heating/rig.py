@@ -15,7 +15,7 @@ import numpy as np
 
 from ...display import Displayed
 from ...errors import InputError, finite, numbers
-from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Usual, Written, check_fields, unit
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
@@ -62,7 +62,9 @@ class Battery:
         InputError: a value is out of its range, or the table is not increasing.
     """
 
-    capacity: Annotated[float, unit("Ah"), POSITIVE, "charge that it holds"] = 60.0 * AMPERE_HOUR
+    capacity: Annotated[
+        float, unit("Ah"), POSITIVE, Usual(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR), "charge that it holds"
+    ] = 60.0 * AMPERE_HOUR
     state_of_charge: Annotated[float, unit("percent"), Range(above=0.0, most=1.0), "of the capacity"] = 1.0
     open_circuit: Annotated[
         tuple[tuple[float, float], ...],
@@ -173,9 +175,13 @@ class MoldBed:
     """The mold as the tube's surroundings."""
 
     material: Annotated[MoldMaterial, Named(MOLD_MATERIALS), "what it is made of, or its name"] = CALCIUM_SILICATE
-    width: Annotated[float, unit("mm"), POSITIVE, "of both plates together; as much material as surrounds it"] = 0.1
-    thickness: Annotated[float, unit("mm"), POSITIVE, "of both plates together"] = 25.4e-3
-    lead: Annotated[float, unit("mm"), POSITIVE, "straight tube in the mold on each side of the curved part"] = 20e-3
+    width: Annotated[
+        float, unit("mm"), POSITIVE, Usual(2e-3, 2.0), "of both plates together; as much material as surrounds it"
+    ] = 0.1
+    thickness: Annotated[float, unit("mm"), POSITIVE, Usual(1e-3, 1.0), "of both plates together"] = 25.4e-3
+    lead: Annotated[
+        float, unit("mm"), POSITIVE, Usual(5e-4, 1.0), "straight tube in the mold on each side of the curved part"
+    ] = 20e-3
     side_clearance: Annotated[
         float | None,
         unit("um"),
