@@ -1,10 +1,11 @@
 """Two robots on one plate: where they must stand to reach much together, and a task in which neither touches the other.
 
 The plates may be 10 to 30 mm apart, lean by up to 30 deg, and be turned. Then each tip goes to a place of the other's
-side, among those that both reach.
+side, among those that both reach; and the tips of two arms change places.
 
 One learns: the distance of two arms that move at the same time can be proved at all times, and costs no more than the
-proof of either motion.
+proof of either motion. Where each arm rests where the other has to go, no order of motions will do, but one of them may
+withdraw and come back.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 import tubeopt
 from tubeopt.bodies.frames import base_frame
+from tubeopt.robots.robot import Robot
 from tubeopt.show.plots.arms import plot_arms
 from tubeopt.workspaces import place_pair, shared_workspace
 
@@ -46,9 +48,26 @@ def main(out: Path) -> list[Path]:
     alone = sum(float(each.time[-1] - each.time[0]) for each in plan.trajectories)
     print(f"both moved within {plan.duration:.1f} s, one after the other it would take {alone:.1f} s")
     print(f"at least {plan.proof.least_clearance * 1e3:.2f} mm between them at all times, proved: {plan.proved}")
+    swapped(robot)
     picture = out / "plan_two_arms.png"
     plot_arms(plan, picture, title="Two robots on one plate cross over")
     return [picture]
+
+
+def swapped(robot: Robot) -> None:
+    """Two tips change places; print how."""
+    arms = [
+        tubeopt.PlacedRobot(robot, base_frame([x, 0, 0], [0, 0, 1]), name)
+        for x, name in ((-0.008, "left"), (0.008, "right"))
+    ]
+    places = [np.array([0.0, y, 0.05]) for y in (0.006, -0.006)]
+    starts = [
+        tubeopt.inverse_kinematics(robot, arm.base.seen(place), seed=(np.zeros(3), SHIFT))
+        for arm, place in zip(arms, places, strict=True)
+    ]
+    plan = tubeopt.plan_arms(arms, starts, places[::-1], options=tubeopt.PlanOptions(clearance=5e-4))
+    names = ", ".join(arms[k].called for k in plan.made_way)
+    print(f"tips change places within {plan.duration:.1f} s; {names} makes way; proved: {plan.proved}")
 
 
 if __name__ == "__main__":

@@ -122,6 +122,44 @@ def test_two_arms_cross_over_without_touching() -> None:
     assert plan.clearance([0.0])[0, 0] > least - 1e-4
 
 
+def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where either tip is to go, the other is: one arm withdraws, and comes back when that place is free."""
+    arms = [PlacedRobot(ROBOT, base_frame([x, 0, 0], [0, 0, 1])) for x in (-0.008, 0.008)]
+    places = np.array([[0.0, 0.006, 0.05], [0.0, -0.006, 0.05]])
+    seed = (np.zeros(3), [0.012, -0.05, -0.085])
+    starts = [
+        tubeopt.inverse_kinematics(ROBOT, arm.base.seen(place), seed=seed)
+        for arm, place in zip(arms, places, strict=True)
+    ]
+    options = PlanOptions(clearance=5e-4, objective="none")
+    plan = plan_arms(arms, starts, list(places[::-1]), options=options)
+    assert plan.proved
+    assert plan.made_way == plan.order[1:] == (1,)
+    assert plan.proof.least_clearance >= 5e-4
+    tips = [arm.base.placed(t.tip_position[[0, -1]]) for arm, t in zip(arms, plan.trajectories, strict=True)]
+    np.testing.assert_allclose(tips, [places, places[::-1]], atol=1e-8)
+    came = plan.trajectories[1]
+    assert came.proved
+    assert came.proof is plan.proof.proofs[1]
+    assert (np.diff(came.time) > 0).all()
+    assert came.translations.min(0)[0] < seed[1][0] - 0.02
+    # Once more by other code, from the joint values alone.
+    least, near = math.inf, [None, None]
+    for t in np.linspace(0, plan.duration, 60):
+        shapes = []
+        for k, moved in enumerate(plan.trajectories):
+            table = np.concatenate([moved.rotations, moved.translations], axis=1)
+            q = np.array([np.interp(t, moved.time, column) for column in table.T])
+            near[k] = tubeopt.forward_kinematics(ROBOT, q[:3], q[3:], guess=near[k])
+            shapes.append(surface_points(near[k], arms[k].base))
+        least = min(least, gap(*shapes))
+    assert least >= plan.proof.least_clearance
+    # Without making way there is no order in which it can be done.
+    monkeypatch.setattr(arms_plan, "_aside", lambda arm, at, options: (at.rotations, at.translations))
+    with pytest.raises(SolveError, match=r"arm 1 .*: no plan exists: with its tip at the goal"):
+        plan_arms(arms, starts, list(places[::-1]), options=options)
+
+
 def test_an_arm_at_rest_lies_within_its_capsules() -> None:
     arm = tubeopt.forward_kinematics(ROBOT, [0.4, 1.0, -0.5], [0.02, -0.04, -0.08])
     bodies = at_rest(arm, PLATE)

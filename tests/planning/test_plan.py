@@ -37,8 +37,11 @@ from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
 from tubeopt.planning import plan
 from tubeopt.planning.file import save_joint_trajectory
+from tubeopt.planning.motion import DEFAULT_RATES
+from tubeopt.planning.question import asked
 from tubeopt.planning.reach import least_miss
-from tubeopt.planning.timing import Limits, stopping_at
+from tubeopt.planning.smooth import joint_curves
+from tubeopt.planning.timing import Limits, rounded, stopping_at
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -313,6 +316,19 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     assert np.abs(speed[:, 0]).max() > 0.85 * rate[0]
     np.testing.assert_allclose(q[[0, -1]], way[[0, -1]], atol=1e-12)
     np.testing.assert_allclose(motion.curve([0.0, motion.duration], nu=1), 0.0, atol=1e-12)
+
+
+def test_curves_of_joint_values_keep_to_motions_that_bend() -> None:
+    """Close to a snap the joints turn back while the tips go straight on."""
+    task, _ = asked(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions())
+    begin = np.zeros(len(task.scale))
+    end = begin + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(begin)]
+    fine = begin + np.linspace(0, 1, 20_001)[:, None] * (end - begin)
+    exact = task.chart.joints(fine, task.arms(fine)) / task.scale
+    (table,) = joint_curves(task, np.stack([begin, end]))
+    curve = rounded(table)(np.linspace(0, 1, 400)) / task.scale
+    off = scipy.spatial.cKDTree(exact).query(curve)[0]
+    assert off.max() < 0.01
 
 
 def test_a_way_with_corners_is_passed_piece_by_piece() -> None:

@@ -2,13 +2,14 @@
 other room for.
 
 Each robot in an order is planned for with the arms before it where they end, and those after it where they begin: one
-after the other these motions are a plan for all. They are then let begin as early as the distance between moving arms
-allows (motions on fixed paths, delayed: Akella and Hutchinson 2002), and all is proved.
+after the other these motions are a plan for all. Where no order has one, those that come later first make way: they
+withdraw, and go on from there when it is their turn. Motions are then let begin as early as the distance between moving
+arms allows (on fixed paths, delayed: Akella and Hutchinson 2002), and all is proved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, islice, permutations
 from typing import Any
@@ -24,9 +25,9 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse.arguments import checked_obstacles, kind_of
 from ..inverse.clock import Clock
-from ..inverse.outline import Outline
+from ..inverse.question import prepared
 from ..solvers.parallel.blas import small
-from ..typing import Array, Index
+from ..typing import Array
 from .arms import (
     ArmsProof,
     PlacedRobot,
@@ -39,6 +40,7 @@ from .arms import (
     plate_of,
     verify_arms,
 )
+from .arms_clock import Lines, Move, sooner
 from .goals import TipGoal
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
@@ -48,15 +50,8 @@ from .trajectory import Trajectory
 ORDERS = 6
 """Orders in which robots are planned for, at most, or as many as there are arms."""
 
-DELAYS = 41
-"""Delays that are tried for a robot, from none to when all before it have come to rest."""
-
-INSTANTS, ALONG = 80, 64
-"""Instants of a motion, and points along an arm, by which delays are told."""
-
-ROOM = 3e-4
-"""Distance (m) to spare between arms that move at a time, for what lies between instants and points; more is asked
-where the proof finds a fault."""
+WITHDRAWN = 0.9
+"""Share of the way from where its tubes begin to where they are withdrawn behind the plate that an arm makes way by."""
 
 SHARE_OF_ORDER = 0.5
 """Share of the time that is left which one order gets."""
@@ -70,7 +65,8 @@ class ArmsPlan(Displayed):
         arms: the robots, and where they stand.
         trajectories: one for each, in its own frame, its time (s) from when it begins to move; its obstacles are those
             that its path was planned past: with other arms at rest.
-        order: numbers of arms, from 0, in which they were planned for.
+        order: numbers of arms, from 0, in which they were planned for.   made_way: those that first withdrew: their
+            trajectories are of two parts, with rest in between, and their proof is that of all of it.
         obstacles: in the frame that all share.   min_margin, min_clearance (m): what is kept.
         proof: of all of this.   seconds: that it took.
     """
@@ -85,6 +81,7 @@ class ArmsPlan(Displayed):
     min_clearance: float
     proof: ArmsProof
     seconds: float
+    made_way: tuple[int, ...] = ()
 
     @property
     def duration(self) -> float:
@@ -114,7 +111,7 @@ class ArmsPlan(Displayed):
         """(T, pairs) distances between arms at times (T,), s, of ALONG points of either, m: the proof bounds what lies
         between them."""
         t = np.asarray(times, dtype=float)
-        lines = [_Lines.of(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
+        lines = [Lines.of(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
         every, pairs = np.arange(len(t)), combinations(range(len(self.arms)), 2)
         return np.stack([lines[i].gaps(lines[j], every, every) for i, j in pairs], axis=1)
 
@@ -142,7 +139,7 @@ def plan_arms(
     Raises:
         InputError: as `plan_trajectory`; fewer than two arms, a roadmap or a force, which several arms do not have.
         SolveError: arms that are too close at their starts, or no motion of one arm past the others at rest was found,
-            in no order that was tried: the message says for which.
+            in no order that was tried, nor with later arms withdrawn before: the message says for which.
 
     Examples:
         >>> import numpy as np
@@ -168,7 +165,7 @@ def plan_arms(
     _check_starts(known, first, options.clearance)
     goals = [_in_frame(arm, goal) for arm, goal in zip(known, goals, strict=True)]
 
-    def planned(k: int, ends: Sequence[Equilibrium], limit: float) -> Trajectory:
+    def planned(k: int, ends: Sequence[Equilibrium], limit: float, withdrawn: bool) -> Trajectory:
         arm = known[k]
         others: list[Obstacle] = []
         for j, end in enumerate(ends):
@@ -181,11 +178,12 @@ def plan_arms(
             "options": replace(options, time_limit=limit),
         }
         with of_arm(known, k):
-            return plan_trajectory(arm.robot, first[k], goals[k], **asked)
+            goal = _aside(arm, ends[k], options) if withdrawn else goals[k]
+            return plan_trajectory(arm.robot, ends[k], goal, **asked)
 
-    order, motions = _one_by_one(known, first, planned, clock)
+    order, moves = _one_by_one(known, first, planned, clock)
     proof = None
-    for moved in _sooner(known, motions, order, options.clearance):
+    for moved in sooner(known, first, moves, options.clearance):
         motions = moved
         proof = verify_arms(
             known,
@@ -199,7 +197,11 @@ def plan_arms(
         if proof.holds or clock.over:
             break
     assert proof is not None
-    return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds)
+    twice = tuple(k for k in order if sum(j == k for j, _ in moves) > 1)
+    for k in twice:
+        own = replace(motions[k], proof=proof.proofs[k], obstacles=seen_from(known[k].base, bodies))
+        motions = (*motions[:k], own, *motions[k + 1 :])
+    return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
 
 
 def _start(arm: PlacedRobot, start: Any) -> Equilibrium:
@@ -230,7 +232,7 @@ def _in_frame(arm: PlacedRobot, goal: Any) -> Any:
 
 def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float) -> None:
     """Raise SolveError where two arms are too close before they move."""
-    lines = [_Lines.at(arm, [e]) for arm, e in zip(arms, first, strict=True)]
+    lines = [Lines.at(arm, [e]) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
         gap = min(float(lines[i].gaps(lines[j], np.array([0]), np.array([0]))[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:
@@ -246,99 +248,61 @@ def _orders(n: int) -> list[tuple[int, ...]]:
     return list(dict.fromkeys([*turned, *islice(permutations(range(n)), ORDERS)]))[: max(n, ORDERS)]
 
 
+Planned = Callable[[int, Sequence[Equilibrium], float, bool], Trajectory]
+"""The motion of an arm from where it rests, as all do, to its goal, within some seconds; or until it is withdrawn."""
+
+
 def _one_by_one(
-    arms: Sequence[PlacedRobot],
-    first: Sequence[Equilibrium],
-    planned: Callable[[int, Sequence[Equilibrium], float], Trajectory],
-    clock: Clock,
-) -> tuple[tuple[int, ...], tuple[Trajectory, ...]]:
-    """An order in which each arm gets past the others at rest, and the motions, each from time 0."""
+    arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], planned: Planned, clock: Clock
+) -> tuple[tuple[int, ...], list[Move]]:
+    """An order in which each arm gets past the others at rest, and moves, one after the other: each to its goal; where
+    no order has such moves, with later arms withdrawn before."""
     reasons: dict[str, None] = {}
-    for order in _orders(len(arms)):
-        limit = clock.part(SHARE_OF_ORDER)
-        ends, found = list(first), dict[int, Trajectory]()
-        for done, k in enumerate(order):
-            if limit.over:
-                break
+    for aside in (False, True):
+        for order in _orders(len(arms)):
+            ends, moves, limit = list(first), list[Move](), clock.part(SHARE_OF_ORDER)
             try:
-                found[k] = planned(k, ends, limit.left / (len(order) - done))
+                _move(arms, [(k, True) for k in order[1:]] if aside else [], (ends, moves), planned, limit)
+                _move(arms, [(k, False) for k in order], (ends, moves), planned, limit)
             except SolveError as error:
-                before = ", ".join(str(j + 1) for j in order[:done])
-                when = f" after arm {before}" if before else ""
-                reasons[f"{called(arms, k)}{when}: {error}"] = None
-                break
-            ends[k] = found[k].end
-        else:
-            return order, tuple(found[k] for k in range(len(arms)))
-    told = "; ".join(reasons) or "time was over"
-    raise SolveError(f"no plan was found for all arms, one after the other past those at rest: {told}")
+                reasons[str(error)] = None
+            else:
+                return order, moves
+    raise SolveError(f"no plan was found for all arms, one after the other past those at rest: {'; '.join(reasons)}")
 
 
-def _sooner(
-    arms: Sequence[PlacedRobot], motions: Sequence[Trajectory], order: Sequence[int], clearance: float
-) -> Iterator[tuple[Trajectory, ...]]:
-    """Motions on one clock, each begun as early as those before it in the order leave room; then with more room; at
-    last one after the other."""
-    lines = [_Lines.of(arm, motion) for arm, motion in zip(arms, motions, strict=True)]
-    for room in (ROOM, 4 * ROOM, np.inf):
-        begin: dict[int, float] = {}
-        for k in order:
-            latest = max((begin[j] + motions[j].time[-1] for j in begin), default=0.0)
-            delays = np.linspace(0.0, latest, DELAYS)[:-1].tolist() if np.isfinite(room) else []
-            begin[k] = next((at for at in delays if _clear(lines, k, at, begin, clearance + room)), latest)
-        yield tuple(replace(each, time=each.time + begin[k]) for k, each in enumerate(motions))
+def _move(
+    arms: Sequence[PlacedRobot],
+    turns: Sequence[tuple[int, bool]],
+    so_far: tuple[list[Equilibrium], list[Move]],
+    planned: Planned,
+    limit: Clock,
+) -> None:
+    """Add the moves of arms, each to its goal or withdrawn, to those so far, and to where all rest after them.
+
+    Raises:
+        SolveError: one of them does not get to its goal; which cannot withdraw stays where it is.
+    """
+    ends, moves = so_far
+    for done, (k, withdrawn) in enumerate(turns):
+        try:
+            if limit.over:
+                raise SolveError("time was over")
+            left = len(turns) - done + (len(arms) if withdrawn else 0)
+            moves.append((k, planned(k, ends, limit.left / left, withdrawn)))
+        except SolveError as error:
+            if withdrawn:
+                continue
+            before = ", ".join(str(j + 1) for j, _ in moves)
+            when = f" after arm {before}" if before else ""
+            raise SolveError(f"{called(arms, k)}{when}: {error}") from None
+        ends[k] = moves[-1][1].end
 
 
-def _clear(lines: Sequence[_Lines], k: int, at: float, begin: Mapping[int, float], room: float) -> bool:
-    """Whether an arm that begins to move at a time keeps its distance from all that move by then."""
-    return all(lines[k].clear_of(lines[j], at - begin[j]) >= room for j in begin)
-
-
-@dataclass(frozen=True, eq=False)
-class _Lines:
-    """An arm at T instants in the frame that arms share: times (T,), s, points (T, P, 3) and radii (T, P), m."""
-
-    time: Array
-    points: Array
-    radius: Array
-
-    @staticmethod
-    def at(arm: PlacedRobot, equilibria: Sequence[Equilibrium], time: Array | None = None) -> _Lines:
-        """Those of equilibria."""
-        told = []
-        for e in equilibria:
-            outline = Outline(e)
-            told.append(outline.at(np.linspace(0.0, e.arc_length[-1], ALONG)))
-        points = arm.base.placed(np.array([each for each, _ in told]))
-        return _Lines(np.zeros(len(told)) if time is None else time, points, np.array([r for _, r in told]))
-
-    @staticmethod
-    def of(arm: PlacedRobot, motion: Trajectory) -> _Lines:
-        """Those of a motion, at all of its samples."""
-        return _Lines.at(arm, motion.arms, motion.time)
-
-    def at_times(self, times: Array) -> _Lines:
-        """The same at other times (T,), linear between instants, at rest before and after."""
-        row = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 1)
-        after = np.minimum(row + 1, len(self.time) - 1)
-        step = np.where(after > row, self.time[after] - self.time[row], 1.0)
-        share = np.clip((times - self.time[row]) / step, 0.0, 1.0)[:, None]
-        parts = [
-            a[row] + share.reshape(-1, *[1] * (a.ndim - 1)) * (a[after] - a[row]) for a in (self.points, self.radius)
-        ]
-        return _Lines(times, *parts)
-
-    def gaps(self, other: _Lines, rows: Index, others: Index) -> Array:
-        """(r,) distances between the surfaces of two arms at rows (r,) of either, m."""
-        out = []
-        for a, b in zip(rows, others, strict=True):
-            away = np.linalg.norm(self.points[a][:, None] - other.points[b], axis=2)
-            out.append((away - self.radius[a][:, None] - other.radius[b]).min())
-        return np.array(out)
-
-    def clear_of(self, other: _Lines, delay: float) -> float:
-        """Least distance from an arm that moves too, m, if this one begins to move `delay` s after it."""
-        end = max(self.time[-1] + delay, other.time[-1])
-        times = np.linspace(min(delay, 0.0), end, INSTANTS)
-        every = np.arange(len(times))
-        return float(self.at_times(times - delay).gaps(other.at_times(times), every, every).min())
+def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Array, Array]:
+    """Joint values of an arm with its tubes withdrawn, and turned as they are."""
+    space, n = prepared(arm.robot, None, options.carriage_gap, options.section_length), arm.robot.n_tubes
+    q = space.join(at.rotations, at.translations)
+    q[n:] += WITHDRAWN * (space.lower[n:] - q[n:])
+    rotations, translations = space.split(space.nearest(q))
+    return rotations, np.array(translations)

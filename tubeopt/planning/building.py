@@ -14,11 +14,14 @@ from .goals import End, limits_of
 from .motion import Motion, RateLimits
 from .proof import Proof, verify_trajectory
 from .timing import Limits
-from .tracking import track
+from .tracking import Tracked, track
 from .trajectory import PlanStatistics, Trajectory
 
 MOST_HURRY = 1.05
 """Share of its limit by which the tip may be too fast between samples of a motion that is then slowed down for it."""
+
+LATE = 0.25
+"""Most seconds beyond the time limit in which what a proof did not come to is followed, so that it can be returned."""
 
 Faults = tuple[str, ...]
 
@@ -113,12 +116,14 @@ def build(
         if 1 < hurry < MOST_HURRY and len(proof.faults) == 1:
             return build(task, first, end, motion.slower(hurry), rates, clock)
         return proof.faults
-    if len(proof.samples) < len(t):
+    # A proof that time ended may not have come to the last of them.
+    rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(LATE))
+    if rest.lost:
         return (no_time(clock),)
-    if end is not None and float(np.abs(task.chart.of(proof.end) - end.point).max()) > 1e-3:
+    known = Tracked((*proof.samples, *rest.equilibria), lost=False)
+    if end is not None and float(np.abs(task.chart.of(known.equilibria[-1]) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
-    tip, margin = np.array([e.tip_position for e in proof.samples]), np.array([e.margin for e in proof.samples])
-    return Built(t, q, tip, margin, proof.samples, proof)
+    return Built(t, q, known.tip, known.margin, known.equilibria, proof)
 
 
 def no_time(clock: Clock) -> str:

@@ -48,6 +48,10 @@ LARGEST = 150_000
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
+BEND, HALVINGS = 0.02, 4
+"""Second difference of joint values, in units of their scales, of points of a motion up to which curves keep close to
+them; times that points are set twice as close at most."""
+
 ROUND_OFF = 1e-9
 """Excess over ranges that is none, in units of the scales."""
 
@@ -99,8 +103,12 @@ def joint_curves(task: Task, points: Array) -> list[Array]:
     out = []
     for line in densify(task, points):
         pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
-        fine = line[0] + np.linspace(0, 1, pieces + 1)[:, None] * (line[-1] - line[0])
-        out.append(task.chart.joints(fine, task.arms(fine)))
+        for halvings in range(HALVINGS + 1):
+            fine = line[0] + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (line[-1] - line[0])
+            q = task.chart.joints(fine, task.arms(fine))
+            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= BEND:
+                break
+        out.append(q)
     return out
 
 
