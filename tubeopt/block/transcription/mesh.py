@@ -29,8 +29,11 @@ in the Bishop frame, and how they pull at each other."""
 DETAIL_PER_PIECE = 4.0
 """Largest polynomial degree of precurvature and stiffness along a piece."""
 
-MOST_UNKNOWNS = 5000
+MOST_ROTATIONS = 5000
 """Rotations of tubes at collocation points that are solved for at most: their matrices are dense."""
+
+KNOWN = 2.0
+"""How many times as many pieces there are where nothing is unknown and bends turn: a helix then is one to 1e-12 m."""
 
 SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
 """Fractions of a section where coupling and curvature of tubes made of pieces are looked at."""
@@ -100,7 +103,9 @@ def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
         rate, finest = coupling_rate(assembly), np.zeros(1)
         steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
     waves, bend = rate * assembly.length / WAVES_PER_ELEMENT, steepest * assembly.length / BEND_PER_PIECE
-    need = np.maximum(np.maximum(waves, bend), finest)
+    shape = np.maximum(bend, finest)
+    shape = np.where(~assembly.coupled & (finest > 0), KNOWN * shape, shape)
+    need = np.maximum(waves, shape)
     pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
     pieces[need <= 0] = 1
     return pieces
@@ -154,10 +159,10 @@ def make_mesh(
     """Mesh with the given number of pieces per section (by default `piece_counts`)."""
     counts = piece_counts(assembly) if pieces is None else pieces
     unknown = int(counts[assembly.coupled].sum()) * degree * assembly.n_tubes
-    if max(unknown, int(counts.sum())) > MOST_UNKNOWNS:
+    if max(unknown, int(counts.sum())) > MOST_ROTATIONS:
         raise InputError(
             f"the tubes vary so quickly along them that {counts.sum()} pieces of the arm with {unknown} unknown "
-            f"rotations would have to be solved; there may be {MOST_UNKNOWNS}: are units right, and are tables smooth?"
+            f"rotations would have to be solved; there may be {MOST_ROTATIONS}: are units right, and are tables smooth?"
         )
     section = np.repeat(np.arange(assembly.n_sections), counts)
     rank = np.arange(len(section)) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -66,8 +66,10 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *trans
 }
 
 #if GENERAL
-/* Pieces that a section needs for coupling, bend, detail and natural twist. */
-static double general_need(const Tubes *t, const Layout *l, double start, double length, const int *present) {
+/* Pieces that a section, in which `bent` tubes are curved, needs for coupling, bend, detail and natural twist. */
+static double general_need(
+    const Tubes *t, const Layout *l, double start, double length, const int *present, int bent
+) {
     double fastest = 0, steepest = 0, finest = 0;
     for (int g = 0; g < 8; g++) {
         double s = start + length * SAMPLES[g], kb[N], m[N], kt[N], most = -INFINITY, least = INFINITY;
@@ -91,7 +93,9 @@ static double general_need(const Tubes *t, const Layout *l, double start, double
         if (most > least) finest = fmax(finest, (most - least) / TWIST_PER_PIECE);
         fastest = fmax(fastest, fastest_growth(kt, m, kb));
     }
-    return length * fmax(fmax(fastest / WAVES_PER_ELEMENT, steepest / BEND_PER_PIECE), finest);
+    double shape = fmax(steepest / BEND_PER_PIECE, finest);
+    if (bent < 2 && finest > 0) shape *= KNOWN;
+    return length * fmax(fastest / WAVES_PER_ELEMENT, shape);
 }
 #endif
 
@@ -122,7 +126,7 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
             bent += curved[i];
         }
 #if GENERAL
-        double need = general_need(t, l, cuts[k], length, present);
+        double need = general_need(t, l, cuts[k], length, present, bent);
         double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) * (1 << t->pieces->refinement) : 1;
 #else
         double need = fmax(fastest_growth(t->kt, m, kb) * length / WAVES_PER_ELEMENT, steepest * length / BEND_PER_PIECE);

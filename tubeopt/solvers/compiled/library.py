@@ -29,7 +29,14 @@ from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.general_arm import FINE, ROUGHER, SHAPE_RATIO, SUBSTEPS
 from ...block.transcription.green import INWARDS
 from ...block.transcription.linear import hermite
-from ...block.transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
+from ...block.transcription.mesh import (
+    BEND_PER_PIECE,
+    DETAIL_PER_PIECE,
+    KNOWN,
+    SAMPLES,
+    TWIST_PER_PIECE,
+    WAVES_PER_ELEMENT,
+)
 from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
 from ...block.transcription.tableau import tableau
 from ...physics.certificate import coupling_rate_function
@@ -258,6 +265,7 @@ def _general_constants() -> str:
         "INWARDS": INWARDS,
         "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
         "TWIST_PER_PIECE": TWIST_PER_PIECE,
+        "KNOWN": KNOWN,
     }
     return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + c_tables(tables)
 
