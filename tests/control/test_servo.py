@@ -62,7 +62,7 @@ def of_four() -> ConcentricRobot:
     return ConcentricRobot([Tube(*(1e-3 * size for size in sizes), bent) for *sizes, bent in tubes])
 
 
-@pytest.mark.parametrize("robot", [of_four(), PIECES], ids=["four tubes", "pieces"])
+@pytest.mark.parametrize("robot", [of_four(), PIECES], ids=["four", "pieces"])
 def test_turned_into_a_snap_it_stays_above_its_floor_on_its_branch(robot: ConcentricRobot) -> None:
     """Straight on there is a snap; the joints sent are followed from each to the next."""
     n = robot.n_tubes
