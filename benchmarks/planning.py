@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.planning [--queries 50] [--corridors 10] [--timed 40] [--seed 0]
 
 With `--timed`, plans of random queries for three robots, free and among spheres, are held against the least time that
-the path of each can take, a convex program of its own.
+the path of each can take, by a convex program of its own; at corners a path is passed at rest.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -174,12 +175,20 @@ TIMED = tuple((name, bodies) for name in ("thesis_ctr", "crl_ctr", "two_tube") f
 """Robots, and spheres about them."""
 
 
+CORNER = 0.2
+"""Change of a path's direction (rad, joints over their scales) from one sample to the next that is a corner."""
+
+
 def over_least(plan: Trajectory) -> float:
-    """Duration of a plan, over the least that its own path can take."""
+    """Duration of a plan, over the least that its own path can take; at a corner everything has to rest."""
     space = joint_space(plan.robot)
-    q = np.array([space.join(*row) for row in zip(plan.rotations, plan.translations, strict=True)])
-    rate, most = plan.rate_limits.of(space)
-    return float(plan.time[-1] / least_time(q / space.scale, rate / space.scale, most / space.scale))
+    q = np.array([space.join(*row) for row in zip(plan.rotations, plan.translations, strict=True)]) / space.scale
+    q = q[np.append(True, np.linalg.norm(np.diff(q, axis=0), axis=1) > 1e-7)]
+    along = np.diff(q, axis=0) / np.linalg.norm(np.diff(q, axis=0), axis=1)[:, None]
+    corners = 1 + np.flatnonzero((along[1:] * along[:-1]).sum(1) < np.cos(CORNER))
+    rate, most = (limit / space.scale for limit in plan.rate_limits.of(space))
+    ends = pairwise([0, *corners.tolist(), len(q) - 1])
+    return float(plan.time[-1] / sum(least_time(q[a : b + 1], rate, most) for a, b in ends))
 
 
 def spheres_beside(ends: Sequence[Equilibrium], count: int, random: np.random.Generator) -> list[Obstacle]:
