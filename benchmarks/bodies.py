@@ -262,7 +262,9 @@ def main() -> None:
         for g in sorted(found, key=lambda g: list(KINDS).index(g.what))
     ]
     tables = [table("growth with bodies", ("", "ms median", "ms 9th decile", "ms 99.9 %"), rows)]
-    show(tables + [compared(before, found)] * bool(before), missed(found))
+    if before:
+        tables.append(compared(before, found))
+    show(tables, missed(found))
 
 
 if __name__ == "__main__":
