@@ -1,10 +1,10 @@
 """How the time of servo steps, inverse kinematics and planning grows with the number of bodies.
 
-Usage: python -m benchmarks.bodies [--json] [--picture docs/images/growth_with_bodies.png]
+Usage: python -m benchmarks.bodies [--json] [--picture docs/images/growth_with_bodies.png] [--against DIRECTORY]
 
 Spheres of 2 mm radius lie at random around the places that the robot of the thesis goes to; then in a cloud about its
 arm, from 4 to 20 mm beside it, all along its way; then there is a ball of 131,000 triangles alone. Processor time of
-one thread.
+one thread. With `--against` the package of another checkout is asked the same, in turn with this one.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from rich.table import Table
 from scipy.spatial import cKDTree
 
 from benchmarks.inverse import circle
-from benchmarks.timing import Timing, clock, dump, milliseconds, show, summarise, table
+from benchmarks.timing import ROOT, Timing, clock, dump, milliseconds, show, summarise, table, with_package
 from tests.examples import THESIS
 from tests.inverse_targets import reachable
 from tubeopt import IkSession, SolveError, forward_kinematics, inverse_kinematics, plan_trajectory
@@ -40,6 +41,9 @@ NEAREST, FARTHEST = 4e-3, 20e-3
 TARGETS = {"servo": 1e-3, "cold": 30e-3, "plan": 1.5}
 """Most seconds of a servo step and of inverse kinematics with 1,000 spheres or the mesh; most time of a plan with 100
 spheres, over that of a free one."""
+
+FREE = {"servo": 0.5e-3, "cold": 10e-3}
+"""Most seconds of them without bodies."""
 
 KINDS = {
     "servo": "a servo step",
@@ -141,15 +145,21 @@ def plan(bodies: Sequence[Obstacle], repeats: int = 3) -> Timing:
     return summarise(clock(partial(plan_trajectory, THESIS, *ends, obstacles=bodies))[0] for _ in range(repeats))
 
 
-def measured() -> list[Growth]:
-    """All of it: what is asked among the cloud about the way of the servo is that way, and targets among their own."""
-    asked = {"servo": servo, "session": session, "cold": cold, "plan": plan}
+def measured(only: Sequence[str]) -> list[Growth]:
+    """Some of the kinds: what is asked among the cloud about the way of the servo is that way, and targets among their
+    own."""
+    known = {"servo": servo, "session": session, "cold": cold, "plan": plan}
+    asked = {what: known[what] for what in only}
     scenes = [("spheres", count, spheres(count)) for count in COUNTS] + [("mesh", 1, [ball()])]
     found = [Growth(what, among, count, ask(bodies)) for among, count, bodies in scenes for what, ask in asked.items()]
     way, ends = led([])[1], list(reachable(THESIS, 20, seed=11))
     for count in CLOUDS:
         about = {"servo": way, "session": way, "cold": ends}
-        found += [Growth(what, "cloud", count, asked[what](cloud(count, arms))) for what, arms in about.items()]
+        found += [
+            Growth(what, "cloud", count, asked[what](cloud(count, arms)))
+            for what, arms in about.items()
+            if what in asked
+        ]
     return found
 
 
@@ -189,12 +199,39 @@ def missed(found: Sequence[Growth]) -> list[str]:
     known = {(each.what, each.among, each.count): each.timing.median for each in found}
     notes = []
     for (what, among, count), seconds in known.items():
+        if count == 0 and seconds > FREE.get(what, np.inf):
+            notes.append(f"{KINDS[what]}, free: {1e3 * seconds:.3g} ms")
         if count in (1, 1000) and seconds > TARGETS.get(what, np.inf) and what != "plan":
             notes.append(f"{KINDS[what]}, {count} {among}: {1e3 * seconds:.3g} ms")
-    share = known["plan", "spheres", 100] / known["plan", "spheres", 0]
+    share = known.get(("plan", "spheres", 100), 0.0) / known.get(("plan", "spheres", 0), 1.0)
     if share > TARGETS["plan"]:
         notes.append(f"{KINDS['plan']} among 100 spheres: {share:.2f} times the free one")
     return notes or ["all targets are met"]
+
+
+def beside(checkout: Path, only: Sequence[str]) -> tuple[list[Growth], list[Growth]]:
+    """What takes how long with the package of another checkout and with this one, kind by kind, each twice by turns: of
+    both times the shorter one, since others on the machine only make them longer."""
+    sides: tuple[list[Growth], list[Growth]] = ([], [])
+    for what in only:
+        runs = []
+        for folder in (checkout, ROOT, ROOT, checkout):
+            rows = with_package(folder, "benchmarks.bodies", ["--only", what])["growth"]
+            runs.append([Growth(**row | {"timing": Timing(**row["timing"])}) for row in rows])
+        for found, pair in zip(sides, ((runs[0], runs[3]), (runs[1], runs[2])), strict=True):
+            found += [min(both, key=lambda growth: growth.timing.median) for both in zip(*pair, strict=True)]
+    return sides
+
+
+def compared(before: Sequence[Growth], found: Sequence[Growth]) -> Table:
+    """Both sides, and their ratio."""
+    old = {(g.what, g.among, g.count): g.timing.median for g in before}
+    rows = []
+    for g in found:
+        was = old[g.what, g.among, g.count]
+        share = f"{g.timing.median / was:.2f}"
+        rows.append((f"{KINDS[g.what]}, {g.count} {g.among}", milliseconds(was), milliseconds(g.timing.median), share))
+    return table("growth with bodies, side by side", ("", "ms there", "ms here", "here / there"), rows)
 
 
 def main() -> None:
@@ -202,12 +239,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--picture", type=Path)
+    parser.add_argument("--against", type=Path, metavar="DIRECTORY", help="another checkout, measured in turn")
+    parser.add_argument("--only", nargs="+", choices=KINDS, default=list(KINDS), metavar="KIND", help=", ".join(KINDS))
     options = parser.parse_args()
-    found = measured()
+    before, found = [], []
+    if options.against:
+        before, found = beside(options.against.resolve(), options.only)
+    else:
+        found = measured(options.only)
     if options.picture:
         picture(found, options.picture)
     if options.json:
-        dump({"targets": TARGETS, "growth": [asdict(each) for each in found]})
+        dump({"targets": TARGETS, "growth": [asdict(each) for each in found], "there": [asdict(b) for b in before]})
         return
     rows = [
         (
@@ -218,7 +261,10 @@ def main() -> None:
         )
         for g in sorted(found, key=lambda g: list(KINDS).index(g.what))
     ]
-    show([table("growth with bodies", ("", "ms median", "ms 9th decile", "ms 99.9 %"), rows)], missed(found))
+    tables = [table("growth with bodies", ("", "ms median", "ms 9th decile", "ms 99.9 %"), rows)]
+    if before:
+        tables.append(compared(before, found))
+    show(tables, missed(found))
 
 
 if __name__ == "__main__":

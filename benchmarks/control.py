@@ -110,7 +110,11 @@ def teleoperate(robot: Any, seconds: float) -> None:
         median, rare = np.quantile(took, [0.5, 0.999]) * 1e3
         print(f"{name}: {len(sent)} steps, {len(way.snaps)} snaps, {held} held")
         print(f"  least margin {min(e.margin for e in way.equilibria):.4f}, floor {FLOOR}")
-        print(f"  fastest {np.degrees(fastest[:n].max()):.1f} deg/s and {fastest[n:].max() * 1e3:.1f} mm/s")
+        kept = max(fastest[:n].max() / OPTIONS.turn_rate, fastest[n:].max() / OPTIONS.shift_rate) <= 1 + 1e-9
+        print(
+            f"  fastest {np.degrees(fastest[:n].max()):.1f} deg/s and {fastest[n:].max() * 1e3:.1f} mm/s, allowed "
+            f"{np.degrees(OPTIONS.turn_rate):.1f} and {OPTIONS.shift_rate * 1e3:.1f}: {'kept' if kept else 'BROKEN'}"
+        )
         print(f"  step {median:.3f} ms in the median, {rare:.3f} ms at 99.9 %")
 
 
@@ -154,13 +158,14 @@ def main() -> None:
     """Print all of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", nargs="+", default=ROBOTS, help="of which the first is led")
-    parser.add_argument("--configurations", type=int, default=10_000)
+    parser.add_argument("--configurations", type=int, default=10_000, help="compared with Python; 0: none")
     parser.add_argument("--seconds", type=float, default=60.0, help="of teleoperation")
     asked = parser.parse_args()
     robots = [tubeopt.load_robot(path) for path in asked.robots]
-    for robot in robots:
-        compare(robot, asked.configurations)
-    compare_loaded(robots[0], asked.configurations)
+    if asked.configurations:
+        for robot in robots:
+            compare(robot, asked.configurations)
+        compare_loaded(robots[0], asked.configurations)
     teleoperate(robots[0], asked.seconds)
     among_bodies(robots[0])
 

@@ -1,19 +1,26 @@
 """Planning on the robot of the thesis: random queries whose straight joint path snaps, and corridors.
 
-Usage: python -m benchmarks.planning [--queries 50] [--corridors 10] [--seed 0]
+Usage: python -m benchmarks.planning [--queries 50] [--corridors 10] [--timed 40] [--seed 0]
+
+With `--timed`, plans of random queries for three robots, free and among spheres, are held against the least time that
+the path of each can take, by a convex program of its own; at corners a path is passed at rest.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 import tubeopt
+from tests.planning.test_plan import least_time
 from tubeopt import ConcentricRobot, Equilibrium, SolveError
 from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.obstacles import Obstacle, Sphere
 from tubeopt.inverse.joints import JointSpace, joint_space
 from tubeopt.planning import PlanOptions, Trajectory, plan_trajectory
 
@@ -164,10 +171,65 @@ def run_corridors(robot: ConcentricRobot, count: int, seed: int) -> None:
         )
 
 
+TIMED = tuple((name, bodies) for name in ("thesis_ctr", "crl_ctr", "two_tube") for bodies in (0, 10))
+"""Robots, and spheres about them."""
+
+
+CORNER = 0.2
+"""Change of a path's direction (rad, joints over their scales) from one sample to the next that is a corner."""
+
+
+def over_least(plan: Trajectory) -> float:
+    """Duration of a plan, over the least that its own path can take; at a corner everything has to rest."""
+    space = joint_space(plan.robot)
+    q = np.array([space.join(*row) for row in zip(plan.rotations, plan.translations, strict=True)]) / space.scale
+    q = q[np.append(True, np.linalg.norm(np.diff(q, axis=0), axis=1) > 1e-7)]
+    along = np.diff(q, axis=0) / np.linalg.norm(np.diff(q, axis=0), axis=1)[:, None]
+    corners = 1 + np.flatnonzero((along[1:] * along[:-1]).sum(1) < np.cos(CORNER))
+    rate, most = (limit / space.scale for limit in plan.rate_limits.of(space))
+    ends = pairwise([0, *corners.tolist(), len(q) - 1])
+    return float(plan.time[-1] / sum(least_time(q[a : b + 1], rate, most) for a, b in ends))
+
+
+def spheres_beside(ends: Sequence[Equilibrium], count: int, random: np.random.Generator) -> list[Obstacle]:
+    """Spheres of 3 mm, 6 mm from the centrelines at both ends."""
+    found: list[Obstacle] = []
+    while len(found) < count:
+        centre = random.uniform([-0.12, -0.12, 0.0], [0.12, 0.12, 0.25])
+        if min(np.linalg.norm(e.position - centre, axis=1).min() for e in ends) > 9e-3:
+            found.append(Sphere(tuple(centre.tolist()), 3e-3))
+    return found
+
+
+def run_timed(count: int, seed: int) -> None:
+    """How much longer than their own paths need plans take, by turns of robots, spheres and objectives."""
+    random, failed = np.random.default_rng(seed), 0
+    shares: dict[tuple[str, int], list[float]] = {scene: [] for scene in TIMED}
+    robots = {name: tubeopt.load_robot(ROOT / "configs" / "robots" / f"{name}.yaml") for name, _ in TIMED}
+    while (done := sum(map(len, shares.values()))) < count:
+        name, bodies = TIMED[(done + failed) % len(TIMED)]
+        space = joint_space(robots[name])
+        ends = random_equilibrium(space, random), random_equilibrium(space, random)
+        options = PlanOptions(objective=("length", "time")[(done // len(TIMED)) % 2])
+        try:
+            obstacles = spheres_beside(ends, bodies, random)
+            plan = plan_trajectory(space.robot, *ends, obstacles=obstacles, options=options)
+        except SolveError:
+            failed += 1
+            continue
+        shares[name, bodies].append(over_least(plan))
+    for (name, bodies), found in shares.items():
+        if found:
+            print(f"{name}, {bodies} spheres: {len(found)} plans, at most {max(found):.4f} of the least time")
+    worst = max(map(max, filter(None, shares.values())))
+    print(f"{count} plans, {failed} queries without one: at most {worst:.4f} of the least time, asked was 1.05")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--queries", type=int, default=50)
     parser.add_argument("--corridors", type=int, default=10)
+    parser.add_argument("--timed", type=int, default=0, help="queries timed against the least that their paths take")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--search", default="auto")
     chosen = parser.parse_args()
@@ -175,4 +237,6 @@ if __name__ == "__main__":
     assert isinstance(thesis, ConcentricRobot)
     if chosen.queries:
         run_queries(thesis, chosen.queries, chosen.seed, PlanOptions(search=chosen.search))
+    if chosen.timed:
+        run_timed(chosen.timed, chosen.seed)
     run_corridors(thesis, chosen.corridors, chosen.seed)

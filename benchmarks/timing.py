@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,6 +63,23 @@ def fresh_process(script: str, repeats: int) -> Timing:
         )
         seconds.append(float(out.stdout.split()[-1]))
     return summarise(seconds[1:])
+
+
+def with_package(checkout: Path, module: str, arguments: Sequence[str]) -> Any:
+    """What a benchmark of this checkout prints by `--json`, run in a process of its own with the package of another
+    checkout: the questions stay the same, whatever that one asks."""
+    script = (
+        "import runpy, sys\n"
+        "package, benchmarks, module = sys.argv[1:4]\n"
+        "sys.path.insert(0, package)\n"
+        "import tubeopt\n"
+        "sys.path[0], sys.argv = benchmarks, [module, *sys.argv[4:]]\n"
+        "runpy.run_module(module, run_name='__main__')"
+    )
+    command = [sys.executable, "-P", "-c", script, str(checkout), str(ROOT), module, "--json", *arguments]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
 
 
 def machine() -> dict[str, str]:

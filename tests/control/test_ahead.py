@@ -44,6 +44,19 @@ def test_a_goal_behind_a_valley_of_the_margin_is_reached_where_one_step_after_an
     assert way.equilibria[-1].tip_position == pytest.approx(every[-1].equilibrium.tip_position, abs=1e-8)
 
 
+def test_tubes_made_of_pieces_are_led_ahead_on_their_branch() -> None:
+    space = joint_space(PIECES)
+    seed = forward_kinematics(PIECES, *space.split(0.5 * space.inside() + 0.5 * space.middle()))
+    goal = forward_kinematics(PIECES, seed.rotations + np.array([0.8, -0.5, 0.3]), 0.8 * seed.translations)
+    ahead = PredictiveServo(PIECES, seed, options=ServoOptions(speed=0.2, min_margin=0.1))
+    steps = [ahead.step(Command(position=goal.tip_position), DT) for _ in range(60)]
+    assert steps[-1].distance < 1e-6
+    assert min(step.equilibrium.margin for step in steps) >= 0.1
+    way = follow(PIECES, [s.rotations for s in steps], [s.translations for s in steps], start=seed)
+    assert not way.snaps
+    assert way.equilibria[-1].tip_position == pytest.approx(steps[-1].equilibrium.tip_position, abs=1e-8)
+
+
 def test_a_body_in_the_way_is_gone_around() -> None:
     seed = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
     ball = Sphere(tuple(seed.tip_position + np.array([0, 8e-3, 0])), 4e-3)

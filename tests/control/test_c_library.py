@@ -11,11 +11,22 @@ import numpy as np
 import pytest
 
 from tests.examples import CRL, THESIS
-from tubeopt import ConcentricRobot, InputError, Load, SolveError, Tube, find_load_limit, forward_kinematics, load_robot
+from tubeopt import (
+    ConcentricRobot,
+    InputError,
+    Load,
+    Piece,
+    SolveError,
+    Tube,
+    find_load_limit,
+    forward_kinematics,
+    load_robot,
+)
 from tubeopt.control.c_binding import CRobot
 from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.why import Why
 from tubeopt.inverse.joints import joint_space
+from tubeopt.solvers.compiled.binding import solve_compiled
 from tubeopt.solvers.compiled.library import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -77,6 +88,22 @@ def test_pieces_and_tubes_off_the_centreline_have_the_answers_and_derivatives_of
     assert distance < 1e-6
     again = forward_kinematics(robot, pose.rotations, pose.translations)
     assert again.tip_position == pytest.approx(pose.tip_position, abs=1e-9)
+
+
+def test_a_table_that_varies_quickly_has_the_room_it_needs() -> None:
+    """A row every 3 mm with noise needs more pieces of mesh than Python's kernel has room for."""
+    noise, s = np.random.default_rng(0).normal(size=(31, 2)), np.linspace(0.0, 0.09, 31)
+    table = np.column_stack([8 + 0.1 * noise[:, 0], 0.1 * noise[:, 1], 0 * s])
+    inner = Tube.of_pieces(1e-3, 0.8e-3, [Piece(0.03, 12.0), Piece.helix(0.08, 0.014, 0.055)], straight_length=0.12)
+    robot = ConcentricRobot([inner, Tube.of_pieces(1.5e-3, 1.2e-3, [Piece.table(s, table)], straight_length=0.03)])
+    library, space = CRobot(c_library(robot)), joint_space(robot)
+    refused = 0
+    for q in space.sample(8)[:8]:
+        rotations, shift = space.split(q)
+        refused += solve_compiled(robot, rotations, np.array(shift)) is None
+        known = forward_kinematics(robot, rotations, shift)
+        assert library.solve(rotations, shift).tip_position == pytest.approx(known.tip_position, abs=1e-9)
+    assert refused > 0
 
 
 def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led() -> None:

@@ -7,8 +7,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.examples import CRL, THESIS
-from tubeopt import Equilibrium, InputError, Load, SolveError, follow, forward_kinematics
+from tests.examples import CRL, PIECES, THESIS
+from tubeopt import (
+    ConcentricRobot,
+    Equilibrium,
+    InputError,
+    Load,
+    SolveError,
+    Tube,
+    find_snap,
+    follow,
+    forward_kinematics,
+)
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.servo import Command, Servo, ServoOptions, ServoStep
 from tubeopt.control.why import Why
@@ -45,6 +55,28 @@ def test_it_reaches_a_place_and_a_direction_within_its_rates(seed: Equilibrium) 
     for one, two in pairwise(steps):
         assert np.abs(two.rotations - one.rotations).max() <= 2e-3 + 1e-12
         assert np.abs(two.translations - one.translations).max() <= 3e-5 + 1e-12
+
+
+def of_four() -> ConcentricRobot:
+    tubes = ((0.8, 0.6, 150, 80, 18.0), (1.2, 0.95, 100, 70, 15.0), (1.7, 1.35, 60, 50, 12.0), (2.3, 1.85, 30, 40, 9.0))
+    return ConcentricRobot([Tube(*(1e-3 * size for size in sizes), bent) for *sizes, bent in tubes])
+
+
+@pytest.mark.parametrize("robot", [of_four(), PIECES], ids=["four", "pieces"])
+def test_turned_into_a_snap_it_stays_above_its_floor_on_its_branch(robot: ConcentricRobot) -> None:
+    """Straight on there is a snap; the joints sent are followed from each to the next."""
+    n = robot.n_tubes
+    seed = forward_kinematics(robot, np.linspace(0.0, 0.5, n))
+    goal = seed.rotations + np.where(np.arange(n) % 2, 5.5, 0.0), seed.translations
+    assert find_snap(robot, joints(seed), goal, equilibrium=seed) is not None
+    servo = Servo(robot, seed, options=ServoOptions(min_margin=0.1, turn_rate=6.0))
+    arms = [seed, *(servo.step(Command(joints=goal), 1e-2).equilibrium for _ in range(80))]
+    assert min(arm.margin for arm in arms) >= 0.1
+    assert np.abs(arms[-1].rotations - seed.rotations).max() > 1.0
+    assert np.abs(arms[-1].rotations - goal[0]).max() > 0.5
+    way = follow(robot, [arm.rotations for arm in arms], [arm.translations for arm in arms], start=seed)
+    assert not way.snaps
+    assert way.equilibria[-1].tip_position == pytest.approx(arms[-1].tip_position, abs=1e-8)
 
 
 def test_the_floor_of_the_margin_is_slid_along_and_the_joints_sent_do_not_snap(seed: Equilibrium) -> None:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
+from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +21,21 @@ from ..block.transcription.tableau import tableau
 from ..display import Displayed
 from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import piece_sizes, piece_tables
-from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, between_points, kernel_text
+from ..solvers.compiled.library import (
+    COARSE_DEGREE,
+    DEGREE,
+    MOST_TUBES,
+    ROOM,
+    Room,
+    between_points,
+    kernel_text,
+)
 from ..solvers.compiled.text import c_tables, numbers, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -33,6 +44,9 @@ from .c_text import C_FOLDER, tubes_text
 
 CASES = 24
 """Configurations whose answers the test of the library knows."""
+
+SPARE = 1.25
+"""By how much more a library of tubes made of pieces has room for than the meshes of some configurations need."""
 
 
 @dataclass(frozen=True)
@@ -118,11 +132,21 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
         # Vectors are handed on between functions of this file alone.
         '#if !defined(__clang__)\n#pragma GCC diagnostic ignored "-Wpsabi"\n#endif\n',
         "#define CASADI_SYMBOL_EXPORT static\n",
-        kernel_text(robot.n_tubes, home.eccentric, home.general),
+        kernel_text(robot.n_tubes, home.eccentric, home.general, _room(space)),
         _data(robot, space),
         *(with_included(C_FOLDER / file) for file in ("quadratic.c", "robot.c", slopes, "servo.c")),
     ]
     return "".join(parts)
+
+
+def _room(space: JointSpace) -> Room:
+    """What the meshes of a robot need, with some to spare: those of pieces that vary quickly are fine."""
+    if not is_general(space.robot):
+        return ROOM
+    shifts = [space.split(q)[1] for q in islice(_configurations(space), CASES)]
+    problems = [reduced_problem(space.robot, shift, DEFAULT_DISCRETISATION) for shift in shifts]
+    pieces, unknowns = max(len(p.mesh.length) for p in problems), max(p.size for p in problems)
+    return Room(max(ROOM.pieces, ceil(SPARE * pieces)), max(ROOM.unknowns, 4 * ceil(SPARE * unknowns / 4) + 4))
 
 
 def _plain(robot: Robot) -> bool:

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -63,6 +63,17 @@ MOST_CUTS = 512
 
 MOST_PIECES, MOST_UNKNOWNS = 32, 404
 """What the kernel has room for, four unknowns of it to fill up squares; larger arms go to the general solver."""
+
+
+class Room(NamedTuple):
+    """What a kernel of its own has room for: pieces of the mesh, and unknowns, a multiple of four."""
+
+    pieces: int = MOST_PIECES
+    unknowns: int = MOST_UNKNOWNS
+
+
+ROOM = Room()
+"""Of the kernels that Python calls."""
 
 COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
 """A descent on the coarse points ends with a step below the first, rad; Newton keeps its factors below the second."""
@@ -114,7 +125,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
     return kernel_text(n, eccentric, general) + (HERE / "entries.c").read_text()
 
 
-def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
+def kernel_text(n: int, eccentric: bool = False, general: bool = False, room: Room = ROOM) -> str:
     """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
@@ -140,14 +151,14 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
         "ECCENTRIC": int(eccentric),
         "GENERAL": int(general),
         "SLOPES": int(not general and not eccentric),
-        "MOST_SECTIONS": most_sections(n, general),
+        "MOST_SECTIONS": room.pieces if general else most_sections(n, general),
         "MOST_CUTS": MOST_CUTS if general else 2 * n + 1,
         "N": n,
         "STEPS": STEPS,
         "SHAPE_RATIO": SHAPE_RATIO if general else (STEPS / COARSE_STEPS) ** 6 - 1,
         "MOST_DEGREE": DEGREE,
-        "MOST_PIECES": MOST_PIECES,
-        "MOST_UNKNOWNS": MOST_UNKNOWNS,
+        "MOST_PIECES": room.pieces,
+        "MOST_UNKNOWNS": room.unknowns,
         "MOST_ITERATIONS": NEWTON.descent_iterations,
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
         "BEND_PER_PIECE": BEND_PER_PIECE,
