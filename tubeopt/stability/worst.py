@@ -94,9 +94,9 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
         starts = samples[np.argsort(_margins(problem, samples))[:LOCAL_SEARCHES]][:, free[:-1]]
         ends = minimise_together(lambda at: _margins(problem, _tips(problem, free, at)), starts, x=1e-6, f=1e-10)
         searches = len(ends)
-        at, least = np.array([at for at, _ in ends]), np.array([value for _, value in ends])
-        unstable = list(_tips(problem, free, at[least < 0]))
-        tips = _tips(problem, free, at[int(np.argmin(least))][None])[0]
+        at, found = np.array([at for at, _ in ends]), np.array([value for _, value in ends])
+        unstable = list(_tips(problem, free, at[found < 0]))
+        tips = _tips(problem, free, at[int(np.argmin(found))][None])[0]
     rotations = to_base(problem, tips[None])[0]
     theta = profiles(problem, tips[None])[0]
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
