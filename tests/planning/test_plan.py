@@ -21,6 +21,7 @@ from tubeopt import (
     SolveError,
     TipGoal,
     Trajectory,
+    WaySearch,
     find_snap,
     follow,
     follow_the_leader,
@@ -128,6 +129,16 @@ def test_objectives(objective: str) -> None:
     assert plan.proof.holds
     if objective == "time":
         assert plan.time[-1] < 150 / 90 + 1.5
+
+
+def test_knots_of_the_smooth_motion_are_as_many_as_asked_for() -> None:
+    goal = ([60 * DEG, 30 * DEG, 0.0], [-0.02, -0.02, -0.01])
+    effort = WaySearch(smoothing_intervals=8, smoothing_refinements=0)
+    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective="effort", effort=effort))
+    assert plan.statistics.knots == 9
+    assert plan.proof.holds
+    with pytest.raises(InputError, match="smoothing_intervals is 0; it must be at least 1"):
+        WaySearch(smoothing_intervals=0)
 
 
 def test_obstacles_are_kept_clear_of_by_the_surface() -> None:

@@ -362,7 +362,9 @@ def test_every_cache_is_bounded() -> None:
     import gc
     from functools import _lru_cache_wrapper
 
+    gc.unfreeze()
     caches = [o for o in gc.get_objects() if isinstance(o, _lru_cache_wrapper) and o.__module__.startswith("tubeopt")]
+    gc.freeze()
     assert len(caches) > 10
     assert [cache.__qualname__ for cache in caches if cache.cache_info().maxsize is None] == []
 

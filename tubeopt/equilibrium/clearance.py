@@ -29,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..block.transcription.buffered import section_function
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.assembly import Assembly, where
@@ -176,10 +177,13 @@ def _mismatch(assembly: Assembly, e: Equilibrium, outer: int, at: Array) -> tupl
         present, curved = where(assembly.transition, assembly.end, assembly.curvature, inside[:, None])
         stiffness = present * assembly.bending_stiffness
         moment = curved * assembly.bending_stiffness * assembly.curvature
-    pulls = moment[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    own = stiffness[:, :outer].sum(1), stiffness[:, outer]
-    alone = pulls[:, :outer].sum(1) / own[0][:, None] - pulls[:, outer] / own[1][:, None]
-    return alone, np.array([own[0][-1], own[1][-1]])
+
+    def bent(some: slice) -> Array:
+        own = angle[:, some], stiffness[:, some], moment[:, some]
+        return section_function("curvature", len(at), own[0].shape[1], False)(*own)[0].copy()
+
+    last = stiffness[-1]
+    return bent(slice(outer)) - bent(slice(outer, outer + 1)), np.array([last[:outer].sum(), last[outer]])
 
 
 def _rotation(turn: Array) -> Array:

@@ -69,7 +69,7 @@ DEFAULT_SOLVER = InverseSolver()
 
 @dataclass(frozen=True)
 class WaySearch(Displayed):
-    """How hard a way between joint values is searched for; a field of `PlanOptions`.
+    """How hard a way between joint values is searched for and smoothed; a field of `PlanOptions`.
 
     Args:
         translations: sampled in the search for those at which the robot cannot snap.
@@ -83,9 +83,20 @@ class WaySearch(Displayed):
         pocket_share: of that rest, for whether start or goal lie in a closed pocket.
         pocket_states: of a pocket, from which it counts as open.
         pocket_motions: in a row that do not lead on, from which it counts as closed.
+        smoothing_seconds, smoothing_share: most seconds, and most of the time that is left, for smoothing: the proof
+            needs the rest.
+        scanned_seconds: most seconds of smoothing for length among scans, where rounded corners are rarely longer.
+        smoothing_intervals: between knots of the smooth motion at first.
+        smoothing_refinements: times that knots are added where the motion between them is not allowed.
+        smoothing_twist: change, rad, of a tip rotation between knots that is always allowed.
+        smoothing_margin: beyond that of the search, which knots keep at first for what is between them.
+        smoothing_reach: distance of knots from bodies, as a share of the longest tube, up to which these may matter.
+        rounding_seconds, rounding_share: most seconds, and most of the time that smoothing leaves, for rounding the
+            corners of the way as it is.
 
     Raises:
-        InputError: a count that is no whole number of at least 1, another number that is not positive.
+        InputError: a count that is no whole number of at least 1 (0 for `smoothing_refinements`), another number that
+            is not positive.
     """
 
     translations: int = 160
@@ -100,9 +111,19 @@ class WaySearch(Displayed):
     pocket_share: float = 0.3
     pocket_states: int = 60
     pocket_motions: int = 1500
+    smoothing_seconds: float = 20.0
+    smoothing_share: float = 0.5
+    scanned_seconds: float = 2.5
+    smoothing_intervals: int = 24
+    smoothing_refinements: int = 3
+    smoothing_twist: float = 0.3
+    smoothing_margin: float = 3e-3
+    smoothing_reach: float = 0.1
+    rounding_seconds: float = 5.0
+    rounding_share: float = 0.3
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        check_settings(self, ("smoothing_refinements",))
 
 
 DEFAULT_WAY = WaySearch()

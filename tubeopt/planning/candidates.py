@@ -17,17 +17,8 @@ from .options import PlanOptions
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
 
-SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
-"""Most seconds of smoothing, and those below which it is not begun: its steps cannot be cut short."""
-
-SCANNED = 2.5
-"""Most seconds of work of smoothing for length among scans, where rounded corners are rarely longer."""
-
-SHARE_OF_SMOOTHING = 0.5
-"""Share of the time that is left which smoothing may take: the proof needs the rest."""
-
-ROUNDING, SHARE_OF_ROUNDING = 5.0, 0.3
-"""Most seconds of work, and share of the time that smoothing leaves, of rounding the corners of the way as it is."""
+LEAST_SMOOTHING = 1.0
+"""Seconds of smoothing below which it is not begun: its steps cannot be cut short."""
 
 SHORT, SAME = 1e-9, 2e-3
 """Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
@@ -52,8 +43,10 @@ def motions_near(
     limits, aim, extra = actuators(task, first, rates), options.objective, options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
-    most = SCANNED * clock.crowding if aim == "length" and extra is None and _scanned(task) else SMOOTHING
-    own, found = Clock(min(most, SHARE_OF_SMOOTHING * clock.left), clock), []
+    effort, found = task.effort, []
+    scanned = aim == "length" and extra is None and _scanned(task)
+    most = effort.scanned_seconds * clock.crowding if scanned else effort.smoothing_seconds
+    own = Clock(min(most, effort.smoothing_share * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
         if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves, options):
             break
@@ -64,7 +57,7 @@ def motions_near(
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             found.append((motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
-        rest = Clock(min(ROUNDING * clock.crowding, SHARE_OF_ROUNDING * clock.left), clock)
+        rest = Clock(min(effort.rounding_seconds * clock.crowding, effort.rounding_share * clock.left), clock)
         if len(curves) > 1 and (corners := _rounded(task, first, np.concatenate(curves), limits, rest)) is not None:
             found.append((corners, "corners", 0, len(points)))
         if aim == "time":

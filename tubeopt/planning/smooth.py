@@ -37,12 +37,6 @@ WEIGHTS = {
     "margin": (0.02, 0.05, 0.0, 1.0),
 }
 
-INTERVALS = 24
-"""Intervals between knots at first."""
-
-REFINEMENTS = 3
-"""Times that knots are added where the motion between them is not allowed."""
-
 LARGEST = 150_000
 """Operations of one equilibrium beyond which its derivatives take too long: robots of about six tubes."""
 
@@ -55,12 +49,6 @@ them; times that points are set twice as close at most."""
 ROUND_OFF = 1e-9
 """Excess over ranges that is none, in units of the scales."""
 
-LARGEST_TWIST = 0.3
-"""Change (rad) of a tip rotation between knots that is always allowed."""
-
-EXTRA = 3e-3
-"""Margin beyond that of the search which knots keep at first, for what is between them."""
-
 ROOM = 1e-3
 """Least determinant of the Jacobi fields, which begin as 1."""
 
@@ -68,9 +56,6 @@ ROOM = 1e-3
 BUILDING, PER_BODY, PER_NODE = 5e-5, 5e-2, 1e-6
 """Seconds that it takes at most on most machines to build the program, which nothing can cut short, and to begin to
 solve it: per operation of an equilibrium, per obstacle, and per node of a table of distances."""
-
-NEAR = 0.1
-"""Distance, as a share of the longest tube, of knots from bodies up to which they may matter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,11 +126,10 @@ def smooth(
     the mean along the path counts beside the objective."""
     clock = clock or Clock(20.0)
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
-    z = resample(task, points, INTERVALS + 1)
-    share = np.full(INTERVALS, 1 / INTERVALS)
-    iterations = 0
-    room = np.array([task.margin_room + EXTRA, task.clearance_room])
-    for _ in range(REFINEMENTS + 1):
+    intervals, iterations = task.effort.smoothing_intervals, 0
+    z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
+    room = np.array([task.margin_room + task.effort.smoothing_margin, task.clearance_room])
+    for _ in range(task.effort.smoothing_refinements + 1):
         near = _near(task, z)
         if task.chart.size > LARGEST or clock.left < clock.crowding * building(near):
             return None
@@ -168,7 +152,7 @@ def _near(task: Task, z: Array) -> Task:
     """The same with the bodies alone that the arm may meet near knots (K, m)."""
     if not task.obstacles:
         return task
-    reach = NEAR * task.chart.space.length + task.clearance + float(task.chart.radius.max())
+    reach = task.effort.smoothing_reach * task.chart.space.length + task.clearance + float(task.chart.radius.max())
     points = task.chart.arms(z, 0.0).fine()[1]
     near = task.scene.close(points.reshape(-1, 3), reach)
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
@@ -226,7 +210,7 @@ def _solve(
         weights=weights,
         order=space.rows,
         step=share,
-        twist=np.maximum(LARGEST_TWIST, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
+        twist=np.maximum(task.effort.smoothing_twist, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
     )
     floor = min(task.min_margin + room[0], 0.998)

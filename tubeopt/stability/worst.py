@@ -22,6 +22,7 @@ from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_worst import least_margin
 from .pair_certificate import least_margin_of_pair, pair_of
 from .shooting import profiles, to_base
+from .simplex import minimise_together
 
 SAMPLES_LOG2 = 9
 """Base-2 logarithm of the number of tip angles at which the search for the worst margin begins."""
@@ -90,21 +91,12 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
         unit = scipy.stats.qmc.Sobol(len(free) - 1, rng=0).random_base2(SAMPLES_LOG2)
         samples = np.zeros((len(unit), robot.n_tubes))
         samples[:, free[:-1]] = unit * 2 * np.pi
-        values = np.array([_margin(problem, theta) for theta in profiles(problem, samples)])
-        best = np.inf
-        for k in np.argsort(values)[:LOCAL_SEARCHES]:
-            result = scipy.optimize.minimize(
-                lambda relative: _margin_at(problem, free, relative),
-                samples[k, free[:-1]],
-                method="Nelder-Mead",
-                options={"xatol": 1e-6, "fatol": 1e-10},
-            )
-            searches += 1
-            if result.fun < 0:
-                unstable.append(_tips(problem, free, result.x))
-            if result.fun < best:
-                best = float(result.fun)
-                tips = _tips(problem, free, result.x)
+        starts = samples[np.argsort(_margins(problem, samples))[:LOCAL_SEARCHES]][:, free[:-1]]
+        ends = minimise_together(lambda at: _margins(problem, _tips(problem, free, at)), starts, x=1e-6, f=1e-10)
+        searches = len(ends)
+        at, found = np.array([at for at, _ in ends]), np.array([value for _, value in ends])
+        unstable = list(_tips(problem, free, at[found < 0]))
+        tips = _tips(problem, free, at[int(np.argmin(found))][None])[0]
     rotations = to_base(problem, tips[None])[0]
     theta = profiles(problem, tips[None])[0]
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
@@ -122,14 +114,15 @@ def _margin(problem: ReducedProblem, theta: Array) -> float:
     return margin(problem, state) if problem.size else 1.0
 
 
-def _margin_at(problem: ReducedProblem, free: Index, relative: Array) -> float:
-    return _margin(problem, profiles(problem, _tips(problem, free, relative)[None])[0])
+def _margins(problem: ReducedProblem, tips: Array) -> Array:
+    """(B,) margins of the equilibria of tip angles (B, n)."""
+    return np.array([_margin(problem, theta) for theta in profiles(problem, tips)])
 
 
 def _tips(problem: ReducedProblem, free: Index, relative: Array) -> Array:
-    """(n,) tip angles of relative ones (d,)."""
-    tips = np.zeros(problem.assembly.n_tubes)
-    tips[free[:-1]] = relative
+    """(B, n) tip angles of relative ones (B, d)."""
+    tips = np.zeros((len(relative), problem.assembly.n_tubes))
+    tips[:, free[:-1]] = relative
     return tips
 
 
