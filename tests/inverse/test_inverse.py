@@ -22,6 +22,7 @@ from tubeopt import (
     SolveError,
     Tube,
     forward_kinematics,
+    forward_kinematics_batch,
     inverse_kinematics,
 )
 from tubeopt.bodies.obstacles import Sphere
@@ -33,7 +34,7 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.question import pose_question, unit_vector
-from tubeopt.inverse.table import cache_directory, nearest_starts, start_table
+from tubeopt.inverse.table import build_table, cache_directory, nearest_starts, start_table
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
 
@@ -423,6 +424,27 @@ class TestStarts:
         assert not start_table(space, 64, Clock(0.0)).whole
         assert set(cache_directory().glob("inverse-*.npz")) == before
         assert start_table(space, 64, Clock(60.0)).whole
+
+    def test_a_table_goes_on_from_where_time_ran_out(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        class Once(Clock):
+            """Over after one look."""
+
+            @property
+            def over(self) -> bool:
+                looked, self.limit = self.limit == 0.0, 0.0
+                return looked
+
+        space = joint_space(nested((0.05, 0.06, 7.5), (0.03, 0.04, 6.0)))
+        part = start_table(space, 64, Once(60.0))
+        assert 0 < part.tried < 64
+        solved: list[int] = []
+        solve = forward_kinematics_batch
+        monkeypatch.setattr(
+            "tubeopt.inverse.table.forward_kinematics_batch", lambda r, a, d: (solved.append(len(a)), solve(r, a, d))[1]
+        )
+        whole = start_table(space, 64)
+        assert sum(solved) == 64 - part.tried
+        np.testing.assert_array_equal(whole.q, build_table(space, 64).q)
 
     def test_starts_are_turned_towards_the_target(self) -> None:
         space = joint_space(CRL)

@@ -25,7 +25,7 @@ from ..typing import Array
 from .clock import Clock
 from .joints import JointSpace
 
-VERSION = 2
+VERSION = 3
 """Of what the table holds: a change of it makes old files unread."""
 
 SIZE, SIZE_OF_MANY = 2048, 512
@@ -58,22 +58,28 @@ POOL = 400
 
 @dataclass(frozen=True, eq=False)
 class StartTable:
-    """Stable configurations q (N, m) with tip (N, 3) m, direction (N, 3) and margin (N,); `whole` if time did not run
-    out before all of them were solved."""
+    """Stable configurations q (N, m) with tip (N, 3) m, direction (N, 3) and margin (N,), of those `tried`; `whole` if
+    time did not run out before all were."""
 
     q: Array
     tip: Array
     direction: Array
     margin: Array
-    whole: bool = True
+    tried: int
+    whole: bool
 
 
-def build_table(space: JointSpace, size: int, clock: Clock | None = None) -> StartTable:
-    """Solve `size` configurations spread over what the limits allow, or as many as there is time for; keep those with a
-    stable equilibrium."""
+def build_table(
+    space: JointSpace, size: int, clock: Clock | None = None, begun: StartTable | None = None
+) -> StartTable:
+    """Solve `size` configurations spread over what the limits allow, or as many as there is time for, after those of a
+    table that was begun; keep those with a stable equilibrium."""
     clock = clock or Clock(math.inf)
     q = _by_mirror(space, space.sample(size))
-    n, parts, tried = space.robot.n_tubes, [], 0
+    n, m = space.robot.n_tubes, len(space.lower)
+    if begun is None:
+        begun = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, whole=False)
+    parts, tried = [(begun.q, begun.tip, begun.direction, begun.margin)], begun.tried
     count = FIRST_SLICE
     while tried < size and not clock.over:
         began, some = clock.seconds, q[tried : tried + count]
@@ -84,10 +90,8 @@ def build_table(space: JointSpace, size: int, clock: Clock | None = None) -> Sta
         tried += count
         if clock.seconds - began < QUICK:
             count = min(2 * count, SLICE)
-    m = len(space.lower)
-    empty = (np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-    solved, tip, direction, margin = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
-    table = StartTable(solved, tip, direction, margin, whole=tried >= size)
+    solved, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
+    table = StartTable(solved, tip, direction, margin, tried, whole=tried >= size)
     if table.whole and not len(table.q):
         raise InputError("limits leave no joint values at which a stable equilibrium was found")
     return table
@@ -110,18 +114,18 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
 
 
 def start_table(space: JointSpace, size: int | None = None, clock: Clock | None = None) -> StartTable:
-    """The table of a joint space: from the cache on disk where it is there, else built and, if whole, put there."""
+    """The table of a joint space: from the cache on disk as far as it is there, else built, and put there."""
     size = size or (SIZE if len(space.lower) <= MANY else SIZE_OF_MANY)
     path = cache_directory() / f"inverse-{_key(space, size)}.npz"
-    stored = _read(path, len(space.lower))
-    if stored is not None:
+    stored = _read(path, len(space.lower), size)
+    if stored is not None and stored.whole:
         return stored
-    table = build_table(space, size, clock)
-    if not table.whole:
+    table = build_table(space, size, clock, stored)
+    if table.tried == (stored.tried if stored is not None else 0):
         return table
     try:
         with atomic_write(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, q=table.q, tip=table.tip, direction=table.direction, margin=table.margin)
+            np.savez(file, q=table.q, tip=table.tip, direction=table.direction, margin=table.margin, tried=table.tried)
     except InputError:
         pass  # Without a place to keep it, the table is built anew in the next process: slower, not wrong.
     return table
@@ -157,18 +161,19 @@ def _key(space: JointSpace, size: int) -> str:
     return digest.hexdigest()[:32]
 
 
-def _read(path: Path, joints: int) -> StartTable | None:
-    """The table in a file; None where there is none, or it is not whole."""
+def _read(path: Path, joints: int, size: int) -> StartTable | None:
+    """The table in a file, as far as it was built; None where there is none, or the file is damaged."""
     try:
         # The content, not the path: of a damaged file numpy would leave the handle open.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            table = StartTable(file["q"], file["tip"], file["direction"], file["margin"])
+            tried = int(file["tried"])
+            table = StartTable(file["q"], file["tip"], file["direction"], file["margin"], tried, whole=tried >= size)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
     count = len(table.margin)
     shapes = [(count, joints), (count, 3), (count, 3), (count,)]
-    whole = [each.shape for each in (table.q, table.tip, table.direction, table.margin)] == shapes
-    return table if whole and count else None
+    fitting = [each.shape for each in (table.q, table.tip, table.direction, table.margin)] == shapes
+    return table if fitting and (count or not table.whole) else None
 
 
 def nearest_starts(
@@ -249,6 +254,8 @@ def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
         np.concatenate([table.tip, table.tip[inside] * mirror]),
         np.concatenate([table.direction, table.direction[inside] * mirror]),
         np.concatenate([table.margin, table.margin[inside]]),
+        table.tried,
+        table.whole,
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -28,7 +30,8 @@ def stack(figure: NotebookFigure) -> None:
     if len(grids) != 1 or figure.artists:
         return
     (grid,) = grids.values()
-    widths = [ratio / sum(grid.get_width_ratios()) for ratio in grid.get_width_ratios()]
+    ratios, rows = (np.asarray(each, dtype=float) for each in (grid.get_width_ratios(), grid.get_height_ratios()))
+    widths = (ratios / ratios.sum()).tolist()
     if len(widths) < 2 or min(widths) < SLIM or any(len(spec.colspan) > 1 for _, spec in panels):
         return
     width = float(figure.get_figwidth())
@@ -37,9 +40,8 @@ def stack(figure: NotebookFigure) -> None:
         min(figure.drawn_for[1] * min(1.0, width / (share * figure.drawn_for[0])), count * TALL * width)
         for share, count in zip(widths, counts, strict=True)
     ]
-    rows = grid.get_height_ratios()
     stacked = figure.add_gridspec(
-        len(rows) * len(widths), 1, height_ratios=[height * row / sum(rows) for height in heights for row in rows]
+        len(rows) * len(widths), 1, height_ratios=np.outer(heights, rows / rows.sum()).ravel().tolist()
     )
     for axes, spec in panels:
         first = len(rows) * spec.colspan.start
