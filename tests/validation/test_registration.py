@@ -50,11 +50,14 @@ def test_no_other_motion_is_closer() -> None:
 
 @given(ANGLE, st.tuples(PLACE, PLACE, st.floats(-0.9, 1.0)), st.tuples(PLACE, PLACE, PLACE))
 @example(0.0, (5e-324, 5e-324, -0.5), (0.0, 0.0, 0.0))
+@example(0.0, (0.0, 1.0793177668514686e-159, -0.5), (0.0, 0.0, 0.0))
 def test_the_yaw_about_a_known_base_is_recovered_exactly(
     yaw: float, axis: tuple[float, ...], place: tuple[float, ...]
 ) -> None:
     if np.linalg.norm(axis) < 1e-3:
         axis = (0.0, 0.0, 1.0)
+    if np.hypot(*axis[:2]) < 1e-9:  # of opposite vectors that are not quite so SciPy turns one beside the other
+        axis = (0.0, 0.0, axis[2])
     up, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
     to_device = up * Rotation.from_rotvec([0.0, 0.0, yaw])
     measured = to_device.apply(POINTS) + place
