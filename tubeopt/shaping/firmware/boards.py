@@ -156,12 +156,16 @@ def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> floa
     """The frequency (Hz) of the board that is nearest to `wanted`; by default the lowest, which loses least of a pulse.
 
     Raises:
-        InputError: pulses of the rig lose a tenth of a period or more even so.
+        InputError: `wanted` is more than twice or less than half of that, or pulses of the rig lose a tenth of a period
+            or more even so.
     """
     board = wiring.known
     found = board.frequencies[0]
     if wanted is not None:
         found = min(board.frequencies, key=lambda f: abs(math.log(f / wanted)))
+        if not 0.5 < found / wanted < 2:
+            known = " or ".join(f"{f:.4g}" for f in board.frequencies)
+            raise InputError(f"pwm_Hz is {wanted:.10g}; the sketch sets pulses of this board to {known} Hz")
     if rig.circuit.lost_on_time * found >= 0.1:
         raise InputError(
             f"lost_on_time of the circuit is {1e6 * rig.circuit.lost_on_time:g} us; at {found:.0f} Hz it must be below "

@@ -7,6 +7,7 @@ import json
 import time
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -138,6 +139,8 @@ class SimulatedLine:
         if not self._running:
             return None
         law, place = self._law, int(self._memory.place[0])
+        if self._dry:  # without current the tube would never come to where the schedule waits for it
+            law = replace(law, holdback=np.inf)
         reading = self._rig.reading
         if reading > self._limit:
             self._end("over-temperature")

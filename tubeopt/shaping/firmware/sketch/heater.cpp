@@ -150,7 +150,8 @@ float clip(float value, float low, float high) { return value < low ? low : valu
 void decide() {
   if (place >= SLOTS) return stop(DONE);
   const float error = reference_at(place) - reading;
-  const bool waits = error > HOLDBACK && place <= HOLD_FIRST;
+  // Without current the tube would never come to where the schedule waits for it.
+  const bool waits = !dry && error > HOLDBACK && place <= HOLD_FIRST;
   if (waits) waited += SLOT_MS;
   if (waited > PATIENCE_MS) return stop(BEHIND_SCHEDULE);
   total = clip(total + INTEGRAL * (SLOT_MS / 1000.0f) * error, -SHARE, SHARE);
