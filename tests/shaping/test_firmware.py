@@ -209,9 +209,7 @@ def test_the_sketch_heats_on_other_boards(tmp_path: Path, board: str, core: str)
 def test_boards_have_the_frequencies_that_their_timers_have() -> None:
     assert pwm_frequency(Wiring(), thesis_rig()) == pytest.approx(30.64, abs=0.01)
     assert pwm_frequency(Wiring(), thesis_rig(), 100.0) == pytest.approx(122.55, abs=0.01)
-    with pytest.raises(
-        InputError, match=r"pwm_Hz is 1000000; the sketch sets pulses of this board to 30.64 or 122.5 Hz"
-    ):
+    with pytest.raises(InputError, match=r"pwm_Hz is 1000000; the sketch sets .* to 30.64 or 122.5 Hz"):
         pwm_frequency(Wiring(), thesis_rig(), 1e6)
     assert {board.name for board in BOARDS.values()} == {"uno", "nano", "esp32", "pico"}
     losing = replace(thesis_rig(), circuit=replace(thesis_rig().circuit, pwm_frequency=31.0, lost_on_time=5e-3))
