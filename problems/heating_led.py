@@ -18,17 +18,15 @@ from tubeopt.shaping.firmware.boards import Wiring
 from tubeopt.show.plots.feedback import plot_feedback
 
 ROOT = Path(__file__).resolve().parents[1]
-RIGS = 100
-"""Of which the law is tried on so many."""
 
 
-def main(out: Path) -> list[Path]:
-    """Plan the heating, lead it, save the picture into `out`, and return the path."""
+def main(out: Path, samples: int = 100) -> list[Path]:
+    """Plan the heating, lead it, try the law on rigs, save the picture into `out`, and return the path."""
     rig = tubeopt.load_rig(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
     assert rig.tube is not None
     plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(objective="margin"))
     sensors = {"thermocouple": tubeopt.Thermocouple(), "resistance": tubeopt.TubeResistance()}
-    laws = {name: tubeopt.lead_by(plan, sensor, samples=RIGS) for name, sensor in sensors.items()}
+    laws = {name: tubeopt.lead_by(plan, sensor, samples=samples) for name, sensor in sensors.items()}
     for sensor, led in laws.items():
         low, high = led.interval
         print(
@@ -42,5 +40,7 @@ def main(out: Path) -> list[Path]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the pictures")
-    for path in main(parser.parse_args().out):
+    parser.add_argument("--samples", type=int, default=100, help="rigs on which the law is tried")
+    args = parser.parse_args()
+    for path in main(args.out, args.samples):
         print(f"saved {path}")

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-SAMPLES = {"calibrate_friction": 36, "own_dexterity": 1}
+SAMPLES = {"calibrate_friction": 36, "heating_led": 30, "own_dexterity": 1}
 """Of rows and poses, fewer than a problem has; of all others, as of maps, 12: as many as it has take up to half a
 minute."""
 

@@ -270,12 +270,18 @@ def broyden(goal: Goal, slope: Array, moved: Array, change: Array) -> Array:
     return slope if size <= 1e-20 else slope + np.outer(change - slope @ moved, weighted) / size
 
 
+def millimetres(length: float) -> str:
+    """A length (m) in mm, to three digits or whole."""
+    size = length * TO_MM
+    return f"{size:.3g} mm" if size < 1e3 else f"{size:.0f} mm"
+
+
 def missed_by(goal: Goal, at: Posture) -> str:
     """In words, by how much a posture misses the target."""
     position, direction = goal.position_error(at), goal.direction_error(at)
     words = []
     if position > goal.solver.position_tolerance or not goal.pointed:
-        words.append(f"{position * TO_MM:.3g} mm short")
+        words.append(f"{millimetres(position)} short")
     if goal.pointed and (direction > goal.solver.direction_tolerance or not words):
         words.append(f"{np.degrees(direction):.3g} deg off the direction")
     return " and ".join(words)

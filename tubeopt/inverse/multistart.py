@@ -11,7 +11,6 @@ from itertools import islice
 import numpy as np
 
 from ..errors import SolveError
-from ..files.units import TO_MM
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
 from .clock import Clock
 from .closest import SAME_MISS, closest_of
@@ -21,6 +20,7 @@ from .descent import (
     correct,
     held_by,
     improve,
+    millimetres,
     missed_by,
     reach,
 )
@@ -344,7 +344,7 @@ class Multistart:
         if late:
             tried = f"within {self.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
         beyond = goal.beyond_reach()
-        far = f"; the target is out of reach, {beyond * TO_MM:.3g} mm beyond the longest arm" if beyond > 0 else ""
+        far = f"; the target is out of reach, {millimetres(beyond)} beyond the longest arm" if beyond > 0 else ""
         if late and not far:
             far = "; whether the target can be reached is not known"
         raise SolveError(f"no answer was found {tried}: {missed_by(goal, at)}: {why}{far}", closest)
