@@ -35,16 +35,13 @@ from .way import straight_way
 SAME_COST = 1e-7
 """Share of a cost by which a later answer must be better to take an earlier one's place."""
 
-SHARE_OF_TABLE = 0.5
-"""Part of the time for an answer that goes into a table of starts that is not there yet."""
-
 
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
     """The table of configurations of a robot from which a search may begin, built or loaded once; where there is too
-    little time as far as `SHARE_OF_TABLE` of it allows, and further the next time."""
+    little time as far as there is, and further the next time."""
     shelf = _shelf(space)
     if not (shelf and shelf[0].whole):
-        shelf[:] = [start_table(space, clock=None if clock is None else clock.part(SHARE_OF_TABLE))]
+        shelf[:] = [start_table(space, clock=clock)]
     return shelf[0]
 
 
