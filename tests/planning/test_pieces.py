@@ -153,6 +153,8 @@ def test_bounds_of_what_varies_hold() -> None:
     bounds, table, step = variation(robot.tubes), lengthwise(robot.tubes), 1e-6
     for i in range(2):
         for c, (low, high) in enumerate(pairwise(bounds.cuts[i])):
+            if low == high:  # by which the tube of fewer cells is filled up
+                continue
             s = np.linspace(low + 2 * step, high - 2 * step, 200)
             at = [np.tile((s + k * step)[:, None], 2) for k in (-1, 0, 1)]
             rows = np.array([table.values(place)[:, :, i] for place in at])
