@@ -40,14 +40,6 @@ def laplacian(stiffness: Any, moment: Any) -> Any:
 
 
 @lru_cache(maxsize=16)
-def opposing_function(n: int) -> ca.Function:
-    """(sum kb, m (n,)) -> (n, n) S with y' S y = sum_pairs |c_ij| (y_i + y_j)^2, no less than y' C y at any y."""
-    total, moment = ca.SX.sym("K"), ca.SX.sym("m", n)
-    pairs = pair_couplings(total, moment)
-    return ca.Function("opposing", [total, moment], [ca.densify(ca.diag(ca.sum2(pairs)) + pairs)], {"cse": True})
-
-
-@lru_cache(maxsize=16)
 def bend_rate_function(n: int) -> ca.Function:
     """(kb, m (n,)) -> |m_i| / sum kb (n,): how much curvature (1/m) a turn of a tube can change; 0 where none is."""
     stiffness, moment = (ca.SX.sym(s, n) for s in ("kb", "m"))

@@ -292,6 +292,4 @@ def slide(
 
 def _scale(contact: Contact, state: Rubbing) -> float:
     """The energies whose round-off is that of their sum, J."""
-    problem = contact.problem
-    parts = (state.torsion.moment**2).sum(1) / np.maximum(problem.stiffness.sum(1), 1e-300)
-    return float(problem.weight @ parts) + abs(state.torsion.energy)
+    return contact.problem.energy_parts + abs(state.torsion.energy)

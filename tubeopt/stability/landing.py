@@ -60,8 +60,6 @@ def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
     """
     state, time, eccentric = evaluate(problem, rotations, z), 1.0, problem.assembly.eccentric
     identity = np.eye(len(z))
-    # The energy of bending may be next to 0 where curvatures agree; its round-off is that of its parts.
-    parts = float(problem.weight @ ((problem.moment**2).sum(1) / problem.stiffness.sum(1)))
     for count in range(1, MOST_STEPS + 1):
         step, not_convex = _step(problem, state, identity / time)
         turn = float(np.abs(problem.factor @ step).max(initial=0.0))
@@ -69,7 +67,7 @@ def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
             time *= 0.25 if not_convex else max(0.1, 0.8 * STRIDE / turn)
             continue
         trial = evaluate(problem, rotations, state.z + step)
-        if not eccentric and trial.energy > state.energy + 1e-13 * (parts + abs(state.energy)):
+        if not eccentric and trial.energy > state.energy + 1e-13 * (problem.energy_parts + abs(state.energy)):
             time *= 0.25
             continue
         state, time = trial, min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)

@@ -30,8 +30,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.buffered import mapped
 from ..block.transcription.green import ahead
 from ..block.transcription.reduced import ReducedProblem
+from ..physics.certificate import bend_rate_function
 from ..typing import Array
 from .shooting import profiles
 
@@ -80,11 +82,14 @@ def pair_of(problem: ReducedProblem) -> Pair | None:
     i, j = (int(tube) for tube in coupled)
     compliance = sum(problem.factor[part, part] @ problem.factor[part, part].T for part in problem.by_tube)
     lever = ahead(problem.mesh, problem.here)
-    m = problem.moment
+    # The precurvature of a piece is a size at a phase, so that no moment is below 0.
+    rate = mapped(bend_rate_function(problem.assembly.n_tubes), len(problem.weight))(problem.stiffness, problem.moment)[
+        0
+    ]
     return Pair(
         problem=problem,
         tubes=(i, j),
-        coupling=problem.weight * m[:, i] * m[:, j] / problem.stiffness.sum(1),
+        coupling=problem.weight * rate[:, i] * problem.moment[:, j],
         lag=problem.phase[:, i] - problem.phase[:, j],
         reach=lever[:, i] + lever[:, j] - compliance,
         root=np.asarray(np.linalg.cholesky(compliance), dtype=float),

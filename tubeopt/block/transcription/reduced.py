@@ -90,6 +90,12 @@ class ReducedProblem:
         cuts = np.searchsorted(self.tube, np.arange(self.assembly.n_tubes + 1)).tolist()
         return tuple(slice(a, b) for a, b in pairwise(cuts) if b > a)
 
+    @cached_property
+    def energy_parts(self) -> float:
+        """Size (J) of the energies of bending, whose sum may be next to 0 while its round-off is theirs."""
+        rate = mapped(bend_rate_function(self.assembly.n_tubes), len(self.weight))(self.stiffness, self.moment)[0]
+        return float(self.weight @ (rate * np.abs(self.moment)).sum(1))
+
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
@@ -265,11 +271,13 @@ def _stretch_terms(
 def pull_rate(problem: ReducedProblem) -> Array:
     """(P,) how much curvature a turn of all tubes can change on each piece, 1/m; see `bend_rate_function`."""
     if problem.here is None:
-        count, n = problem.piece_moment.shape
-        return np.asarray(mapped(bend_rate_function(n), count)(problem.piece_stiffness, problem.piece_moment)[0].sum(1))
-    here = problem.here.sections
-    each = here.moment.sum(1) / np.maximum(here.stiffness.sum(1), 1e-300)
-    return np.asarray(each.reshape(len(problem.mesh.length), problem.mesh.tableau.degree).max(1, initial=0.0))
+        numbers, points = (problem.piece_stiffness, problem.piece_moment), 1
+    else:
+        here = problem.here.sections
+        numbers, points = (here.stiffness, here.moment), problem.mesh.tableau.degree
+    count, n = numbers[1].shape
+    each = mapped(bend_rate_function(n), count)(*numbers)[0].sum(1)
+    return np.asarray(each.reshape(-1, points).max(1, initial=0.0))
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
