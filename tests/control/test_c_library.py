@@ -33,12 +33,19 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 TWO_TUBES = load_robot("configs/robots/two_tube.yaml")
 
+PIECES = load_robot("configs/robots/example_pieces.yaml")
+
 START = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 
 
 @pytest.fixture(scope="module")
 def thesis() -> CRobot:
     return CRobot(c_library(THESIS))
+
+
+@pytest.fixture(scope="module")
+def pieces() -> CRobot:
+    return CRobot(c_library(PIECES, loads=True))
 
 
 def command(target: np.ndarray, **other: float) -> np.ndarray:
@@ -65,10 +72,13 @@ def test_the_library_has_the_answers_of_the_general_solver_and_of_its_derivative
         assert slopes.compliance == pytest.approx(light.compliance, rel=1e-6, abs=1e-6 * np.abs(light.compliance).max())
 
 
-@pytest.mark.parametrize("name", ["example_pieces", "thesis_etr"])
-def test_pieces_and_tubes_off_the_centreline_have_the_answers_and_derivatives_of_python(name: str) -> None:
-    robot = load_robot(f"configs/robots/{name}.yaml")
-    library, space = CRobot(c_library(robot)), joint_space(robot)
+@pytest.mark.parametrize("eccentric", [False, True])
+def test_pieces_and_tubes_off_the_centreline_have_the_answers_and_derivatives_of_python(
+    eccentric: bool, request: pytest.FixtureRequest
+) -> None:
+    robot = load_robot("configs/robots/thesis_etr.yaml") if eccentric else PIECES
+    library = CRobot(c_library(robot)) if eccentric else request.getfixturevalue("pieces")
+    space = joint_space(robot)
     # The middle between a corner and the middle of the range has breakpoints that coincide.
     for q in [0.5 * space.inside() + 0.5 * space.middle(), *space.sample(4)]:
         rotations, shift = space.split(q)
@@ -76,7 +86,7 @@ def test_pieces_and_tubes_off_the_centreline_have_the_answers_and_derivatives_of
         assert found.tip_position == pytest.approx(known.tip_position, abs=1e-9)
         assert found.margin == pytest.approx(known.margin, abs=1e-6)
         jacobian, slopes = known.jacobian(), library.slopes()
-        assert slopes.compliance is None
+        assert (slopes.compliance is None) == eccentric
         assert slopes.position == pytest.approx(jacobian.position, abs=1e-5)
         assert slopes.turn == pytest.approx(jacobian.rotation, rel=2e-5, abs=1e-5)
         assert slopes.tip_rotations == pytest.approx(jacobian.tip_rotations, abs=1e-4)
@@ -143,10 +153,33 @@ def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led() -> None:
     assert again.tip_position == pytest.approx(borne.tip_position, abs=1e-9)
 
 
+def test_tubes_made_of_pieces_bear_loads_and_have_a_compliance(pieces: CRobot) -> None:
+    robot, library, space, random = PIECES, pieces, joint_space(PIECES), np.random.default_rng(0)
+    for q in [0.5 * space.inside() + 0.5 * space.middle(), *space.sample(6)]:
+        joints = space.split(q)
+        library.solve(*joints)
+        light = forward_kinematics(robot, *joints, load=Load(force=(1e-9, 0, 0))).compliance
+        assert light is not None
+        assert library.slopes().compliance == pytest.approx(light, rel=1e-6, abs=1e-7 * np.abs(light).max())
+        push, down = random.normal(size=3), random.normal(size=3) * 9.81
+        push *= 0.01 / np.linalg.norm(light[:3, :3] @ push)
+        pose = library.bear(push, down)
+        known = forward_kinematics(robot, *joints, load=Load(force=tuple(push), gravity=tuple(down)))
+        assert pose.tip_position == pytest.approx(known.tip_position, abs=1e-9)
+        assert pose.tip_rotation == pytest.approx(known.tip_rotation, abs=1e-9)
+        assert pose.tip_rotations == pytest.approx(known.tip_rotations, abs=1e-9)
+        assert pose.margin == pytest.approx(known.margin, abs=1e-8)
+        assert known.compliance is not None
+        slopes, jacobian = library.slopes(), known.jacobian()
+        assert slopes.compliance == pytest.approx(known.compliance, rel=1e-6, abs=1e-9 * np.abs(light).max())
+        assert slopes.position == pytest.approx(jacobian.position, abs=1e-6)
+        assert slopes.turn == pytest.approx(jacobian.rotation, rel=1e-6, abs=1e-5)
+        library.bear()
+
+
 def test_loads_that_no_library_has_are_refused() -> None:
-    for name in ("example_pieces", "thesis_etr"):
-        with pytest.raises(InputError, match="loads are asked for; in C they are for concentric tubes"):
-            c_library(load_robot(f"configs/robots/{name}.yaml"), loads=True)
+    with pytest.raises(InputError, match="no model has them on tubes off the centreline"):
+        c_library(load_robot("configs/robots/thesis_etr.yaml"), loads=True)
 
 
 def test_derivatives_where_tubes_share_a_carriage_and_end_together() -> None:

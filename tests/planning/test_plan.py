@@ -22,6 +22,7 @@ from tubeopt import (
     TipGoal,
     Trajectory,
     WaySearch,
+    find_equilibria,
     find_snap,
     follow,
     follow_the_leader,
@@ -41,7 +42,7 @@ from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
 from tubeopt.planning.question import asked
 from tubeopt.planning.reach import least_miss
-from tubeopt.planning.smooth import joint_curves
+from tubeopt.planning.smooth import joint_curves, violated
 from tubeopt.planning.timing import Limits, rounded, stopping_at
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -363,6 +364,21 @@ def test_a_way_with_corners_is_passed_piece_by_piece() -> None:
         assert least.max() * (1 - 1e-9) <= each.duration <= least.max() * 1.03
     rests = motion.curve(np.cumsum([each.duration for each in alone[:-1]]), nu=1)
     assert np.abs(rests).max() < 0.02
+
+
+def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
+    """At 180 deg two stable equilibria mirror each other: the way from 100 deg leads to one of them."""
+    task, clock = asked(TWO_TUBE, (), 0.05, DEFAULT_RATES, None, PlanOptions(), None)
+    space, start = joint_space(TWO_TUBE), forward_kinematics(TWO_TUBE, [100 * DEG, 0.0])
+    q = np.linspace(space.join(start.rotations, start.translations), space.join([180 * DEG, 0.0], [0.0, 0.0]), 9)
+    motion = stopping_at([q], Limits(*DEFAULT_RATES.of(space)))
+    led = follow(TWO_TUBE, np.column_stack([np.linspace(100, 180, 9) * DEG, np.zeros(9)]), start=start).equilibria[-1]
+    ends = [each for each in find_equilibria(TWO_TUBE, [180 * DEG, 0.0]) if each.stable]
+    assert len(ends) == 2
+    for end in ends:
+        places = motion.time[-1:], task.chart.of(end)[None]
+        same = np.allclose(end.tip_position, led.tip_position, atol=1e-6)
+        assert violated(task, start, motion, clock, places)[0].any() == (not same)
 
 
 def test_arguments_of_another_kind_are_named() -> None:

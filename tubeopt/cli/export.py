@@ -33,7 +33,7 @@ def export(study: ExportEntry, output: Output, robot: str) -> None:
 
     It is the compiled kernel of this program with the numbers of the robot, in C99: nothing is allocated, nothing is
     global, and every call takes bounded time. For up to six tubes, concentric or not, of one arc or made of pieces;
-    with compliance and, by --loads, under load for concentric tubes of one arc each.
+    concentric ones by --loads under load too, which tubes made of pieces need for their compliance.
     """
     folder = Path(study.c)
     can_be_saved(output.out)

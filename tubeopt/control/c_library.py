@@ -26,7 +26,6 @@ from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.robot import Robot, is_general
-from ..solvers.compiled.binding import piece_sizes, piece_tables
 from ..solvers.compiled.library import (
     COARSE_DEGREE,
     DEGREE,
@@ -39,14 +38,11 @@ from ..solvers.compiled.library import (
 from ..solvers.compiled.text import c_tables, numbers, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .c_loads import loaded_cases, loads_source
-from .c_text import C_FOLDER, tubes_text
+from .c_loads import SPARE, loaded_cases, loads_source
+from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
 
 CASES = 24
 """Configurations whose answers the test of the library knows."""
-
-SPARE = 1.25
-"""By how much more a library of tubes made of pieces has room for than the meshes of some configurations need."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +67,8 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         loads: whether it can bear a force at its tip and its weight.
 
     Raises:
-        InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes made of pieces, off the
-            centreline, or of unknown weight.
+        InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the centreline, or
+            of unknown weight.
         SolveError: no stable equilibrium is found for the answers that its test knows.
     """
     if robot.n_tubes > MOST_TUBES:
@@ -80,11 +76,11 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
         raise InputError(f"prefix is {prefix!r}; it must be small letters, digits and _, a letter first")
     space, plain = joint_space(robot), _plain(robot)
-    extra = {"tubeopt_load.c": loads_source(robot, name)} if loads else {}
+    extra = {"tubeopt_load.c": loads_source(robot, name, _shifts(space))} if loads else {}
     cases = _cases(space)
     told = {
         "loads": str(int(loads)),
-        "compliance": str(int(plain)),
+        "compliance": str(int(plain or loads)),
         "how": "" if plain else ", by differences of equilibria side by side",
     }
     texts = {
@@ -126,12 +122,7 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
     slopes = "slopes.c" if _plain(robot) else "differences.c"
     parts = [
         f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
-        '#include "tubeopt_robot.h"\n\n',
-        "/* CasADi writes for every function more than is used here. */\n",
-        '#pragma GCC diagnostic ignored "-Wunused-function"\n#pragma GCC diagnostic ignored "-Wunused-parameter"\n',
-        # Vectors are handed on between functions of this file alone.
-        '#if !defined(__clang__)\n#pragma GCC diagnostic ignored "-Wpsabi"\n#endif\n',
-        "#define CASADI_SYMBOL_EXPORT static\n",
+        f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel_text(robot.n_tubes, home.eccentric, home.general, _room(space)),
         _data(robot, space),
         *(with_included(C_FOLDER / file) for file in ("quadratic.c", "robot.c", slopes, "servo.c")),
@@ -143,10 +134,14 @@ def _room(space: JointSpace) -> Room:
     """What the meshes of a robot need, with some to spare: those of pieces that vary quickly are fine."""
     if not is_general(space.robot):
         return ROOM
-    shifts = [space.split(q)[1] for q in islice(_configurations(space), CASES)]
-    problems = [reduced_problem(space.robot, shift, DEFAULT_DISCRETISATION) for shift in shifts]
+    problems = [reduced_problem(space.robot, tuple(s.tolist()), DEFAULT_DISCRETISATION) for s in _shifts(space)]
     pieces, unknowns = max(len(p.mesh.length) for p in problems), max(p.size for p in problems)
     return Room(max(ROOM.pieces, ceil(SPARE * pieces)), max(ROOM.unknowns, 4 * ceil(SPARE * unknowns / 4) + 4))
+
+
+def _shifts(space: JointSpace) -> list[Array]:
+    """Translations (n,) of some configurations."""
+    return [np.array(space.split(q)[1]) for q in islice(_configurations(space), CASES)]
 
 
 def _plain(robot: Robot) -> bool:
@@ -159,7 +154,6 @@ def _data(robot: Robot, space: JointSpace) -> str:
     """Tubes, method, joints and limits as C."""
     n, m = robot.n_tubes, len(space.lower)
     home = robot.assembly(robot.home_translations)
-    pieces = {} if home.lengthwise is None else piece_tables(home.lengthwise)
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
     first = [0] * n + [group[0] for group in space.carriages]
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
@@ -179,7 +173,6 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "SCALE": space.scale,
         "ORDER": space.rows if space.rows.size else np.zeros(1),
         "LEAST": space.least if space.least.size else np.zeros(1),
-        **{f"PIECES_{name}": table for name, table in pieces.items()},
     }
     defines = {
         "JOINTS": m,
@@ -199,10 +192,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
     lines += [c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
-    if pieces:
-        entries = [*map(str, piece_sizes(pieces)), *(f"PIECES_{name}" for name in pieces), "0"]  # no refinement
-        lines += [f"static const Pieces PIECES = {{{', '.join(entries)}}};"]
-    lines += [f"static const Tubes ROBOT = {tubes_text(robot)};"]
+    lines += [pieces_text(robot), f"static const Tubes ROBOT = {tubes_text(robot)};"]
     lines += [
         f"static const Method METHOD = {{{{{COARSE_DEGREE}, COARSE_nodes, COARSE_weights, COARSE_matrix}},\n"
         f"                              {{{DEGREE}, FINE_nodes, FINE_weights, FINE_matrix}}, TWICE, TWICE_BACK}};\n\n"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from math import ceil
 
 import casadi as ca
 import numpy as np
 
 from .. import __version__
 from ..block.transcription.collocated import ENDS
-from ..block.transcription.mesh import BEND_PER_PIECE, LOADED_WAVES
+from ..block.transcription.mesh import BEND_PER_PIECE, LOADED_WAVES, loaded_counts
 from ..block.transcription.tableau import tableau
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError
@@ -18,13 +19,19 @@ from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
-from ..solvers.compiled.loaded import CHECK_DEGREE, DEGREE, ROUGH_DEGREE, loaded_text
+from ..solvers.compiled.constants import piece_constants
+from ..solvers.compiled.library import MOST_CUTS
+from ..solvers.compiled.loaded import CHECK_DEGREE, DEGREE, MOST_PIECES, ROUGH_DEGREE, loaded_text
 from ..solvers.compiled.text import HERE, numbers, static_table, with_included
 from ..typing import Array
-from .c_text import C_FOLDER, tubes_text
+from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
 
 SEEN = re.compile(r"^(size_t (?:workspace|answer)_size|int solve_loaded|void solve_many_loaded)", re.MULTILINE)
 """What the kernel shows to Python."""
+
+BEARABLE, SPARE = 10.0, 1.25
+"""Forces up to this times the stiffness of the tip over the square of the length have room on meshes of tubes made of
+pieces: they bend arms by more than half a circle; and by how much more room there is than some configurations need."""
 
 RULE = """
 typedef struct {
@@ -35,44 +42,56 @@ typedef struct {
 """Points per piece, and what does not depend on the robot: of the answer, of the growing of the load, of the check."""
 
 
-def loads_source(robot: Robot, name: str) -> str:
-    """The C text of `tubeopt_load.c`.
+def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
+    """The C text of `tubeopt_load.c`; `shifts`: translations (n,) of some configurations.
 
     Raises:
-        InputError: tubes made of pieces or off the centreline, or of unknown weight.
+        InputError: tubes off the centreline, or of unknown weight.
     """
     home = robot.assembly(robot.home_translations)
-    if home.eccentric or home.general:
-        raise InputError(
-            "loads are asked for; in C they are for concentric tubes that are straight, then one arc each: "
-            "forward_kinematics(..., load=) solves for tubes made of pieces, and no model has loads off the centreline"
-        )
+    if home.eccentric:
+        raise InputError("loads are asked for; no model has them on tubes off the centreline, so a C library has none")
     mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -9.81))), robot.n_tubes
+    pieces = _room(robot, shifts) if home.general else MOST_PIECES
     generator = ca.CodeGenerator("mechanics_of_loads.c")
     generator.add(coupling_rate_function(n))
     defines = {
         "ECCENTRIC": 0,
-        "GENERAL": 0,
-        "MOST_SECTIONS": 2 * n,
-        "MOST_CUTS": 2 * n + 1,
+        "GENERAL": int(home.general),
+        "MOST_SECTIONS": pieces if home.general else 2 * n,
+        "MOST_CUTS": MOST_CUTS if home.general else 2 * n + 1,
         "ROUND_OFF_LENGTH": ROUND_OFF,
         "WAVES_PER_ELEMENT": 1,  # of what is not loaded: not asked for
         "LOADED_WAVES": LOADED_WAVES,
         "BEND_PER_PIECE": BEND_PER_PIECE,
     }
-    kernel = SEEN.sub(r"static \1", loaded_text(n, generator, "loaded.c"))
+    kernel = SEEN.sub(r"static \1", loaded_text(n, generator, "loaded.c", pieces))
+    lengthwise = [piece_constants(), with_included(HERE / "pieces.c")] if home.general else []
     parts = [
         f"/* {name} under load: made by tubeopt {__version__}; see the header. */\n",
-        '#include "tubeopt_robot.h"\n\n#pragma GCC diagnostic ignored "-Wunused-function"\n',
-        '#pragma GCC diagnostic ignored "-Wunused-parameter"\n#define CASADI_SYMBOL_EXPORT static\n',
+        f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel,
         *(f"#define {key} {value!r}\n" for key, value in defines.items()),
+        *lengthwise,
         with_included(HERE / "layout.c"),
+        pieces_text(robot),
         f"static const Tubes ROBOT = {tubes_text(robot)};\nstatic const double MASS[] = {{{numbers(mass)}}};\n",
         _rules(),
         (C_FOLDER / "bear.c").read_text(),
     ]
     return "".join(parts)
+
+
+def _room(robot: Robot, shifts: Sequence[Array]) -> int:
+    """Pieces of the mesh of tubes made of pieces at most, at translations (n,) and others, under what they can bear."""
+    most = MOST_PIECES
+    for shift in shifts:
+        assembly = robot.assembly(shift)
+        length = assembly.total_length
+        tip = np.array([length * (1 - ROUND_OFF)])
+        bearable = BEARABLE * float(assembly.cross_sections(tip, tip).stiffness.sum()) / max(length, ROUND_OFF) ** 2
+        most = max(most, ceil(SPARE * loaded_counts(assembly, bearable, 0.0).sum()))
+    return most
 
 
 def loaded_cases(robot: Robot, cases: Sequence[Array]) -> list[Array]:

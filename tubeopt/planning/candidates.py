@@ -53,12 +53,14 @@ def motions_near(
         best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
         if best is not None:
             exact = name == "margin" or extra is not None
-            rounder = None if exact else _rounded(task, first, best.motion.sampled(task.scale)[1], limits, own)
+            way = best.motion.sampled(task.scale)[1], best.points[-1]
+            rounder = None if exact else _rounded(task, first, way, limits, own)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             found.append((motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
         rest = Clock(min(effort.rounding_seconds * clock.crowding, effort.rounding_share * clock.left), clock)
-        if len(curves) > 1 and (corners := _rounded(task, first, np.concatenate(curves), limits, rest)) is not None:
+        way = np.concatenate(curves), points[-1]
+        if len(curves) > 1 and (corners := _rounded(task, first, way, limits, rest)) is not None:
             found.append((corners, "corners", 0, len(points)))
         if aim == "time":
             found = [each for each in found if each[0].duration <= resting.duration]
@@ -86,13 +88,15 @@ def _scanned(task: Task) -> bool:
     return any(isinstance(body, DistanceField) for body in task.obstacles)
 
 
-def _rounded(task: Task, first: Equilibrium, q: Array, limits: Limits, clock: Clock) -> Motion | None:
-    """The fastest motion close to a path of joint values (k, m), its bends as round as they may be; None where even
-    slight rounding leads where the robot may not be, or time is over."""
+def _rounded(task: Task, first: Equilibrium, way: tuple[Array, Array], limits: Limits, clock: Clock) -> Motion | None:
+    """The fastest motion close to a way, its bends as round as they may be; None where even slight rounding leads where
+    the robot may not be, or time is over. `way`: joint values (k, m), and the point of the chart (m,) at its end."""
+    q, end = way
     for spacing in ROUNDINGS:
         if clock.over:
             return None
         motion = through(q, task.scale, limits, spacing)
-        if not violated(task, first, motion, clock)[0].any():
+        places = motion.time[-1:], end[None]
+        if not violated(task, first, motion, clock, places)[0].any():
             return motion
     return None

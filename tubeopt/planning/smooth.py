@@ -25,7 +25,7 @@ from .path_program import (
     path_program,
     path_quantities,
 )
-from .tracking import track
+from .tracking import Tracked, track
 
 OBJECTIVES = ("length", "time", "effort", "margin")
 """Weights of length, time, effort and margin follow from these."""
@@ -45,6 +45,9 @@ UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 BEND, HALVINGS = 0.02, 4
 """Second difference of joint values, in units of their scales, of points of a motion up to which curves keep close to
 them; times that points are set twice as close at most."""
+
+APART = 0.1
+"""Distance from a point of the chart, in units of the scales, beyond which an equilibrium is on another branch."""
 
 ROUND_OFF = 1e-9
 """Excess over ranges that is none, in units of the scales."""
@@ -138,7 +141,7 @@ def smooth(
             return None
         motion, found, count = solved
         iterations += count
-        bad, short = violated(task, start, motion, clock)
+        bad, short = violated(task, start, motion, clock, (motion.time, found))
         if not bad.any():
             return Smoothed(motion, found, iterations)
         if clock.over:
@@ -308,9 +311,12 @@ def _bounds(
     }
 
 
-def violated(task: Task, start: Equilibrium, motion: Motion, clock: Clock) -> tuple[Mask, Array]:
+def violated(
+    task: Task, start: Equilibrium, motion: Motion, clock: Clock, places: tuple[Array, Array]
+) -> tuple[Mask, Array]:
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
-    and clearance (m) fall short."""
+    and clearance (m) fall short. `places`: times (P,) at which it has to be at points (P, m) of the chart: the same
+    joint values may be led to on several branches, by ways around a fold on one side and on the other."""
     time, q = motion.sampled(task.scale)
     tracked = track(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
@@ -318,9 +324,19 @@ def violated(task: Task, start: Equilibrium, motion: Motion, clock: Clock) -> tu
     wrong = time[: short.shape[1]][(short > 0).any(0)]
     if tracked.lost:
         wrong = np.append(wrong, time[short.shape[1]])
+    else:
+        first = places[0][_apart(task, time, tracked, places)][:1]
+        wrong = np.append(wrong, np.nextafter(first, 0))  # what led there lies before it
     at = np.clip(np.searchsorted(motion.time, wrong, side="right") - 1, 0, len(bad) - 1)
     bad[at] = True
     return bad, np.maximum(short.max(1, initial=0.0), 0.0)
+
+
+def _apart(task: Task, time: Array, tracked: Tracked, places: tuple[Array, Array]) -> Mask:
+    """(P,) at which of some places a motion that was followed at times (T,) is on another branch."""
+    points = np.array([task.chart.of(each) for each in tracked.equilibria])
+    found = np.column_stack([np.interp(places[0], time, column) for column in points.T])
+    return np.asarray((np.abs(found - places[1]) / task.scale).max(1) > APART)
 
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:

@@ -5,10 +5,10 @@
 
 /* Mesh and cross-sections at joint values: what equilibrium/load_problem.py and block/transcription/mesh.py do. */
 typedef struct {
-    int pieces, tip_tube;
-    double whole, start[MOST_PIECES], length[MOST_PIECES];
-    double stiffness[MOST_PIECES][N], moment[MOST_PIECES][N], beyond[MOST_PIECES], mass[MOST_PIECES];
-    double bent[MOST_PIECES][N], felt[MOST_PIECES][N], held[N], end[N];
+    Layout layout;
+    int tip_tube;
+    double whole, beyond[MOST_PIECES], mass[MOST_PIECES];
+    double bent[MOST_PIECES][N], felt[MOST_PIECES][N], held[N];
 } Bed;
 
 /* What a problem points to. */
@@ -21,12 +21,13 @@ typedef struct {
     Bed beds[2];
     Along along[RULES];
     double ends_stiffness[(STEPS + 1) * MOST_PIECES][N], ends_moment[(STEPS + 1) * MOST_PIECES][N];
-    double ends_rate[(STEPS + 1) * MOST_PIECES][N], none[(STEPS + 1) * MOST_PIECES][N], base_force[3];
+    double ends_phase[(STEPS + 1) * MOST_PIECES][N], ends_rate[(STEPS + 1) * MOST_PIECES][N];
+    double ends_twist[(STEPS + 1) * MOST_PIECES][N], ends_wound[(STEPS + 1) * MOST_PIECES][N], base_force[3];
     Rules rules;
     Workspace work;
     Answer answers[2];
     int here;
-    double theta[MOST_POINTS][N], curvature[MOST_POINTS][2];
+    double theta[MOST_POINTS][N], curvature[MOST_POINTS][2], place[MOST_POINTS], moment[MOST_POINTS][2];
     tubeopt_joints joints; /* of the last equilibrium */
     Bed kept_bed;
     Answer kept;
@@ -35,62 +36,109 @@ typedef struct {
 
 size_t tubeopt_bearing_size(void) { return sizeof(Bearing); }
 
+#if GENERAL
+/* u*_z of a tube at fraction x of a piece. */
+static double twist_on(const Layout *l, int p, int tube, double x) {
+    double held = l->start[p] + l->transmission[tube], inside = held + (x + INWARDS * (0.5 - x)) * l->length[p];
+    return l->present[p][tube] ? twist_of(&PIECES, tube, panel_at(&ROBOT, l, p, tube, inside), held + x * l->length[p]) : 0;
+}
+
+/* Natural turn of a tube up to arc length s, from where it is held. */
+static double wound_at(const Layout *l, int tube, double s) {
+    double place = s + l->transmission[tube];
+    return section_of(&PIECES, tube, panel_of(&PIECES, tube, place), place, 1).wound;
+}
+#else
+typedef struct {
+    double stiffness, moment, phase, torsional, wound;
+} Section;
+
+static Section section_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
+    Section s = {l->stiffness[p][tube], l->moment[p][tube], 0, t->kt[tube], 0};
+    (void)x;
+    return s;
+}
+
+#define twist_on(layout, piece, tube, x) 0
+#define wound_at(layout, tube, s) 0
+#endif
+
 /* A section of the arm as a row of pieces, short enough for coupling, bend and force; 0 where there is no room. */
-static int lay_section(Bed *bed, const Layout *l, double from, double to, double force, double whole,
-                       const double *transition) {
-    double kb[N], m[N], total = 0, natural = 0, pull = 0, mass = 0, middle = (from + to) / 2;
+static int lay_section(Bed *bed, double from, double to, double force, const double *transition) {
+    Layout *l = &bed->layout;
+    double mass = 0, middle = (from + to) / 2;
     int present[N], curved[N];
+#if GENERAL
+    (void)transition;
+    for (int i = 0; i < N; i++) {
+        int panel = panel_of(&PIECES, i, middle + l->transmission[i]);
+        present[i] = middle < l->end[i];
+        curved[i] = present[i] && PIECES.bent[i * PIECES.most + panel];
+    }
+    Needs needs = needs_of(&ROBOT, l, from, to - from, present);
+#else
+    double kb[N], m[N];
+    Needs needs = {0, 0, 0, 0, 0};
     for (int i = 0; i < N; i++) {
         present[i] = middle < l->end[i];
         curved[i] = present[i] && middle > transition[i] && ROBOT.curvature[i] != 0;
         kb[i] = present[i] ? ROBOT.kb[i] : 0;
         m[i] = curved[i] ? kb[i] * ROBOT.curvature[i] : 0;
-        total += kb[i];
-        mass += present[i] ? MASS[i] : 0;
+        needs.softest += kb[i];
         if (!curved[i]) continue;
-        natural = fmax(natural, fabs(ROBOT.curvature[i]));
-        pull = fmax(pull, fabs(m[i]) / ROBOT.kt[i]);
+        needs.steepest = fmax(needs.steepest, fabs(ROBOT.curvature[i]));
+        needs.pull = fmax(needs.pull, fabs(m[i]) / ROBOT.kt[i]);
     }
-    double fast = sqrt(force / total), bend = fmin(2 * fast, force * whole / total);
-    double waves = fmax(fmax(fastest_growth(ROBOT.kt, m, kb), fast), sqrt(pull * bend)) / LOADED_WAVES;
-    double wanted = fmax(1, ceil(fmax(waves, (natural + bend) / BEND_PER_PIECE) * (to - from) - 1e-9));
-    if (bed->pieces + wanted > MOST_PIECES) return 0;
+    needs.fastest = fastest_growth(ROBOT.kt, m, kb);
+#endif
+    for (int i = 0; i < N; i++) mass += present[i] ? MASS[i] : 0;
+    double fast = sqrt(force / needs.softest), bend = fmin(2 * fast, force * bed->whole / needs.softest);
+    double waves = fmax(fmax(needs.fastest, fast), sqrt(needs.pull * bend)) / LOADED_WAVES;
+    double need = fmax(fmax(waves, (needs.steepest + bend) / BEND_PER_PIECE), needs.finest) * (to - from);
+    double wanted = fmax(1, ceil(need - 1e-9));
+    if (l->pieces + wanted > MOST_PIECES) return 0;
     for (int j = 0; j < (int)wanted; j++) {
-        int p = bed->pieces++;
-        bed->length[p] = (to - from) / wanted;
-        bed->start[p] = from + j * bed->length[p];
+        int p = l->pieces++;
+        l->length[p] = (to - from) / wanted;
+        l->start[p] = from + j * l->length[p];
+        memcpy(l->present[p], present, sizeof present);
+#if GENERAL
+        place_tubes(&ROBOT, l, p);
+#else
+        memcpy(l->stiffness[p], kb, sizeof kb);
+        memcpy(l->moment[p], m, sizeof m);
+#endif
         bed->mass[p] = mass;
-        for (int i = 0; i < N; i++) {
-            bed->stiffness[p][i] = kb[i];
-            bed->moment[p][i] = m[i];
-            bed->bent[p][i] = curved[i];
-        }
+        for (int i = 0; i < N; i++) bed->bent[p][i] = curved[i];
     }
     return 1;
 }
 
 static int lay_bed(Bed *bed, const double *shift, const tubeopt_load *load) {
-    Layout l;
+    Layout *l = &bed->layout;
     double transition[N], cuts[MOST_CUTS], weight = 0, force = sqrt(dot(load->force, load->force, 3));
-    int count = cuts_of(&ROBOT, shift, &l, transition, cuts);
+    int count = cuts_of(&ROBOT, shift, l, transition, cuts);
     if (count < 2) return 0;
-    bed->pieces = bed->tip_tube = 0;
+    l->pieces = bed->tip_tube = 0;
     bed->whole = cuts[count - 1];
     for (int i = 0; i < N; i++) {
-        bed->held[i] = l.transmission[i] / ROBOT.kt[i];
-        bed->end[i] = fmax(l.end[i], 0);
-        weight += MASS[i] * bed->end[i];
-        if (l.end[i] > l.end[bed->tip_tube]) bed->tip_tube = i;
+#if GENERAL
+        bed->held[i] = l->held[i];
+#else
+        bed->held[i] = l->transmission[i] / ROBOT.kt[i];
+#endif
+        weight += MASS[i] * fmax(l->end[i], 0);
+        if (l->end[i] > l->end[bed->tip_tube]) bed->tip_tube = i;
     }
     force += weight * sqrt(dot(load->gravity, load->gravity, 3));
     for (int k = 0; k + 1 < count; k++)
-        if (!lay_section(bed, &l, cuts[k], cuts[k + 1], force, bed->whole, transition)) return 0;
+        if (!lay_section(bed, cuts[k], cuts[k + 1], force, transition)) return 0;
     double beyond = 0;
-    for (int p = bed->pieces - 1; p >= 0; p--) {
+    for (int p = l->pieces - 1; p >= 0; p--) {
         bed->beyond[p] = beyond;
-        beyond += bed->mass[p] * bed->length[p];
+        beyond += bed->mass[p] * l->length[p];
         for (int i = 0; i < N; i++) /* twist matters up to where a tube bends for the last time, and to the tip */
-            bed->felt[p][i] = i == bed->tip_tube || bed->bent[p][i] > 0 || (p + 1 < bed->pieces && bed->felt[p + 1][i] > 0);
+            bed->felt[p][i] = i == bed->tip_tube || bed->bent[p][i] > 0 || (p + 1 < l->pieces && bed->felt[p + 1][i] > 0);
     }
     return 1;
 }
@@ -98,37 +146,45 @@ static int lay_bed(Bed *bed, const double *shift, const tubeopt_load *load) {
 /* A problem on a rule. */
 static void lay_rule(Bearing *b, const Bed *bed, const tubeopt_load *load, int which, Problem *out) {
     const Rule *rule = RULE + which;
+    const Layout *l = &bed->layout;
     Along *along = b->along + which;
     int k = (int)rule->degree;
-    for (int x = 0; x < bed->pieces * k; x++) {
+    for (int x = 0; x < l->pieces * k; x++) {
         int p = x / k;
-        double mass = bed->beyond[p] + bed->mass[p] * bed->length[p] * (1 - rule->nodes[x % k]);
+        double mass = bed->beyond[p] + bed->mass[p] * l->length[p] * (1 - rule->nodes[x % k]);
         for (int i = 0; i < N; i++) {
-            along->stiffness[x][i] = bed->stiffness[p][i];
-            along->moment[x][i] = bed->moment[p][i];
-            along->phase[x][i] = 0;
-            along->rate[x][i] = 1 / ROBOT.kt[i];
+            Section here = section_on(&ROBOT, l, p, i, rule->nodes[x % k]);
+            along->stiffness[x][i] = here.stiffness;
+            along->moment[x][i] = here.moment;
+            along->phase[x][i] = here.phase;
+            along->rate[x][i] = 1 / here.torsional;
         }
         for (int r = 0; r < 3; r++) along->force[x][r] = load->force[r] + mass * load->gravity[r];
     }
-    Problem problem = {bed->pieces, rule->degree, bed->tip_tube, bed->whole, rule->weights, rule->matrix, bed->start,
-                       bed->length, along->stiffness[0], along->moment[0], along->phase[0], along->rate[0],
+    Problem problem = {l->pieces, rule->degree, bed->tip_tube, bed->whole, rule->weights, rule->matrix, l->start,
+                       l->length, along->stiffness[0], along->moment[0], along->phase[0], along->rate[0],
                        bed->bent[0], bed->felt[0], bed->held, along->force[0], b->base_force, rule->basis, rule->once,
-                       rule->twice, b->ends_stiffness[0], b->ends_moment[0], b->none[0], b->ends_rate[0], b->none[0],
-                       b->none[0]};
+                       rule->twice, b->ends_stiffness[0], b->ends_moment[0], b->ends_phase[0], b->ends_rate[0],
+                       b->ends_twist[0], b->ends_wound[0]};
     *out = problem;
 }
 
 /* All three problems of a bed. */
 static void lay_rules(Bearing *b, const Bed *bed, const tubeopt_load *load) {
-    for (int x = 0; x < (STEPS + 1) * bed->pieces; x++)
+    const Layout *l = &bed->layout;
+    for (int x = 0; x < (STEPS + 1) * l->pieces; x++)
         for (int i = 0; i < N; i++) {
-            b->ends_stiffness[x][i] = bed->stiffness[x / (STEPS + 1)][i];
-            b->ends_moment[x][i] = bed->moment[x / (STEPS + 1)][i];
-            b->ends_rate[x][i] = 1 / ROBOT.kt[i];
-            b->none[x][i] = 0;
+            int p = x / (STEPS + 1);
+            double at = (double)(x % (STEPS + 1)) / STEPS;
+            Section here = section_on(&ROBOT, l, p, i, at);
+            b->ends_stiffness[x][i] = here.stiffness;
+            b->ends_moment[x][i] = here.moment;
+            b->ends_phase[x][i] = here.phase;
+            b->ends_rate[x][i] = 1 / here.torsional;
+            b->ends_twist[x][i] = twist_on(l, p, i, at);
+            b->ends_wound[x][i] = here.wound;
         }
-    double mass = bed->beyond[0] + bed->mass[0] * bed->length[0];
+    double mass = bed->beyond[0] + bed->mass[0] * l->length[0];
     for (int r = 0; r < 3; r++) b->base_force[r] = load->force[r] + mass * load->gravity[r];
     lay_rule(b, bed, load, 0, &b->rules.problem);
     lay_rule(b, bed, load, 1, &b->rules.rough);
@@ -138,31 +194,70 @@ static void lay_rules(Bearing *b, const Bed *bed, const tubeopt_load *load) {
     b->rules.from_rough = FROM_ROUGH;
 }
 
-/* Rotations at the points of a bed from `count` samples along another arm: rotation and torsion k * step apart. */
-static void sample_arm(const Bed *bed, int count, const double *s, const double *rotation, const double *torsion,
-                       int by_tube, double theta[][N]) {
-    int k = 0;
-    for (int x = 0; x < bed->pieces * DEGREE; x++) {
+/* Elastic rotations at the points of a bed, from those (N) of an arm on another one, `apart` samples from tube to tube and
+   `next` along it: the polynomial through the samples of each of its pieces, since rates jump between. */
+static void sample_arm(const Bed *bed, const Layout *from, int pieces, const double *s, const double *rotation, int apart,
+                       int next, double theta[][N]) {
+    const Layout *l = &bed->layout;
+    int e = 0;
+    for (int x = 0; x < l->pieces * DEGREE; x++) {
         int p = x / DEGREE;
-        double at = bed->start[p] + bed->length[p] * RULE[0].nodes[x % DEGREE];
-        while (k + 2 < count && s[k + 1] <= at) k++;
-        double h = s[k + 1] - s[k], t = fmin(fmax((at - s[k]) / h, 0), 1), u = 1 - t;
-        for (int i = 0; i < N; i++) {
-            int a = by_tube ? i * count + k : k * N + i, b = by_tube ? a + 1 : a + N;
-            theta[x][i] = rotation[a] * (1 + 2 * t) * u * u + rotation[b] * t * t * (3 - 2 * t) +
-                          h * t * u * (torsion[a] * u - torsion[b] * t);
+        double at = l->start[p] + l->length[p] * RULE[0].nodes[x % DEGREE];
+        while (e + 1 < pieces && s[(e + 1) * STEPS] <= at) e++;
+        double low = s[e * STEPS], t = STEPS * fmin(fmax((at - low) / (s[(e + 1) * STEPS] - low), 0), 1);
+        memset(theta[x], 0, sizeof theta[x]);
+        for (int k = 0; k <= STEPS; k++) {
+            double basis = 1;
+            for (int j = 0; j <= STEPS; j++) basis *= j == k ? 1 : (t - j) / (k - j);
+            for (int i = 0; i < N; i++)
+                theta[x][i] += basis * (rotation[i * apart + (e * STEPS + k) * next] - wound_at(from, i, s[e * STEPS + k]));
         }
+    }
+}
+
+/* Curvature without load of a cross-section whose tubes are at theta (N); returns its stiffness. */
+static double natural_at(const Layout *l, int p, double x, const double *theta, double *out) {
+    double direction[N], stiffness[N], moment[N], sum = 0;
+    for (int i = 0; i < N; i++) {
+        Section here = section_on(&ROBOT, l, p, i, x);
+        direction[i] = theta[i] + here.phase;
+        stiffness[i] = here.stiffness;
+        moment[i] = here.moment;
+        sum += here.stiffness;
+    }
+    const double *in[3] = {direction, stiffness, moment};
+    double *res[6] = {0, 0, 0, out, 0, 0};
+    bending(in, res, 0, 0, 0);
+    return sum;
+}
+
+/* Curvature at the points of a mesh from those of another one, by the bending moment, which does not jump. */
+static void sample_bend(Bearing *b, const Layout *old, const Answer *last, const Layout *l) {
+    int count = old->pieces * DEGREE, k = 0;
+    double natural[2];
+    for (int x = 0; x < count; x++) {
+        double node = RULE[0].nodes[x % DEGREE], stiffness = natural_at(old, x / DEGREE, node, last->theta[x], natural);
+        b->place[x] = old->start[x / DEGREE] + old->length[x / DEGREE] * node;
+        for (int j = 0; j < 2; j++) b->moment[x][j] = stiffness * (last->curvature[x][j] - natural[j]);
+    }
+    for (int x = 0; x < l->pieces * DEGREE; x++) {
+        double node = RULE[0].nodes[x % DEGREE], at = l->start[x / DEGREE] + l->length[x / DEGREE] * node;
+        double stiffness = natural_at(l, x / DEGREE, node, b->theta[x], natural);
+        while (k + 2 < count && b->place[k + 1] <= at) k++;
+        double t = fmin(fmax((at - b->place[k]) / (b->place[k + 1] - b->place[k]), 0), 1);
+        for (int j = 0; j < 2; j++)
+            b->curvature[x][j] = natural[j] + ((1 - t) * b->moment[k][j] + t * b->moment[k + 1][j]) / stiffness;
     }
 }
 
 /* What was solved, into a pose. */
 static void tell_loaded(const Bed *bed, const Answer *a, const tubeopt_joints *joints, tubeopt_pose *pose) {
-    int tip = bed->pieces * STEPS;
+    int tip = bed->layout.pieces * STEPS;
     pose->joints = *joints;
     memcpy(pose->position, a->position[tip], sizeof pose->position);
     memcpy(pose->frame, a->frame[tip], sizeof pose->frame);
     for (int i = 0, k; i < N; i++) {
-        for (k = 0; k < tip && a->arc_length[k] < bed->end[i] - ROUND_OFF_LENGTH; k++) {}
+        for (k = 0; k < tip && a->arc_length[k] < bed->layout.end[i] - ROUND_OFF_LENGTH; k++) {}
         pose->tip_rotations[i] = a->rotation[k][i];
     }
     pose->margin = a->margin;
@@ -171,16 +266,16 @@ static void tell_loaded(const Bed *bed, const Answer *a, const tubeopt_joints *j
     pose->residual = a->residual;
 }
 
-/* The equilibrium under the whole load, grown from the unloaded one with these samples by tubes and this margin. 0, or 1
-   where there is none, or it is not sure. */
-int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int count, const double *s,
-                         const double *rotation, const double *torsion, double margin, tubeopt_pose *pose) {
+/* The equilibrium under the whole load, grown from the unloaded one of this margin, whose rotations along its pieces are
+   given by tubes. 0, or 1 where there is none, or it is not sure. */
+int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
+                         const double *rotation, double margin, tubeopt_pose *pose) {
     Bearing *b = room;
     Bed *bed = b->beds + !b->here;
     double none[N] = {0};
     if (!lay_bed(bed, joints->translations, load)) return 1;
     lay_rules(b, bed, load);
-    sample_arm(bed, count, s, rotation, torsion, 1, b->theta);
+    sample_arm(bed, &bed->layout, pieces, s, rotation, pieces * STEPS + 1, 1, b->theta);
     Answer *next = b->answers + !b->here;
     if (solve_loaded(&b->rules, joints->rotations, none, b->theta[0], NULL, margin, &b->work, next)) return 1;
     tell_loaded(bed, next, joints, pose);
@@ -196,18 +291,12 @@ int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joi
     double turn[N];
     if (!lay_bed(bed, joints->translations, load)) return 1;
     lay_rules(b, bed, load);
-    if (bed->pieces == old->pieces) {
+    if (bed->layout.pieces == old->layout.pieces) {
         memcpy(b->theta, last->theta, sizeof b->theta);
         memcpy(b->curvature, last->curvature, sizeof b->curvature);
     } else {
-        int tip = old->pieces * STEPS, k = 0;
-        sample_arm(bed, tip + 1, last->arc_length, last->rotation[0], last->torsion[0], 0, b->theta);
-        for (int x = 0; x < bed->pieces * DEGREE; x++) {
-            double at = bed->start[x / DEGREE] + bed->length[x / DEGREE] * RULE[0].nodes[x % DEGREE];
-            while (k + 2 < tip + 1 && last->arc_length[k + 1] <= at) k++;
-            double t = fmin(fmax((at - last->arc_length[k]) / (last->arc_length[k + 1] - last->arc_length[k]), 0), 1);
-            for (int j = 0; j < 2; j++) b->curvature[x][j] = (1 - t) * last->bent[k][j] + t * last->bent[k + 1][j];
-        }
+        sample_arm(bed, &old->layout, old->layout.pieces, last->arc_length, last->rotation[0], 1, N, b->theta);
+        sample_bend(b, &old->layout, last, &bed->layout);
     }
     for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - b->joints.rotations[i];
     Answer *next = b->answers + !b->here;
@@ -224,10 +313,10 @@ void tubeopt_bearing_accept(void *room, const tubeopt_joints *joints) {
     b->joints = *joints;
 }
 
-/* Compliance of the tip under the load (36). */
-void tubeopt_bearing_compliance(const void *room, double *out) {
+/* Compliance of the tip (36) at the last equilibrium, or at that which was solved for and not accepted. */
+void tubeopt_bearing_compliance(const void *room, int next, double *out) {
     const Bearing *b = room;
-    memcpy(out, b->answers[b->here].compliance, sizeof b->answers[0].compliance);
+    memcpy(out, b->answers[next ? !b->here : b->here].compliance, sizeof b->answers[0].compliance);
 }
 
 /* Points along the arm; returns the last one's number. */
@@ -237,7 +326,7 @@ int tubeopt_bearing_arm(const void *room, const double **s, const double (**posi
     *s = a->arc_length;
     *position = a->position;
     *frame = a->frame;
-    return b->beds[b->here].pieces * STEPS;
+    return b->beds[b->here].layout.pieces * STEPS;
 }
 
 /* The last equilibrium, to which a motion that fails returns. */

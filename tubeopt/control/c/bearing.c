@@ -3,7 +3,7 @@
 
 #define SHORTEST_LOAD 1e-3 /* part of a change of the load */
 #define LOAD_TURN 1e-4     /* rad, of differences */
-#define LOAD_SHIFT 1e-4    /* of the longest tube */
+#define LOAD_SHIFT 2e-5    /* of the longest tube */
 
 static void accept_loaded(tubeopt_memory *m, const tubeopt_joints *joints) {
     if (!m->bears) return;
@@ -14,8 +14,8 @@ static void accept_loaded(tubeopt_memory *m, const tubeopt_joints *joints) {
 /* The loaded equilibrium at other joint values, from the unloaded one there. */
 static int grow_anew(tubeopt_memory *m, const tubeopt_load *load) {
     const Answer *a = m->answers + m->here;
-    return tubeopt_bearing_grow(room_of(m), load, &m->joints, (int)a->pieces * STEPS + 1, a->arc_length, m->rotation,
-                                m->torsion, a->margin, &m->next_loaded);
+    return tubeopt_bearing_grow(room_of(m), load, &m->joints, (int)a->pieces, a->arc_length, m->rotation, a->margin,
+                                &m->next_loaded);
 }
 
 /* From the load that is borne to another one, in parts that keep the branch. */
@@ -59,40 +59,56 @@ tubeopt_status tubeopt_bear(tubeopt_memory *m, const tubeopt_load *load, tubeopt
     return TUBEOPT_DONE;
 }
 
-/* Derivatives of the loaded equilibrium by differences of those on both sides, or on one where a tube cannot move. */
+/* What the loaded equilibrium with an independent joint moved by `by` has more: position, frame, tip rotations, margin; 1
+   where there is none. */
+static int loaded_beside(tubeopt_memory *m, int joint, double by, double *more) {
+    tubeopt_joints there = m->joints;
+    tubeopt_pose side;
+    for (int i = 0; i < N; i++) {
+        if (i == joint) there.rotations[i] += by;
+        if (CARRIAGES[i] == joint - N) there.translations[i] += by;
+    }
+    if (!sensible(&there) || tubeopt_bearing_step(room_of(m), &m->load, &there, &side)) return 1;
+    for (int r = 0; r < 3; r++) more[r] = side.position[r] - m->loaded.position[r];
+    for (int r = 0; r < 9; r++) more[3 + r] = side.frame[r] - m->loaded.frame[r];
+    for (int i = 0; i < N; i++) more[12 + i] = side.tip_rotations[i] - m->loaded.tip_rotations[i];
+    more[12 + N] = side.margin - m->loaded.margin;
+    return 0;
+}
+
+/* Derivatives by a joint: of a rotation by differences to both sides, of a translation to the given one alone, since
+   breakpoints may coincide. 1 where that fails. */
+static int differ_loaded(tubeopt_memory *m, int joint, int side, double *slope) {
+    int turns = joint < N;
+    double by = side * (turns ? LOAD_TURN : LOAD_SHIFT * LONGEST_TUBE), one[13 + N], two[13 + N];
+    if (loaded_beside(m, joint, by, one)) return 1;
+    int both = !loaded_beside(m, joint, turns ? -by : 2 * by, two);
+    for (int k = 0; k < 13 + N; k++)
+        slope[k] = !both ? one[k] / by : turns ? (one[k] - two[k]) / (2 * by) : (4 * one[k] - two[k]) / (2 * by);
+    return 0;
+}
+
 static int loaded_slopes(tubeopt_memory *m, tubeopt_slopes *out) {
     for (int c = 0; c < JOINTS; c++) {
-        tubeopt_pose side[2];
-        double by = c < N ? LOAD_TURN : LOAD_SHIFT * LONGEST_TUBE, gap = 0;
+        double slope[13 + N], turn[3] = {0};
         int size = 0;
-        for (int s = 0; s < 2; s++) {
-            tubeopt_joints there = m->joints;
-            side[s] = m->loaded;
-            for (int i = 0; i < N; i++) {
-                if (i == c) there.rotations[i] += s ? -by : by;
-                if (CARRIAGES[i] == c - N) there.translations[i] += s ? -by : by;
-            }
-            if (sensible(&there) && !tubeopt_bearing_step(room_of(m), &m->load, &there, side + s)) gap += by;
-        }
-        if (!(gap > 0)) return 1;
+        if (differ_loaded(m, c, 1, slope) && differ_loaded(m, c, -1, slope)) return 1;
         for (int i = 0; i < N; i++) size += CARRIAGES[i] == c - N;
+        for (int r = 0; r < 3; r++) { /* the change of the frame R is turn x R */
+            int one = 3 * ((r + 1) % 3), two = 3 * ((r + 2) % 3);
+            turn[r] = (dot(slope + 3 + two, m->loaded.frame + one, 3) - dot(slope + 3 + one, m->loaded.frame + two, 3)) / 2;
+        }
         for (int k = 0; k < 2 * N; k++) {
             if (k < N ? k != c : CARRIAGES[k - N] != c - N) continue;
-            double share = 1 / (gap * (k < N ? 1 : size)), turn[3] = {0};
+            double share = 1. / (k < N ? 1 : size);
             for (int r = 0; r < 3; r++) {
-                out->position[r][k] = share * (side[0].position[r] - side[1].position[r]);
-                for (int j = 0; j < 3; j++) { /* the change of the frame R is turn x R */
-                    double by_one = side[0].frame[3 * ((r + 2) % 3) + j] - side[1].frame[3 * ((r + 2) % 3) + j];
-                    double by_two = side[0].frame[3 * ((r + 1) % 3) + j] - side[1].frame[3 * ((r + 1) % 3) + j];
-                    turn[r] += (by_one * m->loaded.frame[3 * ((r + 1) % 3) + j] - by_two * m->loaded.frame[3 * ((r + 2) % 3) + j]) / 2;
-                }
+                out->position[r][k] = share * slope[r];
                 out->turn[r][k] = share * turn[r];
             }
-            for (int i = 0; i < N; i++)
-                out->tip_rotations[i][k] = share * (side[0].tip_rotations[i] - side[1].tip_rotations[i]);
-            out->margin[k] = share * (side[0].margin - side[1].margin);
+            for (int i = 0; i < N; i++) out->tip_rotations[i][k] = share * slope[12 + i];
+            out->margin[k] = share * slope[12 + N];
         }
     }
-    tubeopt_bearing_compliance(room_of(m), out->compliance[0]);
+    tubeopt_bearing_compliance(room_of(m), 0, out->compliance[0]);
     return 0;
 }

@@ -8,11 +8,11 @@
 
 #if TUBEOPT_LOADS
 size_t tubeopt_bearing_size(void);
-int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int count, const double *s,
-                         const double *rotation, const double *torsion, double margin, tubeopt_pose *pose);
+int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
+                         const double *rotation, double margin, tubeopt_pose *pose);
 int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints, tubeopt_pose *pose);
 void tubeopt_bearing_accept(void *room, const tubeopt_joints *joints);
-void tubeopt_bearing_compliance(const void *room, double *out);
+void tubeopt_bearing_compliance(const void *room, int next, double *out);
 int tubeopt_bearing_arm(const void *room, const double **s, const double (**position)[3], const double (**frame)[9]);
 void tubeopt_bearing_keep(void *room);
 void tubeopt_bearing_return(void *room);
@@ -235,8 +235,12 @@ tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     memcpy(slopes->turn, m->slopes.turn, sizeof slopes->turn);
     memcpy(slopes->tip_rotations, m->slopes.tip_rotations, sizeof slopes->tip_rotations);
     memcpy(slopes->margin, m->slopes.margin, sizeof slopes->margin);
-#if TUBEOPT_COMPLIANCE
+#if SLOPES
     memcpy(slopes->compliance, m->slopes.compliance, sizeof slopes->compliance);
+#elif TUBEOPT_COMPLIANCE
+    const tubeopt_load none = {{0, 0, 0}, {0, 0, 0}};
+    if (grow_anew(m, &none)) return TUBEOPT_DECLINED;
+    tubeopt_bearing_compliance(room_of(m), 1, slopes->compliance[0]);
 #endif
     return TUBEOPT_DONE;
 }

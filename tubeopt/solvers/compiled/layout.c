@@ -65,14 +65,17 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *trans
     return kept;
 }
 
+/* What a section asks of its pieces, per length: for coupling, bend, detail and natural twist; and its least sum of kb and
+   largest m / kt. */
+typedef struct {
+    double fastest, steepest, finest, softest, pull;
+} Needs;
+
 #if GENERAL
-/* Pieces that a section, in which `bent` tubes are curved, needs for coupling, bend, detail and natural twist. */
-static double general_need(
-    const Tubes *t, const Layout *l, double start, double length, const int *present, int bent
-) {
-    double fastest = 0, steepest = 0, finest = 0;
+static Needs needs_of(const Tubes *t, const Layout *l, double start, double length, const int *present) {
+    Needs needs = {0, 0, 0, INFINITY, 0};
     for (int g = 0; g < 8; g++) {
-        double s = start + length * SAMPLES[g], kb[N], m[N], kt[N], most = -INFINITY, least = INFINITY;
+        double s = start + length * SAMPLES[g], kb[N], m[N], kt[N], most = -INFINITY, least = INFINITY, sum = 0;
         for (int i = 0; i < N; i++) {
             double place = s + l->transmission[i];
             int own = panel_of(t->pieces, i, place);
@@ -81,21 +84,42 @@ static double general_need(
             kb[i] = here.stiffness;
             m[i] = fabs(here.moment);
             kt[i] = here.torsional;
+            sum += kb[i];
             if (!present[i]) continue;
-            finest = fmax(finest, t->pieces->detail[panel] / DETAIL_PER_PIECE);
+            needs.finest = fmax(needs.finest, t->pieces->detail[panel] / DETAIL_PER_PIECE);
             if (!(m[i] > 0)) continue;
-            steepest = fmax(steepest, m[i] / kb[i]);
-            finest = fmax(finest, t->pieces->twist[panel] / TWIST_PER_PIECE);
+            needs.steepest = fmax(needs.steepest, m[i] / kb[i]);
+            needs.pull = fmax(needs.pull, m[i] / kt[i]);
+            needs.finest = fmax(needs.finest, t->pieces->twist[panel] / TWIST_PER_PIECE);
             double turning = t->pieces->twist[panel] > 0 ? twist_of(t->pieces, i, own, place) : 0;
             most = fmax(most, turning);
             least = fmin(least, turning);
         }
-        if (most > least) finest = fmax(finest, (most - least) / TWIST_PER_PIECE);
-        fastest = fmax(fastest, fastest_growth(kt, m, kb));
+        if (most > least) needs.finest = fmax(needs.finest, (most - least) / TWIST_PER_PIECE);
+        needs.fastest = fmax(needs.fastest, fastest_growth(kt, m, kb));
+        needs.softest = fmin(needs.softest, sum);
     }
-    double shape = fmax(steepest / BEND_PER_PIECE, finest);
-    if (bent < 2 && finest > 0) shape *= KNOWN;
-    return length * fmax(fastest / WAVES_PER_ELEMENT, shape);
+    return needs;
+}
+
+/* Pieces that a section, in which `bent` tubes are curved, needs without load. */
+static double general_need(const Tubes *t, const Layout *l, double start, double length, const int *present, int bent) {
+    Needs needs = needs_of(t, l, start, length, present);
+    double shape = fmax(needs.steepest / BEND_PER_PIECE, needs.finest);
+    if (bent < 2 && needs.finest > 0) shape *= KNOWN;
+    return length * fmax(needs.fastest / WAVES_PER_ELEMENT, shape);
+}
+
+/* Where the tubes are along a piece. */
+static void place_tubes(const Tubes *t, Layout *l, int p) {
+    for (int i = 0; i < N; i++) {
+        double held = l->start[p] + l->transmission[i];
+        int own = l->panel[p][i] = panel_between(t->pieces, i, held, held + l->length[p]);
+        if (own < 0) continue;
+        const double *breaks = t->pieces->breaks + i * (t->pieces->most + 1) + own;
+        l->span[p][i] = 2 * l->length[p] / (breaks[1] - breaks[0]);
+        l->at[p][i] = (2 * held - breaks[0] - breaks[1]) / (breaks[1] - breaks[0]);
+    }
 }
 #endif
 
@@ -141,14 +165,7 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
             l->section[p] = k;
             l->collocated[p] = bent >= (t->eccentric ? 1 : 2);
 #if GENERAL
-            for (int i = 0; i < N; i++) {
-                double held = l->start[p] + l->transmission[i];
-                int own = l->panel[p][i] = panel_between(t->pieces, i, held, held + l->length[p]);
-                if (own < 0) continue;
-                const double *breaks = t->pieces->breaks + i * (t->pieces->most + 1) + own;
-                l->span[p][i] = 2 * l->length[p] / (breaks[1] - breaks[0]);
-                l->at[p][i] = (2 * held - breaks[0] - breaks[1]) / (breaks[1] - breaks[0]);
-            }
+            place_tubes(t, l, p);
 #else
             memcpy(l->stiffness[p], kb, sizeof kb);
             memcpy(l->moment[p], m, sizeof m);

@@ -59,8 +59,9 @@ def loaded_source(n: int) -> str:
     return loaded_text(n, ca.CodeGenerator("mechanics.c"), "loaded.c")
 
 
-def loaded_text(n: int, generator: ca.CodeGenerator, file: str) -> str:
-    """A C text that begins with the kernel's functions of the cross-section, beside those that a generator has."""
+def loaded_text(n: int, generator: ca.CodeGenerator, file: str, pieces: int = MOST_PIECES) -> str:
+    """A C text that begins with the kernel's functions of the cross-section, beside those that a generator has; with
+    room for so many pieces of a mesh."""
     generator.add(section_functions(n, False)["bending"])
     generator.add(rotation_matrix_function())
     defines = {
@@ -69,7 +70,7 @@ def loaded_text(n: int, generator: ca.CodeGenerator, file: str) -> str:
         "ROUGH_DEGREE": ROUGH_DEGREE,
         "CHECK_DEGREE": CHECK_DEGREE,
         "MOST_DEGREE": CHECK_DEGREE,
-        "MOST_PIECES": MOST_PIECES,
+        "MOST_PIECES": pieces,
         "STEPS": STEPS,
         "LANCZOS": LANCZOS,
         "EIGENVALUE_ERROR": EIGENVALUE_ERROR,
