@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from .. import __version__
 from ..block.transcription.tableau import tableau
 from ..display import Displayed
-from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST
+from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_TWIST
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
@@ -28,16 +28,15 @@ from ..inverse.joints import JointSpace, joint_space
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import piece_sizes, piece_tables
 from ..solvers.compiled.library import (
-    COARSE_DEGREE,
-    DEGREE,
     MOST_TUBES,
     ROOM,
     Room,
     between_points,
     kernel_text,
 )
+from ..solvers.compiled.tables import COARSE_DEGREE, DEGREE
 from ..solvers.compiled.text import c_tables, numbers, with_included
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array
 from .c_loads import loaded_cases, loads_source
 from .c_text import C_FOLDER, tubes_text

@@ -25,38 +25,29 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
-from ...block.transcription.collocated import ENDS, STEPS
-from ...block.transcription.general_arm import FINE, ROUGHER, SHAPE_RATIO, SUBSTEPS
-from ...block.transcription.green import INWARDS
-from ...block.transcription.linear import hermite
+from ...block.transcription.collocated import STEPS
+from ...block.transcription.general_arm import SHAPE_RATIO
 from ...block.transcription.mesh import (
     BEND_PER_PIECE,
-    DETAIL_PER_PIECE,
-    KNOWN,
-    SAMPLES,
-    TWIST_PER_PIECE,
     WAVES_PER_ELEMENT,
 )
-from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
+from ...block.transcription.piece import COARSE_STEPS, piece_function
 from ...block.transcription.tableau import tableau
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
-from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..settings import NEWTON
 from .packaged import Kind, packaged_kernel, processor, processor_features
-from .text import HERE, c_tables, c_text
+from .tables import COARSE_DEGREE, DEGREE, general_constants, slope_constants
+from .text import HERE, c_text
 
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
 """Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel asks for them."""
 
 OWN_PROCESSOR = "-march=native"
 """Uses all that the processor has. Not every compiler knows it for every processor: left out where it fails."""
-
-DEGREE, COARSE_DEGREE = 6, 3
-"""Collocation points per element of the solution, and of the descent towards it."""
 
 MOST_CUTS = 512
 """Breakpoints of tubes made of pieces that the kernel has room for."""
@@ -177,7 +168,7 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False, room: Ro
         "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
-    tables = _general_constants() if general else "" if eccentric else _slope_constants()
+    tables = general_constants() if general else "" if eccentric else slope_constants()
     return tables + c_text(constants, generator, "kernel.c")
 
 
@@ -246,52 +237,6 @@ def _own_folder() -> Path:
 def most_sections(n: int, general: bool) -> int:
     """Sections that the kernel has room for."""
     return MOST_PIECES if general else 2 * n
-
-
-def _general_constants() -> str:
-    """Numbers of which the kernel for tubes made of pieces is made, as C."""
-    fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
-    nodes, weights = gauss_rule()
-
-    def bases(x: Array) -> Array:
-        return np.stack([fine.lagrange(x, integrals=1), fine.lagrange(x, integrals=2)], axis=1)
-
-    tables = {
-        "SAMPLES": SAMPLES,
-        "QUADRATURE_NODES": nodes,
-        "QUADRATURE_WEIGHTS": weights,
-        "FINE_POINTS": FINE,
-        "FINE_BASIS": bases(FINE),
-        "ROUGHER": ROUGHER,
-        "ENDS_BASIS": bases(ENDS),
-        "CHECK_NODES": check.nodes,
-        "CHECK_WEIGHTS": check.weights,
-        "CHECK_MATRIX": check.matrix,
-        "CHECK_BASIS": bases(check.nodes),
-    }
-    numbers = {
-        "QUADRATURE": len(nodes),
-        "SUBSTEPS": SUBSTEPS,
-        "EXTRA_POINTS": EXTRA_POINTS,
-        "INWARDS": INWARDS,
-        "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
-        "TWIST_PER_PIECE": TWIST_PER_PIECE,
-        "KNOWN": KNOWN,
-    }
-    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + c_tables(tables)
-
-
-def _slope_constants() -> str:
-    """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes; at
-    the shape points, the basis integrated once."""
-    fine = tableau("gauss", DEGREE)
-    return c_tables(
-        {
-            "TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2),
-            "POSE_INSIDE": hermite(fine.family, fine.degree),
-            "ONCE_UP_TO": fine.lagrange(ENDS, integrals=1),
-        }
-    )
 
 
 def _answer(n: int, general: bool) -> np.dtype[np.void]:
@@ -396,9 +341,8 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    differentiate = None
-    if not (eccentric or general):
-        differentiate = loaded.differentiate
-        differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 4]
     parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size()
-    return Library(n, path, *parts, differentiate)
+    if eccentric or general:
+        return Library(n, path, *parts)
+    loaded.differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 4]
+    return Library(n, path, *parts, loaded.differentiate)

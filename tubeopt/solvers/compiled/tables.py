@@ -1,0 +1,87 @@
+"""Numbers and tables of which the compiled kernels are made, as C."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...block.transcription.collocated import ENDS
+from ...block.transcription.general_arm import FINE, ROUGHER, SUBSTEPS
+from ...block.transcription.green import INWARDS
+from ...block.transcription.linear import hermite
+from ...block.transcription.mesh import DETAIL_PER_PIECE, KNOWN, SAMPLES, TWIST_PER_PIECE
+from ...block.transcription.piece import EXTRA_POINTS
+from ...block.transcription.tableau import tableau
+from ...robots.lengthwise import gauss_rule
+from ...typing import Array
+from ..rubbing import HONEST, ITERATIONS, ONWARD
+from ..settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
+from ..sticking import MOST_CHANGES, PATIENCE, ROUND_OFF
+from .text import c_tables
+
+DEGREE, COARSE_DEGREE = 6, 3
+"""Collocation points per element of the solution, and of the descent towards it."""
+
+
+def general_constants() -> str:
+    """Numbers of which the kernel for tubes made of pieces is made, as C."""
+    fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
+    nodes, weights = gauss_rule()
+
+    def bases(x: Array) -> Array:
+        return np.stack([fine.lagrange(x, integrals=1), fine.lagrange(x, integrals=2)], axis=1)
+
+    tables = {
+        "SAMPLES": SAMPLES,
+        "QUADRATURE_NODES": nodes,
+        "QUADRATURE_WEIGHTS": weights,
+        "FINE_POINTS": FINE,
+        "FINE_BASIS": bases(FINE),
+        "ROUGHER": ROUGHER,
+        "ENDS_BASIS": bases(ENDS),
+        "CHECK_NODES": check.nodes,
+        "CHECK_WEIGHTS": check.weights,
+        "CHECK_MATRIX": check.matrix,
+        "CHECK_BASIS": bases(check.nodes),
+    }
+    numbers = {
+        "QUADRATURE": len(nodes),
+        "SUBSTEPS": SUBSTEPS,
+        "EXTRA_POINTS": EXTRA_POINTS,
+        "INWARDS": INWARDS,
+        "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
+        "TWIST_PER_PIECE": TWIST_PER_PIECE,
+        "KNOWN": KNOWN,
+    }
+    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + c_tables(tables)
+
+
+def slope_constants() -> str:
+    """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes; at
+    the shape points, the basis integrated once."""
+    fine = tableau("gauss", DEGREE)
+    return c_tables(
+        {
+            "TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2),
+            "POSE_INSIDE": hermite(fine.family, fine.degree),
+            "ONCE_UP_TO": fine.lagrange(ENDS, integrals=1),
+        }
+    )
+
+
+def rubbing_constants() -> str:
+    """Numbers and tables of `rubbing.c`."""
+    numbers = {
+        "PATIENCE": PATIENCE,
+        "MOST_CHANGES": MOST_CHANGES,
+        "HARDLY": ROUND_OFF,
+        "HONEST": HONEST,
+        "RUB_ITERATIONS": ITERATIONS,
+        "ONWARD": ONWARD,
+        "LARGEST_TURN": LARGEST_TURN,
+        "LARGEST_SHIFT": LARGEST_SHIFT,
+        "LARGEST_RATIO": CONTINUATION.largest_ratio,
+        "LARGEST_TWIST": CONTINUATION.largest_twist,
+        "SOFT_TWIST": CONTINUATION.soft_twist,
+    }
+    tables = {"TWICE_LEGENDRE": tableau("gauss", DEGREE).integrated(2)}
+    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + c_tables(tables)
