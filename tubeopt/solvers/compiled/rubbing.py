@@ -27,7 +27,7 @@ class Rubbed:
 
     Attributes:
         stations: (K, S, 3) m.   frame: (K, 3, 3) of the tip.   rotation: (K, n) of the tubes there, rad.
-        margin: (K,) without friction.   length: (K,) of the arm, m.
+        margin: (K,) without friction, to 1e-5.   length: (K,) of the arm, m.
         unknowns, torque, signs: (U,), (R,) and (R,) of the last row; as given where K is 0.
     """
 

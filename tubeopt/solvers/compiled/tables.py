@@ -21,6 +21,9 @@ from .text import c_tables
 DEGREE, COARSE_DEGREE = 6, 3
 """Collocation points per element of the solution, and of the descent towards it."""
 
+HARDLY_SOFTER = 1e-6
+"""1 / margin - 1 from which margins of tubes that rub need not be told from 1 as exactly: eigenvalues gather there."""
+
 
 def general_constants() -> str:
     """Numbers of which the kernel for tubes made of pieces is made, as C."""
@@ -77,6 +80,7 @@ def rubbing_constants() -> str:
         "HONEST": HONEST,
         "RUB_ITERATIONS": ITERATIONS,
         "ONWARD": ONWARD,
+        "HARDLY_SOFTER": HARDLY_SOFTER,
         "LARGEST_TURN": LARGEST_TURN,
         "LARGEST_SHIFT": LARGEST_SHIFT,
         "LARGEST_RATIO": CONTINUATION.largest_ratio,
