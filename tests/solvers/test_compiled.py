@@ -253,7 +253,7 @@ def test_a_compiler_that_cannot_tune_for_the_processor_will_do(monkeypatch: pyte
     here = forward_kinematics_batch(robot, alpha)
     other = building.library.__wrapped__(2, False)
     assert other is not None
-    monkeypatch.setattr(binding, "_prepared", lambda robot, _: _with_kernel(robot, other))
+    monkeypatch.setattr(binding, "with_kernel", lambda robot, _: _with_kernel(robot, other))
     there = forward_kinematics_batch(robot, alpha)
     assert there.tip_position == pytest.approx(here.tip_position, abs=1e-13)
     assert there.margin == pytest.approx(here.margin, abs=1e-9)

@@ -19,16 +19,15 @@ from numpy.typing import ArrayLike
 from .. import __version__
 from ..block.transcription.tableau import tableau
 from ..display import Displayed
-from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST
+from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_TWIST
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.robot import Robot, is_general
+from ..solvers.compiled.constants import COARSE_DEGREE, DEGREE
 from ..solvers.compiled.library import (
-    COARSE_DEGREE,
-    DEGREE,
     MOST_TUBES,
     ROOM,
     Room,
@@ -36,7 +35,7 @@ from ..solvers.compiled.library import (
     kernel_text,
 )
 from ..solvers.compiled.text import c_tables, numbers, with_included
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array
 from .c_loads import SPARE, loaded_cases, loads_source
 from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text

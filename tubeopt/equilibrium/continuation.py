@@ -12,18 +12,11 @@ from ..block.transcription.second_variation import margin
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array
 from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
 
 LARGEST_RATIO, LARGEST_TWIST = CONTINUATION.largest_ratio, CONTINUATION.largest_twist
-
-LARGEST_TURN = 0.3
-"""Largest change (rad) of a joint rotation in one step of the path: small against a turn, after which another branch
-looks like the one that is followed."""
-
-LARGEST_SHIFT = 0.05
-"""Largest change of a translation in one step, as a fraction of the longest tube."""
 
 SHORTEST_STEP = 1e-11
 """Fraction of the path below which a step that fails means that the branch has ended."""

@@ -24,13 +24,10 @@ from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
-from ..solvers.rubbing import Increment, held_margin, imbalance, increment, least
+from ..solvers.rubbing import ONWARD, Increment, held_margin, imbalance, increment, least
 from ..typing import Array, Index
 from .result import Equilibrium, FrictionState, Status
 from .solving import Solution, sample_rotation, to_equilibrium
-
-ONWARD = 0.9
-"""Cosine of the angle between two turns of the bases from which the second goes on the way of the first."""
 
 ROUND_OFF = 1e-13
 """Of a least eigenvalue."""

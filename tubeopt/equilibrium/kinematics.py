@@ -19,12 +19,10 @@ from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
-from ..solvers.settings import NEWTON, Ipopt, Newton
+from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN, NEWTON, Ipopt, Newton
 from ..typing import Array
 from .continuation import (
     LARGEST_RATIO,
-    LARGEST_SHIFT,
-    LARGEST_TURN,
     LARGEST_TWIST,
     JointPath,
     Point,

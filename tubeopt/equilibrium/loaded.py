@@ -18,9 +18,9 @@ from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_c
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
 from ..solvers.loaded_ipopt import solve_loaded_ipopt
 from ..solvers.parallel.blas import small
-from ..solvers.settings import NEWTON, Ipopt, Newton
+from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
-from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
+from .continuation import LARGEST_RATIO, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
 from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules

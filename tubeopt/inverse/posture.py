@@ -9,7 +9,6 @@ from math import ceil
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..equilibrium.continuation import LARGEST_SHIFT, LARGEST_TURN
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.kinematics import forward_kinematics, one_step
@@ -19,6 +18,7 @@ from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
 from ..robots.robot import is_general
 from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
+from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array
 from .joints import JointSpace
 from .outline import Contacts, Outline

@@ -26,6 +26,10 @@ HONEST = 1e-9
 """Largest violation of what friction demands, as a slip (rad) or a part of the capacity, with which a state counts."""
 
 
+ONWARD = 0.9
+"""Cosine of the angle between two turns of the bases from which the second goes on the way of the first."""
+
+
 @dataclass(frozen=True, eq=False)
 class Increment:
     """A state after an increment.

@@ -77,6 +77,13 @@ class Continuation:
 
 CONTINUATION = Continuation()
 
+LARGEST_TURN = 0.3
+"""Largest change (rad) of a joint rotation in one step of the path: small against a turn, after which another branch
+looks like the one that is followed."""
+
+LARGEST_SHIFT = 0.05
+"""Largest change of a translation in one step, as a fraction of the longest tube."""
+
 HESSIANS = ("exact", "limited-memory")
 
 

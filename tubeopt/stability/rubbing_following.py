@@ -53,20 +53,32 @@ def rubbing_legs(
         InputError: another friction, an eccentric robot, or an unstable start.
         SolveError: the motion was lost.
     """
-    check_rubbing(robot, friction)
-    first = start if start is not None else forward_kinematics(robot, *np.split(joints[0], 2))
-    held = rest(robot, first, friction)
-    if held.held_margin <= 0:
-        raise InputError(f"start has margin {held.held_margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    held = rubbing_start(robot, joints[0], friction, start)
     own = np.concatenate([held.rotations, held.translations])
     for k in range(len(joints)):
         snaps: list[RubbingSnap] = []
-        begin = own if k == 0 else joints[k - 1]
         if k or not np.allclose(own, joints[0], rtol=0, atol=1e-12):
-            for found in _along(JointPath(robot, begin, joints[k]), held):
-                held = found.after if isinstance(found, RubbingSnap) else found
-                snaps += [found] if isinstance(found, RubbingSnap) else []
+            held, snaps = rubbing_leg(robot, held, joints[k])
         yield held, snaps
+
+
+def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None) -> Held:
+    """The state in which a motion with friction begins, by default at joint values (2n,); raises as `rubbing_legs`."""
+    check_rubbing(robot, friction)
+    first = start if start is not None else forward_kinematics(robot, *np.split(joints, 2))
+    held = rest(robot, first, friction)
+    if held.held_margin <= 0:
+        raise InputError(f"start has margin {held.held_margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    return held
+
+
+def rubbing_leg(robot: Robot, held: Held, goal: Array) -> tuple[Held, list[RubbingSnap]]:
+    """The state at other joint values (2n,), on a straight way, and the snaps on it; raises SolveError."""
+    snaps: list[RubbingSnap] = []
+    for found in _along(JointPath(robot, np.concatenate([held.rotations, held.translations]), goal), held):
+        held = found.after if isinstance(found, RubbingSnap) else found
+        snaps += [found] if isinstance(found, RubbingSnap) else []
+    return held, snaps
 
 
 def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -11,10 +11,12 @@ import scipy
 from ..block.transcription.arm import Arm
 from ..block.transcription.whole_arm import evaluate_arm
 from ..equilibrium.friction import Held, to_held_equilibrium
+from ..equilibrium.rubbing_sweep import sweep
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
-from ..stability.rubbing_following import rubbing_legs
+from ..solvers.compiled.rubbing import Rubbed
+from ..stability.rubbing_following import rubbing_leg, rubbing_start
 from ..typing import Array, Index
 from .poses import Poses, loose, tilt
 
@@ -39,21 +41,54 @@ def rubbed_poses(
     margin, length = np.full(count, np.nan), np.zeros(count)
     failures: list[tuple[int, str]] = []
     poses = Poses(position, frame, margin, length, ())
-    curved = np.array([tube.curved_length for tube in robot.tubes])
+    seen = _Seen(robot, stations, poses)
     for run in runs:
-        table, k = np.hstack([alpha[run], shift[run]]), 0
+        table, done = np.hstack([alpha[run], shift[run]]), 0
         try:
-            for k, (held, _) in enumerate(rubbing_legs(robot, table, coarse, None)):
-                arm, row = _arm(held), run[k]
-                last = int(np.argmax(shift[row] + curved))
-                length[row], margin[row] = arm.arc_length[-1], held.margin
-                position[row] = _along(arm, stations)
-                frame[row] = arm.frame[-1] @ _about_z(arm.rotation[last, -1])
-                if loose(robot):
-                    tilt(poses, row, to_held_equilibrium(robot, held, "way"), stations)
+            held = rubbing_start(robot, table[0], coarse)
+            seen.put(run[0], held)
+            done = 1
+            while done < len(run):
+                many = None if loose(robot) else sweep(robot, held, table[done - 1 :], stations)
+                if many is not None:
+                    count = len(many[0].margin)
+                    seen.put_many(run[done : done + count], shift, many[0])
+                    held, done = many[1], done + count
+                if done < len(run):  # where the kernel gives up, a step with more care
+                    held, _ = rubbing_leg(robot, held, table[done])
+                    seen.put(run[done], held)
+                    done += 1
         except (InputError, SolveError) as error:
-            failures += [(int(row), str(error)) for row in run[k + (not np.isnan(margin[run[k]])) :]]
+            failures += [(int(row), str(error)) for row in run[done:]]
     return replace(poses, failures=tuple(failures))
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Poses of a robot that are filled in."""
+
+    robot: Robot
+    stations: Array
+    poses: Poses
+
+    def put(self, row: int, held: Held) -> None:
+        """One row."""
+        arm, poses = _arm(held), self.poses
+        poses.length[row], poses.margin[row] = arm.arc_length[-1], held.margin
+        poses.position[row] = _along(arm, self.stations)
+        poses.frame[row] = arm.frame[-1] @ _about_z(arm.rotation[self._last(held.translations), -1])
+        if loose(self.robot):
+            tilt(poses, row, to_held_equilibrium(self.robot, held, "way"), self.stations)
+
+    def put_many(self, rows: Index, translations: Array, many: Rubbed) -> None:
+        """Rows of the kernel, at translations (N, n) of all."""
+        poses, last = self.poses, self._last(translations[rows])
+        poses.length[rows], poses.margin[rows], poses.position[rows] = many.length, many.margin, many.stations
+        poses.frame[rows] = many.frame @ _about_z(many.rotation[np.arange(len(rows)), last])
+
+    def _last(self, translations: Array) -> Index:
+        """The tube that ends last, at translations (..., n)."""
+        return np.asarray(np.argmax(translations + [tube.curved_length for tube in self.robot.tubes], axis=-1))
 
 
 def _arm(held: Held) -> Arm:
@@ -71,9 +106,10 @@ def _along(arm: Arm, stations: Array) -> Array:
     return out
 
 
-def _about_z(angle: float) -> Array:
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+def _about_z(angle: Array | float) -> Array:
+    """(..., 3, 3) turns about z."""
+    turn = scipy.spatial.transform.Rotation.from_rotvec(np.multiply.outer(angle, [0.0, 0.0, 1.0]))
+    return np.asarray(turn.as_matrix())
 
 
 def with_torque(friction: Friction | None, torque: Array) -> Friction | None:

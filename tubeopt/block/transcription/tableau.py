@@ -54,8 +54,12 @@ class Tableau:
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
         """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0."""
         x = 2 * np.asarray(at, dtype=float) - 1
-        coefficients = _integrated(self.family, self.degree, integrals)
+        coefficients = self.integrated(integrals)
         return np.asarray(legendre.legvander(x, len(coefficients) - 1) @ coefficients)
+
+    def integrated(self, times: int) -> Array:
+        """(K + times, K) Legendre coefficients on [-1, 1], by column, of the Lagrange polynomials integrated from 0."""
+        return _integrated(self.family, self.degree, times)
 
     def basis(self, at: tuple[float, ...], integrals: int) -> Array:
         """`lagrange` at places that are asked for again and again: remembered, not to be changed."""

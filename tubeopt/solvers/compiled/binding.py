@@ -170,7 +170,7 @@ def kernel_of(robot: Robot) -> Library | None:
 
 
 @lru_cache(maxsize=64)
-def _prepared(robot: Robot, refinement: int = 0) -> tuple[Library, Any, int] | None:
+def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Library, Any, int] | None:
     """Kernel of a robot, its tubes, and where these are; None where there is no kernel, or none for a refined mesh."""
     kernel = kernel_of(robot)
     if kernel is None or (refinement and not is_general(robot)):
@@ -211,7 +211,7 @@ def solve_compiled(
 
     None where the kernel declines or there is none, or none of a mesh that is halved `refinement` times.
     """
-    prepared = _prepared(robot, refinement)
+    prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None
     kernel, _, tubes = prepared
@@ -241,7 +241,7 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
     move towards `side`; of a margin that two modes share, by one of these. None where the kernel declines or has
     none.
     """
-    prepared = _prepared(robot)
+    prepared = with_kernel(robot)
     if prepared is None or prepared[0].differentiate is None:
         return None
     kernel, n = prepared[0], robot.n_tubes
@@ -277,7 +277,7 @@ def solve_many_compiled(
     None where there is no kernel, and of tubes not made of pieces where `refinement` (of the mesh, by halves) is asked
     for. The interpreter is free while it runs.
     """
-    prepared = _prepared(robot, refinement)
+    prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None
     kernel, _, tubes = prepared

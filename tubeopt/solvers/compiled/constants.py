@@ -15,12 +15,21 @@ from ...block.transcription.piece import EXTRA_POINTS
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
+from ..rubbing import HONEST, ITERATIONS, ONWARD
+from ..settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
+from ..sticking import MOST_CHANGES, PATIENCE, ROUND_OFF
 from .text import c_tables
 
+DEGREE, COARSE_DEGREE = 6, 3
+"""Collocation points per element of the solution, and of the descent towards it."""
 
-def general_constants(degree: int) -> str:
-    """Numbers of which the kernel for tubes made of pieces is made, with `degree` points per piece, as C."""
-    fine, check = tableau("gauss", degree), tableau("gauss", degree + EXTRA_POINTS)
+HARDLY_SOFTER = 1e-6
+"""1 / margin - 1 from which margins of tubes that rub need not be told from 1 as exactly: eigenvalues gather there."""
+
+
+def general_constants() -> str:
+    """Numbers of which the kernel for tubes made of pieces is made, as C."""
+    fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
 
     def bases(x: Array) -> Array:
         return np.stack([fine.lagrange(x, integrals=1), fine.lagrange(x, integrals=2)], axis=1)
@@ -57,10 +66,10 @@ def _defined(numbers: Mapping[str, float]) -> str:
     return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items())
 
 
-def slope_constants(degree: int) -> str:
+def slope_constants() -> str:
     """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes; at
     the shape points, the basis integrated once."""
-    fine = tableau("gauss", degree)
+    fine = tableau("gauss", DEGREE)
     return c_tables(
         {
             "TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2),
@@ -68,3 +77,23 @@ def slope_constants(degree: int) -> str:
             "ONCE_UP_TO": fine.lagrange(ENDS, integrals=1),
         }
     )
+
+
+def rubbing_constants() -> str:
+    """Numbers and tables of `rubbing.c`."""
+    numbers = {
+        "PATIENCE": PATIENCE,
+        "MOST_CHANGES": MOST_CHANGES,
+        "HARDLY": ROUND_OFF,
+        "HONEST": HONEST,
+        "RUB_ITERATIONS": ITERATIONS,
+        "ONWARD": ONWARD,
+        "HARDLY_SOFTER": HARDLY_SOFTER,
+        "LARGEST_TURN": LARGEST_TURN,
+        "LARGEST_SHIFT": LARGEST_SHIFT,
+        "LARGEST_RATIO": CONTINUATION.largest_ratio,
+        "LARGEST_TWIST": CONTINUATION.largest_twist,
+        "SOFT_TWIST": CONTINUATION.soft_twist,
+    }
+    tables = {"TWICE_LEGENDRE": tableau("gauss", DEGREE).integrated(2)}
+    return _defined(numbers) + c_tables(tables)

@@ -36,7 +36,7 @@ from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...typing import Array
 from ..settings import NEWTON
-from .constants import general_constants, slope_constants
+from .constants import COARSE_DEGREE, DEGREE, general_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
 from .text import HERE, c_text
 
@@ -45,9 +45,6 @@ FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "
 
 OWN_PROCESSOR = "-march=native"
 """Uses all that the processor has. Not every compiler knows it for every processor: left out where it fails."""
-
-DEGREE, COARSE_DEGREE = 6, 3
-"""Collocation points per element of the solution, and of the descent towards it."""
 
 MOST_CUTS = 512
 """Breakpoints of tubes made of pieces that the kernel has room for."""
@@ -168,7 +165,7 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False, room: Ro
         "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
-    tables = general_constants(DEGREE) if general else "" if eccentric else slope_constants(DEGREE)
+    tables = general_constants() if general else "" if eccentric else slope_constants()
     return tables + c_text(constants, generator, "kernel.c")
 
 
@@ -341,9 +338,8 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    differentiate = None
-    if not (eccentric or general):
-        differentiate = loaded.differentiate
-        differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 4]
     parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size()
-    return Library(n, path, *parts, differentiate)
+    if eccentric or general:
+        return Library(n, path, *parts)
+    loaded.differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 4]
+    return Library(n, path, *parts, loaded.differentiate)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 Kind = tuple[int, str]
-"""Of a kernel: for how many tubes, and what: "concentric", "eccentric", "general" (made of pieces) or "loaded"."""
+"""Of a kernel: for how many tubes, and what: "concentric", "eccentric", "general" (made of pieces), "loaded" or
+"rubbing"."""
 
 FOLDER = Path(__file__).parent / "kernels"
 """Where a wheel has them."""

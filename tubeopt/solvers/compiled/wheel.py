@@ -7,6 +7,7 @@ from pathlib import Path
 from .library import MOST_TUBES, compile_to, compiler, source
 from .loaded import loaded_source
 from .packaged import Kind, build_kernels, generations, processor_features
+from .rubbing import rubbing_source
 
 
 def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
@@ -21,6 +22,7 @@ def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
             (n, "eccentric"): source(n, True),
             (n, "general"): source(n, False, True),
             (n, "loaded"): loaded_source(n),
+            (n, "rubbing"): rubbing_source(n),
         }
     here = processor_features()
     chosen = generations() if everywhere else [next(g for g in generations() if g.needs <= here)]

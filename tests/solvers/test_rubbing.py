@@ -1,0 +1,76 @@
+"""Motions with friction in the compiled kernel, beside the same increments in Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tests.stability.test_friction import random_way
+from tests.validation.way import joints, robot
+from tubeopt import ConcentricRobot, Friction
+from tubeopt.equilibrium.rubbing_sweep import sweep
+from tubeopt.solvers.compiled.binding import kernel_of
+from tubeopt.stability.rubbing_following import rubbing_start
+from tubeopt.typing import Array
+from tubeopt.validation import rubbed
+from tubeopt.validation.poses import Poses
+
+pytestmark = pytest.mark.skipif(kernel_of(THESIS) is None, reason="no C compiler")
+
+
+def way(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
+    """A random robot with friction along its tubes, and rows (T, 2n) of a way with corners."""
+    given, rotations, translations, rub = random_way(seed)
+    corners = np.hstack([rotations, translations])
+    at = np.linspace(0, len(corners) - 1, 21)
+    rows = np.column_stack([np.interp(at, np.arange(len(corners)), column) for column in corners.T])
+    return given, rows, Friction(rub.torque)
+
+
+def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> Poses:
+    alpha, shift = np.hsplit(rows, 2)
+    return rubbed.rubbed_poses(given, (alpha, shift), np.array([0.0, 0.03]), [np.arange(len(rows))], rub)
+
+
+@pytest.mark.parametrize("seed", [2, 4, 15])  # 4 has steps that the kernel leaves to Python, 15 slides
+def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = poses(*way(seed))
+    monkeypatch.setattr(rubbed, "sweep", lambda *_: None)
+    other = poses(*way(seed))
+    assert own.found.all()
+    assert own.position == pytest.approx(other.position, abs=1e-10)
+    assert own.frame == pytest.approx(other.frame, abs=1e-9)
+    assert own.margin == pytest.approx(other.margin, abs=1e-5)
+    assert own.length == pytest.approx(other.length, abs=1e-15)
+
+
+def test_laws_of_friction_hold_in_the_kernel() -> None:
+    """The state after every row slips against its torque, and from where the row before left its material."""
+    rub = Friction(0.012, refinement=-1)
+    time = np.arange(120) / 10.0
+    rows = joints(3 * time, 3 * time[-1]) * [1, 1, 0, 0]
+    held = rubbing_start(robot(), rows[0], rub)
+    fronts = 0
+    for k in range(1, len(rows)):
+        found = sweep(robot(), held, rows[k - 1 : k + 1], np.zeros(1))
+        assert found is not None
+        assert len(found[0].margin) == 1
+        there = found[1]
+        slip, own = there.found.state.turned - held.found.state.turned, there.found
+        stuck = own.signs == 0
+        assert np.abs(slip[stuck]).max(initial=0) < 1e-9
+        assert (slip * own.signs > -1e-9).all()
+        assert own.torque[~stuck] == pytest.approx((there.contact.capacity * own.signs)[~stuck], rel=1e-12)
+        assert (np.abs(own.torque) <= there.contact.capacity * (1 + 1e-9)).all()
+        balance = own.state.gradient + there.contact.rows.T @ own.torque
+        assert np.abs(there.contact.problem.factor @ balance).max() < 1e-11
+        fronts += bool(stuck.any() and not stuck.all())
+        held = there
+    assert fronts > 10
+
+
+def test_what_the_kernel_leaves_to_python() -> None:
+    rows = np.zeros((3, 4))
+    for rub in (Friction(0.01, ends=1e-5), Friction(0.01, sliding=True)):
+        assert sweep(robot(), rubbing_start(robot(), rows[0], rub), rows, np.zeros(1)) is None

@@ -1,0 +1,430 @@
+/* A motion of tubes that rub along each other, increment by increment: what equilibrium/friction.py, solvers/rubbing.py and
+   stability/rubbing_following.py do where all goes well. What does not (a step that Newton's method is not at ease with, a
+   snap, a state that is held by friction alone) ends it, and is left to them. */
+#include "sticking.c"
+
+#define MOST_EVENTS ((2 * N + 1) * (2 * N + 1) + 1)
+
+typedef struct {
+    const double *torque; /* (N - 1) N m per m between neighbours */
+    double pieces;        /* least number of pieces along which two tubes rub */
+} Friction;
+
+/* A state: rows of friction by pair, then by point; `outer` and `inner` are their unknowns. */
+typedef struct {
+    Layout layout;
+    Unknowns q;
+    State state;
+    Profile arm;
+    int rows, pair[MOST_UNKNOWNS], point[MOST_UNKNOWNS], outer[MOST_UNKNOWNS], inner[MOST_UNKNOWNS];
+    double most[MOST_UNKNOWNS], torque[MOST_UNKNOWNS], turned[MOST_UNKNOWNS];
+    signed char sign[MOST_UNKNOWNS];
+    double alpha[N], shift[N], margin;
+    int tangent;                             /* whether there is one: */
+    double turn[N], along[MOST_UNKNOWNS];    /* how far the bases turned to here, and z changed */
+} Held;
+
+typedef struct {
+    Held held[2];
+    double matrix[MOST_UNKNOWNS * STRIDE], compliance[MOST_UNKNOWNS * MOST_UNKNOWNS], mode[MOST_UNKNOWNS];
+    double basis[LANCZOS + 1][MOST_UNKNOWNS];
+    double before[MOST_UNKNOWNS], free[MOST_UNKNOWNS], step[MOST_UNKNOWNS], last[MOST_UNKNOWNS];
+    double theta[MOST_POINTS][N];
+    Exchange exchange;
+    Answer answer;
+} Room;
+
+typedef struct {
+    const Tubes *tubes;
+    const Method *method;
+    Friction friction;
+    Room *room;
+    int now; /* which of the two is the state */
+} Motion;
+
+/* --- where tubes rub ------------------------------------------------------------------------------------------------- */
+
+/* Cut the pieces of a layout finer where pairs rub, and let `curved` tell which rotations are unknown there. */
+static int lay_out_rubbing(const Friction *f, Layout *l) {
+    static const Layout nothing;
+    double overlap[N] = {0};
+    for (int p = 0; p < l->pieces; p++)
+        for (int i = 0; i + 1 < N; i++)
+            if (l->present[p][i + 1] && f->torque[i] > 0) overlap[i] += l->length[p];
+    Layout fine = nothing;
+    memcpy(fine.transmission, l->transmission, sizeof l->transmission);
+    memcpy(fine.end, l->end, sizeof l->end);
+    memcpy(fine.section_start, l->section_start, sizeof l->section_start);
+    fine.sections = l->sections;
+    for (int p = 0, next; p < l->pieces; p = next) {
+        int unknown[N] = {0}, bent = 0, any = 0, count;
+        double longest = INFINITY;
+        for (next = p; next < l->pieces && l->section[next] == l->section[p];) next++;
+        for (int i = 0; i < N; i++) bent += l->curved[p][i];
+        for (int i = 0; i < N; i++) unknown[i] = bent >= 2 && l->curved[p][i];
+        for (int i = 0; i + 1 < N; i++) {
+            if (!(l->present[p][i + 1] && f->torque[i] > 0)) continue;
+            unknown[i] = unknown[i + 1] = 1;
+            longest = fmin(longest, overlap[i] / f->pieces);
+        }
+        for (int i = 0; i < N; i++) any |= unknown[i];
+        double whole = l->length[p] * (next - p), wanted = fmax(next - p, ceil(whole / longest - 1e-9));
+        if (fine.pieces + wanted > MOST_PIECES) return 0;
+        count = (int)wanted;
+        for (int j = 0; j < count; j++) {
+            int at = fine.pieces++;
+            fine.length[at] = whole / count;
+            fine.start[at] = l->start[p] + j * fine.length[at];
+            fine.section[at] = l->section[p];
+            fine.collocated[at] = any;
+            memcpy(fine.stiffness[at], l->stiffness[p], sizeof l->stiffness[p]);
+            memcpy(fine.moment[at], l->moment[p], sizeof l->moment[p]);
+            memcpy(fine.present[at], l->present[p], sizeof l->present[p]);
+            memcpy(fine.curved[at], unknown, sizeof unknown);
+        }
+    }
+    *l = fine;
+    return 1;
+}
+
+/* Layout, unknowns and rows at translations; 0 where there is no room for them. */
+static int begin_held(const Motion *m, const double *shift, Held *h) {
+    const Friction *f = &m->friction;
+    Unknowns *q = &h->q;
+    if (!lay_out(m->tubes, shift, &h->layout) || !lay_out_rubbing(f, &h->layout)) return 0;
+    if (!pose_unknowns(q, &h->layout, m->tubes, &m->method->fine, 0)) return 0;
+    h->rows = 0;
+    for (int i = 0; i + 1 < N; i++)
+        for (int x = 0; x < q->points; x++) {
+            if (!(f->torque[i] > 0) || !h->layout.present[q->piece[x]][i + 1]) continue;
+            int r = h->rows++;
+            if (filled_up(q->size) + filled_up(r + 2) > MOST_UNKNOWNS) return 0;
+            h->pair[r] = i;
+            h->point[r] = x;
+            h->inner[r] = q->first[i] + q->place[x][i];
+            h->outer[r] = q->first[i + 1] + q->place[x][i + 1];
+            h->most[r] = f->torque[i] * q->weight[x];
+        }
+    memcpy(h->shift, shift, sizeof h->shift);
+    h->tangent = 0;
+    return 1;
+}
+
+/* x <- x + P' y: what torques y of the rows do to the unknowns. */
+static void add_rows(const Held *h, const double *y, double *x) {
+    double load[MOST_UNKNOWNS] = {0};
+    const Unknowns *q = &h->q;
+    for (int r = 0; r < h->rows; r++) {
+        load[h->outer[r]] += y[r];
+        load[h->inner[r]] -= y[r];
+    }
+    for (int i = 0; i < N; i++)
+        for (int a = 0; a < q->count[i]; a++) {
+            const double *row = q->part[i] + a * q->lead[i];
+            for (int k = 0; k <= a; k++) x[q->first[i] + k] += row[k] * load[q->first[i] + a];
+        }
+}
+
+/* Energy and relative rotations at h->state.z. */
+static void look(Held *h) {
+    evaluate(&h->q, h->alpha, &h->state);
+    for (int r = 0; r < h->rows; r++) {
+        const double *theta = h->state.theta[h->point[r]];
+        h->turned[r] = theta[h->pair[r] + 1] - theta[h->pair[r]];
+    }
+}
+
+/* --- one increment --------------------------------------------------------------------------------------------------- */
+
+/* The second-order model of the energy: (H P' -g; . 0 0) with H eliminated, which leaves its factor, and from it what the
+   rows comply with, and would slip by without friction. 0 where H is not positive definite. */
+static int model_energy(const Held *h, Room *w) {
+    const Unknowns *q = &h->q;
+    int n = q->size, from = filled_up(n), whole = from + filled_up(h->rows + 1);
+    double *a = w->matrix;
+    second_variation(q, &h->state, a);
+    for (int r = 0; r < n; r++) {
+        double *row = a + (size_t)r * STRIDE;
+        for (int j = n; j < whole; j++) row[j] = 0;
+        row[from + h->rows] = -h->state.gradient[r];
+    }
+    for (int r = n; r < whole; r++)
+        for (int j = r; j < whole; j++) a[(size_t)r * STRIDE + j] = r == j && r < from;
+    for (int r = 0; r < h->rows; r++)
+        for (int side = 0; side < 2; side++) {
+            int i = h->pair[r] + side, at = (side ? h->outer[r] : h->inner[r]) - q->first[i];
+            const double *row = q->part[i] + at * q->lead[i];
+            for (int k = 0; k <= at; k++) a[(size_t)(q->first[i] + k) * STRIDE + from + r] += side ? row[k] : -row[k];
+        }
+    if (!eliminate(a, from, whole, STRIDE)) return 0;
+    for (int r = 0; r < h->rows; r++) {
+        const double *row = a + (size_t)(from + r) * STRIDE + from;
+        for (int c = r; c < h->rows; c++)
+            w->compliance[(size_t)r * h->rows + c] = w->compliance[(size_t)c * h->rows + r] = -row[c];
+        w->free[r] = h->turned[r] - w->before[r] - row[h->rows];
+    }
+    return 1;
+}
+
+/* The model with the gradient of now and the Hessian of the last step, which was short. */
+static int again(const Held *h, Room *w) {
+    double turned[MOST_UNKNOWNS];
+    const Unknowns *q = &h->q;
+    for (int r = 0; r < q->size; r++) w->step[r] = -h->state.gradient[r];
+    cholesky_solve(w->matrix, q->size, STRIDE, w->step);
+    times_factor(q, w->step, turned);
+    for (int r = 0; r < h->rows; r++) w->free[r] = h->turned[r] - w->before[r] + turned[h->outer[r]] - turned[h->inner[r]];
+    return 1;
+}
+
+/* Whether the state keeps to the laws of friction, to HONEST. */
+static int honest(const Held *h, const double *before) {
+    for (int r = 0; r < h->rows; r++) {
+        double slip = h->turned[r] - before[r], wrong = h->sign[r] ? -slip * h->sign[r] : fabs(slip);
+        if (!(wrong <= HONEST) || !(fabs(h->torque[r]) <= h->most[r] * (1 + HONEST))) return 0;
+    }
+    return 1;
+}
+
+/* The state near h->state.z, from relative rotations w->before; `guess` tells whether h->sign is one. */
+static int increment(Held *h, int guess, Room *w) {
+    double last = INFINITY, contraction = 0;
+    signed char kept[MOST_UNKNOWNS];
+    const Unknowns *q = &h->q;
+    look(h);
+    for (int k = 0; k < RUB_ITERATIONS; k++) {
+        double size, load[MOST_UNKNOWNS];
+        if (last > CHORD_STEP ? !model_energy(h, w) : !again(h, w)) return DECLINED;
+        for (int r = 0; r < h->rows && !guess; r++) h->sign[r] = (w->free[r] > 0) - (w->free[r] < 0);
+        memcpy(kept, h->sign, h->rows);
+        Sticking s = {h->rows, w->compliance, w->free, h->most, h->torque, h->sign};
+        if (!stick_or_slip(&s, &w->exchange)) return DECLINED;
+        for (int r = 0; r < h->rows; r++) load[r] = -h->torque[r];
+        for (int r = 0; r < q->size; r++) w->step[r] = -h->state.gradient[r];
+        add_rows(h, load, w->step);
+        cholesky_solve(w->matrix, q->size, STRIDE, w->step);
+        size = turn_of(q, w->step);
+        if (!(size <= 3.14)) return DECLINED;
+        for (int r = 0; r < q->size; r++) h->state.z[r] += w->step[r];
+        look(h);
+        if (size <= LAST_STEP) {
+            memcpy(w->step, h->state.gradient, q->size * sizeof(double));
+            add_rows(h, h->torque, w->step);
+            if (size <= ROUND_OFF || turn_of(q, w->step) <= ROUND_OFF)
+                return honest(h, w->before) && contraction <= LARGEST_RATIO ? SOLVED : DECLINED;
+        } else if (k && !memcmp(kept, h->sign, h->rows))
+            contraction = fmax(contraction, size / last);
+        last = size;
+        guess = 1;
+    }
+    return DECLINED;
+}
+
+/* Torsion along the arm, and the margin to 1e-5; 0 where the state is not stable without friction. */
+static int settle(Held *h, Room *w) {
+    const Unknowns *q = &h->q;
+    integrate(q, h->alpha, &h->state, &h->arm);
+    for (int r = 0; r < h->rows; r++) {
+        int x = h->point[r], i = h->pair[r], at = x % q->tableau->degree * N;
+        double *m = h->arm.moment[q->piece[x]] + at, per_length = h->torque[r] / q->weight[x];
+        m[i + 1] += per_length / q->tubes->kt[i + 1];
+        m[i] -= per_length / q->tubes->kt[i];
+    }
+    turn_along(q, h->alpha, NULL, &h->arm);
+    h->margin = 1;
+    if (!q->size) return 1;
+    anywhere(w->mode, q->size);
+    second_variation(q, &h->state, w->matrix);
+    if (!cholesky(w->matrix, q->size, STRIDE)) return 0;
+    Factored of = {w->matrix, q->size, STRIDE};
+    Lanczos lanczos = {by_factor, &of, q->size, LANCZOS, MOST_UNKNOWNS, 0, ROUGH_ERROR, HARDLY_SOFTER, w->basis[0]};
+    h->margin = fmin(1, least_of(&lanczos, w->mode));
+    return h->margin > 0;
+}
+
+/* --- from one to the next -------------------------------------------------------------------------------------------- */
+
+/* theta of a tube at arc length s, constant beyond the tip, behind the plate by the twist of the transmission. */
+static double theta_at(const Held *h, int tube, double s) {
+    const Layout *l = &h->layout;
+    double inside = fmax(s, 0), legendre[MOST_DEGREE + 2] = {1}, bent = 0;
+    int p = 0, degree = h->q.tableau->degree;
+    while (p + 1 < l->pieces && l->start[p + 1] <= inside) p++;
+    double along = l->length[p], x = fmin(fmax((inside - l->start[p]) / along, 0), 1), u = legendre[1] = 2 * x - 1;
+    for (int j = 2; j < degree + 2; j++) legendre[j] = ((2 * j - 1) * u * legendre[j - 1] - (j - 1) * legendre[j - 2]) / j;
+    for (int k = 0; k < degree; k++) {
+        double basis = 0;
+        for (int j = 0; j < degree + 2; j++) basis += legendre[j] * TWICE_LEGENDRE[j * degree + k];
+        bent += basis * h->arm.moment[p][k * N + tube];
+    }
+    double theta = h->arm.rotation[p][tube] + x * along * h->arm.twist[p][tube] + along * along * bent;
+    return theta + fmin(s, 0) * h->arm.twist[0][tube];
+}
+
+/* The largest turn of a point in one step from a state of a margin. */
+static double largest_twist(double margin) {
+    return fmin(fmax(2 * margin * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST);
+}
+
+/* The state at other joint values: NULL where the step is too long. */
+static Held *step_held(Motion *m, const double *alpha, const double *shift) {
+    Room *w = m->room;
+    Held *old = &w->held[m->now], *h = old;
+    double turn[N], moved[N], straight = 0, size = 0, other = 0, far = 0, limit = largest_twist(old->margin);
+    int same = 1, guess = 0;
+    for (int i = 0; i < N; i++) {
+        turn[i] = alpha[i] - old->alpha[i];
+        moved[i] = shift[i] - old->shift[i];
+        same &= moved[i] == 0;
+    }
+    if (same) {
+        memcpy(w->before, h->turned, h->rows * sizeof(double));
+        memcpy(w->theta, h->state.theta, h->q.points * sizeof w->theta[0]);
+        memcpy(w->last, h->state.z, h->q.size * sizeof(double));
+        for (int i = 0; i < N && h->tangent; i++) {
+            straight += turn[i] * h->turn[i];
+            size += h->turn[i] * h->turn[i];
+            other += turn[i] * turn[i];
+        }
+        if (straight > ONWARD * sqrt(size * other) && size * other > 0)
+            for (int r = 0; r < h->q.size; r++) h->state.z[r] += h->along[r] * (straight / size);
+        guess = 1;
+    } else {
+        h = &w->held[!m->now];
+        if (!begin_held(m, shift, h)) return NULL;
+        for (int x = 0; x < h->q.points; x++)
+            for (int i = 0; i < N; i++) {
+                w->theta[x][i] = theta_at(old, i, h->q.s[x]);
+                h->state.theta[x][i] = w->theta[x][i] + turn[i];
+            }
+        for (int r = 0; r < h->rows; r++) {
+            double s = h->q.s[h->point[r]];
+            int i = h->pair[r];
+            w->before[r] = theta_at(old, i + 1, s - moved[i + 1]) - theta_at(old, i, s - moved[i]);
+        }
+        to_unknowns(&h->q, alpha, h->state.theta, h->state.z);
+    }
+    memcpy(h->alpha, alpha, sizeof h->alpha);
+    if (increment(h, guess, w) != SOLVED) return NULL;
+    for (int i = 0; i < N; i++)
+        for (int a = h->q.first[i]; a < h->q.first[i] + h->q.count[i]; a++) {
+            int x = h->q.point[a];
+            far = fmax(far, fabs(h->state.theta[x][i] - w->theta[x][i] - turn[i]));
+        }
+    if (!(far <= limit) || !settle(h, w)) return NULL;
+    if (same) {
+        for (int r = 0; r < h->q.size; r++) h->along[r] = h->state.z[r] - w->last[r];
+        memcpy(h->turn, turn, sizeof h->turn);
+        h->tangent = 1;
+    }
+    m->now = h - w->held;
+    return h;
+}
+
+/* Fractions of the way between two joint values at which breakpoints may meet, in order, 1 the last of them. */
+static int events_of(const Tubes *t, const double *from, const double *to, double *out) {
+    double place[2 * N + 1] = {0}, speed[2 * N + 1] = {0};
+    int count = 0, kept = 0;
+    for (int i = 0; i < N; i++) {
+        double beta = fmin(from[i] - t->straight[i], 0.0);
+        place[i] = beta + t->straight[i];
+        place[N + i] = beta + t->whole[i];
+        speed[i] = speed[N + i] = to[i] - from[i];
+    }
+    for (int a = 0; a < 2 * N + 1; a++)
+        for (int b = 0; b < 2 * N + 1; b++) {
+            double closing = speed[b] - speed[a], at = (place[a] - place[b]) / closing;
+            if (fabs(closing) > ROUND_OFF_LENGTH && at > 1e-9 && at < 1 - 1e-9) out[count++] = round(at * 1e12) / 1e12;
+        }
+    qsort(out, count, sizeof(double), compare);
+    for (int k = 0; k < count; k++)
+        if (!k || out[k] != out[kept - 1]) out[kept++] = out[k];
+    out[kept++] = 1;
+    return kept;
+}
+
+/* The state at other joint values, on a straight way in steps; NULL where it is lost. */
+static Held *move_held(Motion *m, const double *alpha, const double *shift) {
+    Held *h = &m->room->held[m->now];
+    double from[2][N], events[MOST_EVENTS], longest = 0, turn = 0, slide = 0, at = 0;
+    memcpy(from[0], h->alpha, sizeof from[0]);
+    memcpy(from[1], h->shift, sizeof from[1]);
+    for (int i = 0; i < N; i++) {
+        turn = fmax(turn, fabs(alpha[i] - from[0][i]));
+        slide = fmax(slide, fabs(shift[i] - from[1][i]));
+        longest = fmax(longest, m->tubes->whole[i]);
+    }
+    double size = 1 / fmax(fmax(turn / LARGEST_TURN, slide / (LARGEST_SHIFT * longest)), 1.0);
+    int count = events_of(m->tubes, from[1], shift, events);
+    for (int k = 0; k < count; k++)
+        while (at < events[k]) {
+            double there[2][N];
+            at = at + size >= events[k] - 1e-12 ? events[k] : at + size;
+            for (int i = 0; i < N; i++) {
+                there[0][i] = at == 1 ? alpha[i] : from[0][i] + at * (alpha[i] - from[0][i]);
+                there[1][i] = at == 1 ? shift[i] : from[1][i] + at * (shift[i] - from[1][i]);
+            }
+            h = step_held(m, there[0], there[1]);
+            if (!h) return NULL;
+        }
+    return h;
+}
+
+/* --- what Python calls ----------------------------------------------------------------------------------------------- */
+
+CASADI_SYMBOL_EXPORT size_t workspace_size(void) { return sizeof(Room); }
+CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
+
+/* Position at `behind` the tip, cubic between the shape points; on the plate's axis where that is behind the plate. */
+static void station_at(const Answer *a, int tip, double behind, double *out) {
+    double s = a->arc_length[tip] - behind, inside = fmax(s, 0);
+    int k = 0;
+    while (k + 1 < tip && a->arc_length[k + 1] <= inside) k++;
+    double h = a->arc_length[k + 1] - a->arc_length[k], t = (inside - a->arc_length[k]) / h, u = 1 - t;
+    for (int c = 0; c < 3; c++) {
+        double v = a->frame[k][3 * c + 2], w = a->frame[k + 1][3 * c + 2];
+        out[c] = (1 + 2 * t) * u * u * a->position[k][c] + t * t * (3 - 2 * t) * a->position[k + 1][c];
+        out[c] += h * t * u * (v * u - w * t);
+    }
+    out[2] += fmin(s, 0);
+}
+
+/* Rows 1 ... of joint values (count, N) from the state of row 0, unknowns `z`, `torque` and `sign` of its rows. Returns how
+   many there are, row 0 too, before it is lost or at an end; z, torque and sign are then those of the last of them. `out`
+   (count, 3 stations + 9 + N + 2) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes there,
+   margin, length. -1 where the state is not one of these tubes. */
+CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, const double *friction, double pieces,
+                                   long long count, const double *alpha, const double *shift, const long long *sizes,
+                                   double *z, double *torque, signed char *sign, const double *behind, double *out,
+                                   Room *w) {
+    Motion m = {tubes, method, {friction, pieces}, w, 0};
+    Held *h = &w->held[0];
+    int stations = (int)sizes[2], width = 3 * stations + 9 + N + 2;
+    if (!begin_held(&m, shift, h) || h->q.size != sizes[0] || h->rows != sizes[1]) return -1;
+    memcpy(h->alpha, alpha, sizeof h->alpha);
+    memcpy(h->state.z, z, h->q.size * sizeof(double));
+    memcpy(h->torque, torque, h->rows * sizeof(double));
+    memcpy(h->sign, sign, h->rows);
+    look(h);
+    if (!settle(h, w)) return 1;
+    for (long long k = 1; k < count; k++) {
+        h = move_held(&m, alpha + k * N, shift + k * N);
+        if (!h) return k;
+        Answer *a = &w->answer;
+        a->margin = h->margin;
+        a->energy = h->state.energy;
+        finish(&h->q, &h->state, &h->arm, a);
+        int tip = (int)a->pieces * STEPS;
+        double *row = out + k * width;
+        for (int j = 0; j < stations; j++) station_at(a, tip, behind[j], row + 3 * j);
+        row += 3 * stations;
+        memcpy(row, a->frame[tip], 9 * sizeof(double));
+        memcpy(row + 9, a->rotation[tip], N * sizeof(double));
+        row[9 + N] = h->margin;
+        row[10 + N] = a->arc_length[tip];
+        memcpy(z, h->state.z, h->q.size * sizeof(double));
+        memcpy(torque, h->torque, h->rows * sizeof(double));
+        memcpy(sign, h->sign, h->rows);
+    }
+    return count;
+}

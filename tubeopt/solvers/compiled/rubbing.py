@@ -1,0 +1,125 @@
+"""Motions of tubes that rub, in the compiled kernel."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ...block.transcription.contact import PIECES
+from ...robots.friction import Friction
+from ...robots.robot import Robot, is_general
+from ...typing import Array
+from ..sticking import Signs
+from .binding import with_kernel
+from .constants import rubbing_constants
+from .library import MOST_TUBES, MOST_UNKNOWNS, kernel_path, kernel_text, load_library
+from .text import HERE, with_included
+
+
+@dataclass(frozen=True, eq=False)
+class Rubbed:
+    """Where a motion is after K increments of rows, and the state of the last of them.
+
+    Attributes:
+        stations: (K, S, 3) m.   frame: (K, 3, 3) of the tip.   rotation: (K, n) of the tubes there, rad.
+        margin: (K,) without friction, to 1e-5.   length: (K,) of the arm, m.
+        unknowns, torque, signs: (U,), (R,) and (R,) of the last row; as given where K is 0.
+    """
+
+    stations: Array
+    frame: Array
+    rotation: Array
+    margin: Array
+    length: Array
+    unknowns: Array
+    torque: Array
+    signs: Signs
+
+
+@dataclass(frozen=True, eq=False)
+class _Kernel:
+    """The loaded kernel, and the bytes that it works in."""
+
+    rub: Any
+    workspace_size: int
+
+
+def rubbing_source(n: int) -> str:
+    """The C text of the kernel for n concentric tubes that rub."""
+    return kernel_text(n) + rubbing_constants() + with_included(HERE / "rubbing.c")
+
+
+@lru_cache(maxsize=MOST_TUBES)
+def _kernel(n: int) -> _Kernel | None:
+    path = kernel_path((n, "rubbing"), lambda: rubbing_source(n))
+    loaded = None if path is None else load_library(path)
+    if loaded is None:
+        return None
+    pointer, whole = ctypes.c_void_p, ctypes.c_longlong
+    loaded.rub.argtypes = [*[pointer] * 3, ctypes.c_double, whole, *[pointer] * 9]
+    loaded.rub.restype = whole
+    return _Kernel(loaded.rub, loaded.workspace_size())
+
+
+_rooms = threading.local()
+
+
+def _room(kernel: _Kernel) -> Array:
+    """Memory of one thread for one kernel."""
+    rooms: dict[Any, Array] = _rooms.__dict__
+    if kernel not in rooms:
+        rooms[kernel] = np.zeros(kernel.workspace_size // 8 + 1)
+    return rooms[kernel]
+
+
+def simple(friction: Friction) -> bool:
+    """Whether friction is along the tubes and against their turns alone, as the kernel knows it."""
+    return not (friction.sliding or any(any(friction.of(name)) for name in ("plate", "jumps", "ends")))
+
+
+def rub_compiled(
+    robot: Robot, friction: Friction, joints: Array, state: tuple[Array, Array, Signs], behind: Array
+) -> Rubbed | None:
+    """Increments along rows of joint values (T, 2n) from the state of row 0: unknowns (U,), torques (R,) and signs (R,)
+    of its contact; with stations `behind` (S,) the tip, m.
+
+    As many as go well: where a step asks for more care, they end before it. None where there is no kernel for this
+    robot and this friction, or no room in it.
+    """
+    n, (unknowns, torque, signs) = robot.n_tubes, state
+    if is_general(robot) or not simple(friction) or max(len(unknowns), len(torque)) > MOST_UNKNOWNS:
+        return None
+    plain = with_kernel(robot)
+    kernel = None if plain is None else _kernel(n)
+    if plain is None or kernel is None:
+        return None
+    alpha, shift = (np.ascontiguousarray(part) for part in (joints[:, :n], joints[:, n:]))
+    capacity = np.array(friction.per_pair("torque", n - 1))
+    sizes = np.array([len(unknowns), len(torque), len(behind)], dtype=np.int64)
+    last = np.zeros((2, MOST_UNKNOWNS))
+    last[0, : len(unknowns)], last[1, : len(torque)] = unknowns, torque
+    slips = np.zeros(MOST_UNKNOWNS, dtype=np.int8)
+    slips[: len(signs)] = signs
+    out, behind = np.zeros((len(joints), 3 * len(behind) + 11 + n)), np.ascontiguousarray(behind)
+    room = _room(kernel)
+    places = [array.ctypes.data for array in (alpha, shift, sizes, last[0], last[1], slips, behind, out, room)]
+    pieces = PIECES * 2.0**friction.refinement
+    count = kernel.rub(plain[2], plain[0].method, capacity.ctypes.data, pieces, len(joints), *places)
+    if count < 0:
+        return None
+    at, frame, turned, margin, length = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1]), axis=1)
+    return Rubbed(
+        stations=at.reshape(-1, len(behind), 3),
+        frame=frame.reshape(-1, 3, 3),
+        rotation=turned,
+        margin=margin[:, 0],
+        length=length[:, 0],
+        unknowns=last[0],
+        torque=last[1],
+        signs=slips,
+    )
