@@ -165,17 +165,34 @@ def follow_family(
     """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable)."""
     here, before = start, None
     step = longest = min(longest, goal - start.t)
+    least, ends, power = SHORTEST_LOAD_STEP * max(1.0, abs(goal)), False, 0
     while here.t < goal:
         t = goal if here.t + step >= goal - 1e-12 * max(1.0, abs(goal)) else here.t + step
         there = solve_member(family, t, here, before, stable=stable)
         if there is None:
-            step /= 3
-            if step < SHORTEST_LOAD_STEP * max(1.0, abs(goal)):
+            # The first failure may be that of a long step; one of a step to before a bifurcation tells of a fold.
+            step, ends, power = step / 3, True, 2 if power else 0
+            if step < least:
                 return
             continue
         yield there
         here, before = there, here
         step = min(2 * step, longest)
+        if ends:
+            power = max(power, 1)
+            step = min(step, max(OF_WHAT_IS_LEFT * _left(here, before, power), step / 20, least))
+
+
+OF_WHAT_IS_LEFT = 0.8
+"""Part of the way to where the margin seems to vanish that is stepped at once."""
+
+
+def _left(here: LoadedPoint, before: LoadedPoint, power: int) -> float:
+    """How far ahead the margin of two points vanishes, a power of which falls in proportion to t: the first towards a
+    bifurcation, the second towards a fold; infinity where it grows."""
+    if not 0 < here.margin < before.margin:
+        return np.inf
+    return (here.t - before.t) / ((before.margin / here.margin) ** power - 1)
 
 
 def reach(

@@ -7,7 +7,7 @@ compared, and facets, shadows and labels are laid in the wanted order.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -219,4 +219,5 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
     colours = mesh.lit(view.towards_viewer, view.towards_light)[order]
     # Opaque facets are drawn with a hair of their own colour around them, which closes the seams between neighbours.
     edges = np.where(colours[:, 3:] < 1, 0.0, colours)
-    return PolyCollection(list(seen[order, :, :2]), facecolors=colours, edgecolors=edges, linewidths=0.2, zorder=3)
+    corners: Any = seen[order, :, :2]  # an array is drawn at once, a list facet by facet
+    return PolyCollection(corners, facecolors=colours, edgecolors=edges, linewidths=0.2, zorder=3)

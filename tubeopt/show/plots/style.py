@@ -36,7 +36,9 @@ INK = "#222222"
 FAINT = "#8A8A8A"
 DPI = 200
 LAYOUT_PASSES = 3
-"""Passes until axes of equal aspect, whose size follows from their place, leave room for all that stands above them."""
+"""Most passes until axes of equal aspect, whose size follows from their place, leave room for all that stands above
+them; fewer where nothing moves any more by `STILL`, a part of the picture."""
+STILL = 1e-3
 
 FORMATS = ("png", "pdf", "svg")
 
@@ -186,11 +188,22 @@ def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
             stack(figure)
         _fold(figure)
     if engine is not None:
+        places = _places(figure)
         for _ in range(LAYOUT_PASSES):
             engine.execute(figure)
+            before, places = places, _places(figure)
+            if np.abs(places - before).max(initial=0.0) < STILL:
+                break
     if path is not None:
+        figure.set_layout_engine("none")  # it would lay out anew what is laid out
         save_figure(figure, path)
+        figure.set_layout_engine(engine)
     return figure
+
+
+def _places(figure: Figure) -> Array:
+    """(A, 4) where the axes of a figure are, parts of it."""
+    return np.array([axes.get_position(original=True).bounds for axes in figure.axes]).reshape(-1, 4)
 
 
 def _fold(figure: Figure) -> None:
