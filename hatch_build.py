@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import sysconfig
 import tempfile
@@ -27,9 +28,16 @@ class KernelHook(BuildHookInterface):
         from tubeopt.solvers.compiled.wheel import package_kernels
 
         self._folder = tempfile.TemporaryDirectory()
-        kernels = package_kernels(Path(self._folder.name), everywhere=os.environ.get("TUBEOPT_WHEEL") == "everywhere")
+        everywhere = os.environ.get("TUBEOPT_WHEEL") == "everywhere"
+        lacks = "no C compiler"
+        try:
+            kernels = package_kernels(Path(self._folder.name), everywhere=everywhere)
+        except (OSError, subprocess.SubprocessError) as error:
+            if everywhere:  # a wheel to publish
+                raise
+            kernels, lacks = [], f"the C compiler failed ({error})"
         if not kernels:
-            self.app.display_warning("no C compiler: the wheel has no compiled kernel, and solves some 20 times slower")
+            self.app.display_warning(f"{lacks}: the wheel has no compiled kernel, and solves some 20 times slower")
             return
         platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["pure_python"] = False

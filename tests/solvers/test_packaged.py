@@ -67,17 +67,21 @@ def test_it_compiles_for_other_machines(target: str, general: bool, tmp_path: Pa
         assert assembly.count(b".2d") > 100
 
 
-def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path) -> None:
+def test_a_generation_that_the_compiler_does_not_know_is_left_out_and_no_kernel_else(tmp_path: Path) -> None:
+    """A kernel that does not compile is an error: the wheel would lack it, and nobody would know."""
+
     def compile_to(text: str, path: Path, flags: object) -> None:
-        if flags:
-            raise OSError("unknown flag")
+        if flags or text == "broken":
+            raise subprocess.TimeoutExpired("cc", 1)
         path.write_text(text)
 
     kinds = packaged.Generation("new", ("-march=unheard-of",)), packaged.Generation("any")
-    made = packaged.build_kernels(
-        {(1, "concentric"): "a", (2, "eccentric"): "b", (2, "general"): "c"}, compile_to, tmp_path / "kernels", kinds
-    )
+    chosen = packaged.known(kinds, compile_to, tmp_path)
+    texts = {(1, "concentric"): "a", (2, "eccentric"): "b", (2, "general"): "c"}
+    made = packaged.build_kernels(texts, compile_to, tmp_path / "kernels", chosen)
     assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so", "general-2-any.so"]
+    with pytest.raises(subprocess.TimeoutExpired):
+        packaged.build_kernels(texts | {(3, "loaded"): "broken"}, compile_to, tmp_path / "kernels", chosen)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

@@ -42,7 +42,12 @@ class ServeEntry(Entry):
         None, description=f"to which goes what the tip leaves free: {', '.join(OBJECTIVES)}", examples=["margin"]
     )
     port: Annotated[Whole, Field(ge=0, le=65535)] = Field(8765, description="where to listen; 0 takes any that is free")
-    token: str = Field("", description="what clients must know; by default a new one, which is printed")
+    token: str | None = Field(
+        None,
+        min_length=1,
+        description="what clients must know; by default a new one, which is printed",
+        examples=["WORD"],
+    )
     watchdog_s: Positive = Field(Decimal("0.1"), description="after which a stream of commands that ended is held")
     period_s: Positive = Field(Decimal("0.001"), description="of the loop")
     publish_Hz: Positive = Field(Decimal(40), description="states per second")
@@ -67,7 +72,7 @@ def serve(study: ServeEntry, output: Output) -> None:
     server = RobotServer(
         CrtkRobot(servo, watchdog=float(study.watchdog_s)),
         ServerOptions(
-            port=study.port, token=study.token, period=float(study.period_s), publish=float(study.publish_Hz)
+            port=study.port, token=study.token or "", period=float(study.period_s), publish=float(study.publish_Hz)
         ),
     )
 

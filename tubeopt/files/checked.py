@@ -44,6 +44,16 @@ Whole = Annotated[int, BeforeValidator(_whole)]
 """A whole number."""
 
 
+def _three(value: object) -> object:
+    if isinstance(value, (list, tuple)) and len(value) != 3:
+        raise ValueError(f"has {len(value)} number{'' if len(value) == 1 else 's'}; it must have 3: x, y, z")
+    return value
+
+
+Triple = Annotated[list[Number], Field(min_length=3, max_length=3), BeforeValidator(_three)]
+"""x, y and z."""
+
+
 class Entry(BaseModel):
     """A mapping in a file. Keys carry their unit as suffix; unknown keys are refused.
 
@@ -163,6 +173,10 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             return [f"{path} has {_items(context['actual_length'])}; it must have at least {context['min_length']}"]
         case "too_long":
             return [f"{path} has {_items(context['actual_length'])}; it must have at most {context['max_length']}"]
+        case "string_too_short":
+            return [f"{path} is empty; it must be text"]
+        case "union_tag_invalid" if tags := re.findall("<(.*?)>", context["expected_tags"]):
+            return [f"{path} is {shown(value)}; it must be {_either([f'a {tag}' for tag in tags])}"]
         case "greater_than_equal":
             return [f"{path} is {shown(value)}; it must be at least {context['ge']}"]
         case "less_than_equal":

@@ -20,10 +20,13 @@ _FLOAT, _SEQUENCE = _TAG + "float", _TAG + "seq"
 _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 
 
-def load_yaml(path: str | PathLike[str]) -> dict[str, Any]:
+def load_yaml(path: str | PathLike[str], under: str = "") -> dict[str, Any]:
     """The mapping in a YAML file, numbers with a point or exponent as `Decimal`.
 
     Nothing but plain data is constructed: the loader is PyYAML's safe one, made stricter.
+
+    Args:
+        under: key below which a list is expected, for the message where the file is a list and nothing else.
 
     Raises:
         InputError: no such file, not YAML, a key given twice, a tag such as `!!python/object`, or not a mapping.
@@ -45,7 +48,8 @@ def load_yaml(path: str | PathLike[str]) -> dict[str, Any]:
     if data is None:
         raise InputError(f"{path}: the file is empty; it must be a mapping of keys to values")
     if not isinstance(data, dict):
-        raise InputError(f"{path}: the file holds {_noun(data)}; it must be a mapping of keys to values")
+        hint = f"; write the line '{under}:' above the list" if under and isinstance(data, list) else ""
+        raise InputError(f"{path}: the file holds {_noun(data)}; it must be a mapping of keys to values{hint}")
     return data
 
 

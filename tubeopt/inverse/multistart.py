@@ -75,6 +75,8 @@ class Multistart:
     options: InverseOptions
     began: float
     tries: int = 0
+    clear: int = 0
+    """Of the tries, those from starts that are clear of the obstacles."""
     iterations: int = 0
     solves: int = 0
     least: float = np.inf
@@ -175,7 +177,9 @@ class Multistart:
         for start in islice(clear, self.solver.clear_starts):
             if self.late:
                 return
+            before = self.tries
             yield from self._from(start, "table")
+            self.clear += self.tries - before
 
     @property
     def solver(self) -> InverseSolver:
@@ -337,7 +341,10 @@ class Multistart:
             return closest
         local = "no limit is active, the search " + ("was cut short" if late else "ended in a local minimum")
         why = ", ".join(closest.active) or local
-        tried = f"in {self.tries} start{'' if self.tries == 1 else 's'}"
+        others = self.tries - self.clear
+        tried = f"in {others} start{'' if others == 1 else 's'}" + (
+            f" and {self.clear} clear of the obstacles" if self.clear else ""
+        )
         if late:
             tried = f"within {self.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
         beyond = goal.beyond_reach()

@@ -89,7 +89,7 @@ class PatternEntry(Entry):
 
     bending_factor: Factor
     torsion_factor: Factor
-    source: str = Field(description="where the factors are from: a measurement, a model of slotted tubes")
+    source: str = Field(min_length=1, description="where the factors are from: a measurement, a model of slotted tubes")
 
 
 if TYPE_CHECKING:  # to which an entry is whatever can be built

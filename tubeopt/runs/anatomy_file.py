@@ -19,7 +19,7 @@ from ..bodies.frames import Frame, base_frame, ras, register
 from ..bodies.images import LabelImage, read_image
 from ..bodies.solids import field_of_mesh, field_of_points
 from ..errors import InputError
-from ..files.checked import Entry, Number, Positive, Whole, check, in_file
+from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file
 from ..files.csv_file import read_csv
 from ..files.files import read_text
 from ..files.units import DEG, MM, to_si
@@ -28,7 +28,6 @@ from ..typing import Array, Mask
 
 Axes = Literal["RAS", "LPS"]
 
-Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 

@@ -11,13 +11,13 @@ from pydantic import Field, model_validator
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
-from ..files.checked import Entry, NotNegative, Positive, Whole
+from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
 from ..files.units import MM, to_si
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, TipGoal, plan_arms
 from ..typing import Array
 from .anatomy_file import AnatomyKey, BasePart
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
-from .obstacle_file import Bodies, Place, Triple, point
+from .obstacle_file import Bodies, Place, point
 from .plan_study import RatesEntry
 
 

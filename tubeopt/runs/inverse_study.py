@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..errors import SolveError
-from ..files.checked import NotNegative, Positive, Whole, in_file
+from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
 from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
@@ -23,7 +23,7 @@ from ..typing import Array
 from .anatomy_file import AnatomyKey
 from .base import OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
-from .obstacle_file import Bodies, Place, Triple, point
+from .obstacle_file import Bodies, Place, point
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[

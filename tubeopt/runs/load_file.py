@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, PlainValidator, ValidationInfo
 
-from ..files.checked import Entry, Number, check
+from ..files.checked import Entry, Triple, check
 from ..files.fields import Part, asking, described, entry_of, extended, values
 from ..files.units import UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, Stretch
 from .base import Study
-
-Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
-"""x, y and z."""
 
 if TYPE_CHECKING:  # to which an entry is whatever can be built
     StretchEntry = Part

@@ -7,21 +7,18 @@ from decimal import Decimal
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Tag
 
 from ..bodies.anatomy import Anatomy
 from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..errors import nearest
-from ..files.checked import Entry, Number, check, in_file
+from ..files.checked import Entry, Triple, check, in_file
 from ..files.fields import Part, entry_of
 from ..files.marks import Usual
 from ..files.units import MM, shown, to_si
 from ..files.yaml_file import load_yaml
 from .anatomy_file import load_anatomy
-
-Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
-"""x, y and z."""
 
 Place = Annotated[Triple, Usual(1e-3, 10.0)]
 """A position that is reached by a robot as long as a hand or an arm."""
@@ -117,7 +114,7 @@ def load_obstacles(path: str | PathLike[str]) -> tuple[Obstacle, ...]:
     Raises:
         InputError: no such file, not YAML, or keys or values that make no obstacles: one line for every problem.
     """
-    return _built(check(ObstacleFile, load_yaml(path), path).obstacles)
+    return _built(check(ObstacleFile, load_yaml(path, "obstacles"), path).obstacles)
 
 
 def _built(entries: Sequence[Part]) -> tuple[Obstacle, ...]:

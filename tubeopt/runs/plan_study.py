@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
-from ..files.checked import NotNegative, Positive, Whole
+from ..files.checked import NotNegative, Positive, Triple, Whole
 from ..files.fields import Part, entry_of
 from ..files.units import MM, UNITS, to_si
 from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
@@ -19,7 +19,7 @@ from ..typing import Array
 from .anatomy_file import AnatomyKey
 from .base import OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
-from .obstacle_file import Bodies, Place, Triple, point
+from .obstacle_file import Bodies, Place, point
 
 if TYPE_CHECKING:  # to which an entry is whatever can be built
     RatesEntry = Part

@@ -43,7 +43,7 @@ def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
     Raises:
         InputError: no such file, not YAML, or keys or values that make no sizes: one line for every problem.
     """
-    found = check_kind(STOCK_KINDS, load_yaml(path), path)
+    found = check_kind(STOCK_KINDS, load_yaml(path, "tubes"), path)
     sizes = tuple(entry.build() for entry in found.tubes)
     if len({size.name for size in sizes}) < len(sizes):
         raise InputError(f"{path}: a name of a tube is given twice; every size must have its own")

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ..files.checked import Number, Positive, Whole, in_file
+from ..files.checked import Positive, Triple, Whole, in_file
 from ..files.units import DEG, MM, to_si
 from ..validation import (
     BasePose,
@@ -31,7 +31,6 @@ MeasurementsPath = Annotated[
 ]
 """Measurements of the study's robot, given as the path of their file."""
 
-Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
 
 

@@ -18,7 +18,7 @@ from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
 from .report import Drawing, Report, drawing, two_columns
 from .snap_report import JOINTS, STATE
-from .words import counted, in_a_word, millimetres, row
+from .words import counted, margin_in_words, millimetres, row
 
 HAPPENS = {
     "fold": "the equilibrium vanishes, and the robot snaps",
@@ -39,7 +39,7 @@ LIMIT: tuple[Quantity[LoadLimit], ...] = (
     line("tip after", lambda a: None if a.after is None else millimetres(a.after.tip_position, ".4f")),
     Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
     Quantity("energy_released_mJ", "energy released by tubes and load", form=".4f"),
-    line("margin after", lambda a: None if a.after is None else f"{a.after.margin:.3f}, {in_a_word(a.after.margin)}"),
+    line("margin after", lambda a: None if a.after is None else margin_in_words(a.after.margin)),
     Quantity("before", "the equilibrium at the limit", of=STATE),
     Quantity("after", "the equilibrium in which the robot lands; null where none is found", of=STATE),
 )

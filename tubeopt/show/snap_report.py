@@ -19,7 +19,7 @@ from ..runs.stability_studies import Equilibria, Motion, Way
 from ..stability import Snap
 from .quantities import Quantity, line, record, rows
 from .report import Drawing, Report, drawing, grid, to_text, two_columns
-from .words import counted, degrees, in_a_word, millimetres, row
+from .words import counted, degrees, in_a_word, margin_in_words, millimetres, row
 
 JOINTS: tuple[Quantity[Any], ...] = (
     Quantity("rotations_deg", "rotation of every tube"),
@@ -80,7 +80,7 @@ SNAP: tuple[Quantity[Snap], ...] = (
     Quantity("energy_released_mJ", "energy released", form=".4f"),
     line("tubes' tips before", lambda snap: degrees(snap.before.tip_rotations, ".6f")),
     line("tubes' tips after", lambda snap: degrees(snap.after.tip_rotations, ".6f")),
-    line("margin after", lambda snap: f"{snap.after.margin:.3f}, {in_a_word(snap.after.margin)}"),
+    line("margin after", lambda snap: margin_in_words(snap.after.margin)),
     Quantity("before", "the equilibrium that is lost", of=STATE),
     Quantity("after", "the equilibrium in which the robot lands", of=STATE),
 )

@@ -12,18 +12,24 @@ CLOSE_TO_A_SNAP = 0.05
 """Margin below which the table warns."""
 
 
+AT_A_SNAP = 5e-4
+"""Margin that is 0 to all digits that are printed."""
+
+
 def in_a_word(margin: float) -> str:
     """What a stability margin means."""
     if np.isnan(margin):
         return "not told: moments and following forces have no energy"
-    if margin <= 0:
+    if abs(margin) < AT_A_SNAP:
+        return "at a snap"
+    if margin < 0:
         return "unstable"
     return "close to a snap" if margin < CLOSE_TO_A_SNAP else "stable"
 
 
 def margin_in_words(margin: float) -> str:
     """A stability margin with what it means."""
-    return in_a_word(margin) if np.isnan(margin) else f"{margin:.3f}, {in_a_word(margin)}"
+    return in_a_word(margin) if np.isnan(margin) else f"{round(margin, 3) + 0.0:.3f}, {in_a_word(margin)}"
 
 
 def row(values: ArrayLike, form: str) -> str:

@@ -219,7 +219,9 @@ def compile_to(text: str, path: Path, flags: Sequence[str]) -> None:
         command = [*own, *FLAGS, *flags, "-w", "-shared", "-o", "kernel.so", "kernel.c"]
         # Libraries of Windows need neither, and clang refuses the first for them.
         command += [] if platform.system() == "Windows" else ["-fPIC", "-lm"]
-        subprocess.run(command, cwd=work, capture_output=True, timeout=120, check=True)
+        subprocess.run(
+            command, cwd=work, capture_output=True, timeout=1200, check=True
+        )  # s: a busy machine needs minutes
         os.replace(Path(work) / "kernel.so", path)
 
 

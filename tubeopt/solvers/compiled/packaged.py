@@ -85,19 +85,31 @@ def build_kernels(
     """Compile the C texts of kernels, by kind, for some generations; return the paths.
 
     `compile_to` takes a text, the path of the library and the generation's flags, and raises OSError or
-    SubprocessError where the compiler cannot; a generation that it does not know is left out.
+    SubprocessError where the compiler cannot: so does this, for a wheel that lacks one of its kernels would be noticed
+    by nobody.
     """
     folder.mkdir(parents=True, exist_ok=True)
 
-    def build(job: tuple[Kind, Generation]) -> Path | None:
+    def build(job: tuple[Kind, Generation]) -> Path:
         kind, generation = job
         path = generation.kernel(folder, kind)
-        try:
-            compile_to(sources[kind], path, generation.flags)
-        except (OSError, subprocess.SubprocessError):
-            return None
+        compile_to(sources[kind], path, generation.flags)
         return path
 
     with ThreadPoolExecutor() as pool:
-        made = pool.map(build, [(kind, generation) for kind in sources for generation in chosen])
-    return [path for path in made if path is not None]
+        return list(pool.map(build, [(kind, generation) for kind in sources for generation in chosen]))
+
+
+def known(
+    among: Sequence[Generation], compile_to: Callable[[str, Path, Sequence[str]], None], folder: Path
+) -> list[Generation]:
+    """Those generations whose flags the compiler knows, found by a text of one line."""
+
+    def compiles(generation: Generation) -> bool:
+        try:
+            compile_to("int known = 1;\n", folder / "known.so", generation.flags)
+        except (OSError, subprocess.SubprocessError):
+            return False
+        return True
+
+    return [generation for generation in among if compiles(generation)]

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 from .library import MOST_TUBES, compile_to, compiler, source
 from .loaded import loaded_source
-from .packaged import Kind, build_kernels, generations, processor_features
+from .packaged import Kind, build_kernels, generations, known, processor_features
 from .rubbing import rubbing_source
 
 
 def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
     """Compile the kernels of all robots for a wheel: for this processor, or `everywhere` for every generation of its
-    kind; none where there is no compiler."""
+    kind; none where there is no compiler. Raises SubprocessError or OSError where the compiler fails."""
     if compiler() is None:
         return []
+    here = processor_features()
+    with tempfile.TemporaryDirectory() as scratch:
+        all_known = known(generations(), compile_to, Path(scratch))
+    chosen = all_known if everywhere else [next(g for g in all_known if g.needs <= here)]
     texts: dict[Kind, str] = {}
     for n in range(1, MOST_TUBES + 1):
         texts |= {
@@ -24,6 +29,4 @@ def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
             (n, "loaded"): loaded_source(n),
             (n, "rubbing"): rubbing_source(n),
         }
-    here = processor_features()
-    chosen = generations() if everywhere else [next(g for g in generations() if g.needs <= here)]
     return build_kernels(texts, compile_to, folder, chosen)
