@@ -31,6 +31,8 @@ from tubeopt.planning.motion import DEFAULT_RATES
 from tubeopt.planning.question import asked
 from tubeopt.typing import Array, Mask
 
+from .timing import count_work
+
 ROOT = Path(__file__).resolve().parents[1]
 WITHDRAWN = np.zeros(3), np.array([-0.033, -0.092, -0.096])
 OPTIONS = PlanOptions(clearance=2e-4, time_limit=30)
@@ -112,7 +114,7 @@ def main() -> None:
     parser.add_argument("--roadmap", type=int, default=600, help="points")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    time.perf_counter = time.process_time  # limits count the work of this process
+    count_work()
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     alone: Told = []
     over: Told = []

@@ -20,6 +20,7 @@ from tubeopt import ConcentricRobot, Equilibrium, InputError, InverseOptions, Ma
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.design import Avoid, Free, Objective, Reach, SnapFree, SnapFreeInUse, Strain, Target
 
+from ..timing import count_work
 from .questions import CLEARANCE, KINDS, MARGIN, MM, questions, robots, scenes, withdrawn
 from .score import read_answers
 
@@ -149,8 +150,7 @@ def main() -> None:
         known = {name: answer for name, answer in known.items() if "failed" not in answer}
     some = (one for kind in given.kinds for one in list(questions(kind))[:: given.every])
     asked = [one for one in some if one["id"] not in known and one["scene"].startswith(given.scene)]
-    # Limits count the work of this process, whatever else the machine does.
-    time.perf_counter = time.process_time
+    count_work()
     until = time.process_time() + given.seconds
     with given.answers.open("a", encoding="utf-8") as file:
         for question in asked:

@@ -214,7 +214,7 @@ class PredictiveServo:
         time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), moved))])
         passed = float(np.interp(dt, time, np.arange(len(time))))
         at = _places(knots.z, np.array([passed]))
-        change = np.clip(self._chart.joints(at, self._chart.arms(at, 0.0))[0], space.lower, space.upper) - here.q
+        change = np.clip(self._chart.joints(at)[0], space.lower, space.upper) - here.q
         share = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
         return change / max(share, 1.0), passed
 

@@ -6,6 +6,7 @@ section by section, with the physics written out once more in NumPy; tubes made 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -157,9 +158,8 @@ def _base(equilibrium: Equilibrium, assembly: Assembly) -> Array:
 
 def _integrated(equilibrium: Equilibrium, assembly: Assembly, section: int, stop: float, state: Array) -> Array:
     """The state at an arc length on a section, from that at its beginning."""
-    pieces = _Pieces(equilibrium, assembly, section) if assembly.general else None
     run = scipy.integrate.solve_ivp(
-        lambda s, y: _right_hand_side(assembly, section, y) if pieces is None else pieces.rates(s, y),
+        _Pieces(equilibrium, assembly, section).rates if assembly.general else _right_hand_side(assembly, section),
         (assembly.start[section], stop),
         state,
         method="DOP853",
@@ -192,12 +192,23 @@ def _stretch(assembly: Assembly, section: int, theta: Array) -> Array:
     return _stretch_of(assembly, _curvature(assembly, section, theta))
 
 
-def _right_hand_side(assembly: Assembly, section: int, state: Array) -> Array:
-    """(theta, w, R, p)' at one point."""
-    n = assembly.n_tubes
-    theta, w, frame = state[:n], state[n : 2 * n], state[2 * n : 2 * n + 9].reshape(3, 3)
-    u = _curvature(assembly, section, theta)
+def _right_hand_side(assembly: Assembly, section: int) -> Callable[[float, Array], Array]:
+    """The rates (theta, w, R, p)' on a section, of the state at an arc length."""
+    n, eccentric = assembly.n_tubes, assembly.eccentric
     pull = assembly.bending_stiffness * assembly.curvature * assembly.curved[section]
-    gain = pull * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / assembly.torsional_stiffness
-    hat = np.array([[0, 0, u[1]], [0, 0, -u[0]], [-u[1], u[0], 0]])
-    return np.concatenate([_stretch_of(assembly, u) * w, gain, (frame @ hat).ravel(), frame[:, 2]])
+    stiffness = float(assembly.bending_stiffness @ assembly.present[section])
+    give = pull / assembly.torsional_stiffness
+
+    def rates(_: float, state: Array) -> Array:
+        theta, w, frame = state[:n], state[n : 2 * n], state[2 * n : 2 * n + 9].reshape(3, 3)
+        turn = np.exp(1j * theta)
+        u = complex(*_curvature(assembly, section, theta)) if eccentric else complex(pull @ turn) / stiffness
+        out = np.empty_like(state)
+        out[:n] = _stretch_of(assembly, _plane(u)) * w if eccentric else w
+        out[n : 2 * n] = give * (u.conjugate() * turn).imag
+        x, y, z = frame.T
+        out[2 * n : 2 * n + 9].reshape(3, 3).T[:] = -u.imag * z, u.real * z, u.imag * x - u.real * y
+        out[2 * n + 9 :] = z
+        return out
+
+    return rates

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..block.transcription.buffered import Buffered
-from ..block.transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters, explicit_size
+from ..block.transcription.explicit import (
+    Kind,
+    explicit_arm,
+    explicit_kind,
+    explicit_parameters,
+    explicit_rotations,
+    explicit_size,
+)
 from ..equilibrium.result import Equilibrium
 from ..robots.load import Load
 from ..typing import Array, Mask
@@ -71,6 +78,11 @@ def _mapped(kind: Kind, count: int, thread: int) -> Buffered:
     return Buffered(explicit_arm(kind).map(count))
 
 
+@lru_cache(maxsize=64)
+def _turned(kind: Kind, count: int, thread: int) -> Buffered:
+    return Buffered(explicit_rotations(kind).map(count))
+
+
 @dataclass(frozen=True, eq=False)
 class Chart:
     """Points z (m,): tip rotations (n,), rad, then the translation of every carriage, m, of a joint space; `load`: what
@@ -114,9 +126,20 @@ class Chart:
         shift: Array = z @ self.space.spread[n:].T + self.space.offset[n:]
         return shift
 
-    def joints(self, z: Array, arms: Arms) -> Array:
-        """(N, m) independent joint values of points and their arms."""
-        return np.concatenate([arms.rotations, z[:, self.space.robot.n_tubes :]], axis=1)
+    def joints(self, z: Array, arms: Arms | None = None) -> Array:
+        """(N, m) independent joint values of points, whose arms may be known."""
+        rotations = self.rotations(z) if arms is None else arms.rotations
+        return np.concatenate([rotations, z[:, self.space.robot.n_tubes :]], axis=1)
+
+    def rotations(self, z: Array) -> Array:
+        """(N, n) rotations of the joints at points z (N, m): those of `arms`, in a sixth of the time."""
+        tip, shift, thread = z[:, : self.space.robot.n_tubes], self.translations(z), threading.get_ident()
+        out = np.empty(tip.shape)
+        for k in range(0, len(z), BATCH):
+            some = slice(k, k + BATCH)
+            function = _turned(self.kind, len(tip[some]), thread)
+            out[some] = function(tip[some], shift[some], self.parameters)[0]
+        return out
 
     def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
         """The equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,).
@@ -139,18 +162,13 @@ class Chart:
 
     def _batch(self, tip: Array, shift: Array, margin: Array) -> list[Array]:
         count = len(tip)
-        size = BATCH if count > 1 else 1
-        function = _mapped(self.kind, size, threading.get_ident())
-        pad = size - count
-        if pad:
-            tip, shift, margin = (np.pad(each, ((0, pad), (0, 0)), mode="edge") for each in (tip, shift, margin))
+        function = _mapped(self.kind, count, threading.get_ident())
         out = function(tip, shift, margin, self.parameters)
-        width = out[2].shape[0] // size
         rotations, fields, points, tangents, s = (array.copy() for array in out)
         return [
-            rotations[:count],
-            fields[:count],
-            points.reshape(size, width, 3)[:count],
-            tangents.reshape(size, width, 3)[:count],
-            s.reshape(size, width)[:count],
+            rotations,
+            fields,
+            points.reshape(count, -1, 3),
+            tangents.reshape(count, -1, 3),
+            s.reshape(count, -1),
         ]

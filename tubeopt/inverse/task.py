@@ -192,7 +192,7 @@ class Task:
     def _fineness(self, start: Array, end: Array) -> int | None:
         ends = np.stack([start, end])
         arms = self.arms(ends)
-        line = np.concatenate([start[None], self.between(start, end, arms), end[None]])
+        line = np.concatenate([start[None], self.between(start, end, arms.rotations), end[None]])
         spare = np.empty(len(line))
         spare[[0, -1]] = self.spare(ends, arms=arms)
         if (spare[[0, -1]] < 0).any():
@@ -220,11 +220,12 @@ class Task:
             line, spare = np.insert(line, tight + 1, middle, axis=0), np.insert(spare, tight + 1, found)
         return None
 
-    def between(self, start: Array, end: Array, arms: Arms) -> Array:
-        """(k, m) points of a motion that are to be checked beside its ends, whose arms are given."""
+    def between(self, start: Array, end: Array, rotations: Array | None = None) -> Array:
+        """(k, m) points of a motion that are to be checked beside its ends, whose `rotations` (2, n) may be known."""
         n = self.chart.space.robot.n_tubes
         change = np.abs(end - start)
-        joint = np.abs(arms.rotations[1] - arms.rotations[0]).max()
+        turned = self.chart.rotations(np.stack([start, end])) if rotations is None else rotations
+        joint = np.abs(turned[1] - turned[0]).max()
         shift = change[n:].max(initial=0.0) / (SHIFT_STEP * self.chart.space.length)
         count = int(np.ceil(max(change[:n].max() / TURN_STEP, joint / JOINT_STEP, shift, 1.0)))
         x = np.arange(1, count)[:, None] / count
@@ -238,8 +239,7 @@ class Task:
         """Length of a path in joint space, in the metric of the joints' scales, curved as its motions are there."""
         total = 0.0
         for a, b in pairwise(points):
-            ends = np.stack([a, b])
-            line = np.concatenate([a[None], self.between(a, b, self.arms(ends)), b[None]])
-            q = self.chart.joints(line, self.arms(line)) / self.scale
+            line = np.concatenate([a[None], self.between(a, b), b[None]])
+            q = self.chart.joints(line) / self.scale
             total += float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
         return total

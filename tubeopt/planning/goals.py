@@ -56,7 +56,7 @@ short. Else only the one that forward kinematics finds is tried."""
 
 NODES, ENOUGH = 8, 2
 """Points of a roadmap from which joint values for a goal of the tip are looked for, those with the nearest tips first;
-answers that are enough."""
+answers that are enough where ways shall be short: a second one shortens them by a tenth."""
 
 LEAST_SECONDS = 1e-3
 """Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
@@ -128,17 +128,18 @@ def ends(
     *,
     modulo_turns: bool = False,
     near: Callable[[Array], Array] | None = None,
+    enough: int = ENOUGH,
 ) -> list[End]:
     """The equilibria that meet a goal, the nearest first; for a goal of the tip they are looked for until the clock is
-    over: from points (k, m) of the chart that are allowed and, as `near` knows, have their tips near a place (3,), and
-    where these lead nowhere, from the start.
+    over: from points (k, m) of the chart that are allowed and, as `near` knows, have their tips near a place (3,), so
+    many as are `enough`, and where these lead nowhere, from the start.
 
     Raises:
         InputError: a goal that is none, or out of range.
         SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
     """
     clock = clock or Clock(math.inf)
-    found, whole = _beside(task, goal, near, clock), False
+    found, whole = _beside(task, goal, near, enough, clock), False
     if not found:
         found, whole = _equilibria(task, start, goal, clock)
     reasons, good = list[str](), []
@@ -243,7 +244,9 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tupl
     return sorted(found, key=lambda e: -e.margin), whole
 
 
-def _beside(task: Task, goal: Any, near: Callable[[Array], Array] | None, clock: Clock) -> list[Equilibrium]:
+def _beside(
+    task: Task, goal: Any, near: Callable[[Array], Array] | None, enough: int, clock: Clock
+) -> list[Equilibrium]:
     """Equilibria whose tip has a pose, found by Gauss-Newton from what is known to be near: any that hold, in a
     fraction of the time in which that nearest to the start is found."""
     wanted = _tip_goal(goal)
@@ -254,7 +257,7 @@ def _beside(task: Task, goal: Any, near: Callable[[Array], Array] | None, clock:
         question = pose_question(space.robot, (place.position, place.direction), **_kept(task, clock))
         question = replace(question, until=time.perf_counter() + clock.left)
         points = near(question.position)
-        for q in task.chart.joints(points, task.arms(points)):
+        for q in task.chart.joints(points):
             start = start_at(space, q)
             if start is None or start.margin < question.floor or not space.admissible(q):
                 continue
@@ -263,7 +266,7 @@ def _beside(task: Task, goal: Any, near: Callable[[Array], Array] | None, clock:
                 with suppress(SolveError):
                     _allowed(task, "goal", search.posture.equilibrium)
                     found.append(search.posture.equilibrium)
-            if len(found) == ENOUGH:
+            if len(found) == enough:
                 return found
     return found
 

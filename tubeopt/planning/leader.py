@@ -87,7 +87,7 @@ def follow_the_leader(
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     with in_time(clock):
         last, path = _withdrawal(task, goal, begin)
-        q = task.chart.joints(path, task.arms(path))
+        q = task.chart.joints(path)
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
     motion = through(q, task.scale, actuators(task, first, rate_limits))

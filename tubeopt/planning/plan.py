@@ -23,7 +23,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Built, Faults, actuators, build, no_time
 from .candidates import motions_near
-from .goals import MOST_GOALS, NODES, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
+from .goals import ENOUGH, MOST_GOALS, NODES, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked, bearing, in_time
@@ -134,7 +134,8 @@ def _goals(task: Task, first: Equilibrium, goal: Any, clock: Clock, options: Pla
     """The equilibria at which the plan may end; for a goal of the tip those beside a roadmap first."""
     known = options.roadmap
     near = None if known is None else partial(known.near, task, count=NODES)
-    return ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns, near=near)
+    share, enough = Clock(SHARE_OF_GOAL * clock.left), 1 if options.objective == "none" else ENOUGH
+    return ends(task, first, goal, share, modulo_turns=options.modulo_turns, near=near, enough=enough)
 
 
 def _between(task: Task, first: Equilibrium, goals: Sequence[End]) -> Task:

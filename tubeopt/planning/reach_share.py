@@ -125,7 +125,7 @@ def evaluate_reach(
                 if gap >= miss[k] or clock.over:
                     break
                 if search.leads(z):
-                    miss[k], joints[k] = gap, task.chart.joints(z[None], own.arms(z[None]))[0]
+                    miss[k], joints[k] = gap, task.chart.joints(z[None])[0]
     whole = np.array([task.chart.space.joint(q) for q in joints])
     return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], examined)
 

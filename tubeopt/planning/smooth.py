@@ -80,9 +80,7 @@ def densify(task: Task, points: Array) -> list[Array]:
     """Every straight motion of a way as evenly spaced points of the chart (k, m)."""
     out = []
     for a, b in pairwise(points):
-        ends = np.stack([a, b])
-        inner = task.between(a, b, task.arms(ends))
-        out.append(np.concatenate([a[None], inner, b[None]]))
+        out.append(np.concatenate([a[None], task.between(a, b), b[None]]))
     return out
 
 
@@ -93,7 +91,7 @@ def joint_curves(task: Task, points: Array) -> list[Array]:
         pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
         for halvings in range(HALVINGS + 1):
             fine = line[0] + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (line[-1] - line[0])
-            q = task.chart.joints(fine, task.arms(fine))
+            q = task.chart.joints(fine)
             if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= BEND:
                 break
         out.append(q)
@@ -104,7 +102,7 @@ def resample(task: Task, points: Array, count: int) -> Array:
     """(count, m) points of a way, evenly spaced by the length of joint motion."""
     lines = densify(task, points)
     z = np.concatenate([lines[0][:1], *(line[1:] for line in lines)])
-    q = task.chart.joints(z, task.arms(z)) / task.scale
+    q = task.chart.joints(z) / task.scale
     # Both metrics count: where the joints hardly move, the arm may.
     step = np.linalg.norm(np.diff(q, axis=0), axis=1) + 0.3 * np.linalg.norm(np.diff(z / task.scale, axis=0), axis=1)
     mark = np.concatenate([[0.0], np.cumsum(step)])
@@ -199,7 +197,7 @@ def _solve(
         task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, extra
     )
     program = path_program(question)
-    q = task.chart.joints(z, task.arms(z))
+    q = task.chart.joints(z)
     time = np.concatenate([[0.0], np.cumsum(share)])
     unit = _duration(q, time, rate, acceleration)
     length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..typing import Array
+from ..typing import Array, Index, Mask
 from .motion import SAMPLES_OF_TIP, Motion
 
 CELLS = 100, 500
@@ -33,6 +33,9 @@ SAME = 1e-9
 """Share of a curve below which two points of the grid are one."""
 
 TINY = 1e-12
+
+FAR = 1e100
+"""More than any b."""
 
 Tips = Callable[[Array], Array]
 """Tips (k, 3), m, at joint values (k, m)."""
@@ -196,13 +199,46 @@ def _paced(programs: Sequence[_Program]) -> list[Array]:
     slope, bound = 1 - grown * v, grown * w
     grows = slope > TINY
     back, more = 1 / np.where(grows, slope, 1.0), np.where(grows, bound / np.where(grows, slope, 1.0), np.inf)
-    for k in reversed(range(max(counts))):
-        most[:, k] = np.minimum(most[:, k], (most[:, k + 1, None] * back[:, k] + more[:, k]).min(1))
-    b = most.copy()
-    for k in range(max(counts)):
-        after = (b[:, k, None] * slope[:, k] + bound[:, k]).min(1)
-        b[:, k + 1] = np.minimum(most[:, k + 1], np.maximum(after, 0.0))
+    for row, steep, level in zip(most, back, more, strict=True):
+        row[::-1] = _least(row[::-1], steep[::-1], level[::-1])
+    b = [_least(row, steep, level) for row, steep, level in zip(most, slope, bound, strict=True)]
     return [row[: count + 1] for row, count in zip(b, counts, strict=True)]
+
+
+def _least(most: Array, steep: Array, level: Array) -> Array:
+    """(N + 1,) the largest values, none above `most` (N + 1,) nor above any of r lines over the value before it, of
+    steepness and level (N, r).
+
+    Of the lines three mostly are below all others wherever the value before can be: those that are it at 0 and at the
+    most, and the one below where these meet.
+    """
+    rows, level = np.arange(len(level)), np.minimum(level, FAR)
+
+    def lowest(at: Array) -> Index:
+        return np.asarray((steep * at[:, None] + level).argmin(1))
+
+    def meeting(one: Index, other: Index) -> Array:
+        rise, low = (table[rows, one] - table[rows, other] for table in (steep, level))
+        return np.asarray(np.where(np.abs(rise) > TINY, -low / np.where(rise == 0, 1.0, rise), 0.0)).clip(0, most[:-1])
+
+    def above(one: Index, at: Array) -> Mask:
+        """Whether another line is below one."""
+        return np.asarray(steep[rows, one] * at + level[rows, one] > (steep * at[:, None] + level).min(1) * (1 + TINY))
+
+    first, last = lowest(np.zeros(len(level))), lowest(most[:-1])
+    middle = lowest(meeting(first, last))
+    more = above(middle, meeting(first, middle)) | above(middle, meeting(middle, last))
+    few = [(steep[rows, one].tolist(), level[rows, one].tolist()) for one in (first, middle, last)]
+    (a, b), (c, d), (e, f) = few
+    value, out = float(most[0]), [float(most[0])]
+    for k, (top, many) in enumerate(zip(most[1:].tolist(), more.tolist(), strict=True)):
+        if many:
+            after = float((steep[k] * value + level[k]).min())
+        else:
+            after = min(a[k] * value + b[k], c[k] * value + d[k], e[k] * value + f[k])
+        value = min(top, max(after, 0.0))
+        out.append(value)
+    return np.array(out)
 
 
 def _between(v: Array, w: Array, grown: Array) -> Array:

@@ -266,9 +266,11 @@ def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLik
             )
     if len(alpha) != len(shift):
         raise InputError(f"rotations have {len(alpha)} rows, translations {len(shift)}; they must be as many")
-    for k, row in enumerate(shift):
-        if not k or (row != shift[k - 1]).any():
-            robot.assembly(row)
+    changed = np.append(True, (np.diff(shift, axis=0) != 0).any(1))
+    # Of tubes that all move by themselves only how far each is pushed is limited: the farthest tell of all.
+    alone = all(len(tubes) == 1 for tubes in robot.moving_together)
+    for row in shift[np.unique(shift.argmax(0)) if alone else changed]:
+        robot.assembly(row)
     return alpha, shift
 
 
