@@ -1,6 +1,6 @@
 """How many uncertain rigs keep the window when they heat the thesis' tube: led by a thermometer, and by the schedule.
 
-    python -m benchmarks.rigs [--rigs N] [--seed N] [--json]
+    python -m benchmarks.rigs [--rigs N] [--seed N] [--objective NAME] [--json]
 
 Everything that a workshop has not measured is unknown at once (`Uncertainty.of_a_workshop`): losses, gap, contacts,
 resistivity and its slope, the board's conductivity, heat capacity, inner diameter, ambient, charge, what pulses lose,
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from dataclasses import asdict, dataclass, replace
 
 from tubeopt import Camera, HeatingSpec, Thermocouple, TubeResistance, lead_by, load_rig, plan_heating
@@ -49,7 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--objective", default="time", help="of the schedule: time or margin")
+    parser.add_argument("--objective", default="margin", help="of the schedule: time or margin")
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     found = measure(asked.rigs, asked.seed, asked.objective)
@@ -58,10 +59,9 @@ def main() -> None:
         return
     for kept in found:
         low, high = (100 * end for end in kept.interval)
-        print(
-            f"{kept.sensor:12} {100 * kept.share:5.1f} % of {asked.rigs} rigs ({low:.1f} to {high:.1f} %), hottest "
-            f"point {kept.above_limit:+.1f} K from the limit"
-        )
+        hottest = "" if math.isnan(kept.above_limit) else f", hottest point {kept.above_limit:+.1f} K from the limit"
+        share = f"{100 * kept.share:5.1f} % of {asked.rigs} rigs ({low:.1f} to {high:.1f} %)"
+        print(f"{kept.sensor:12} {share}{hottest}")
 
 
 if __name__ == "__main__":

@@ -118,6 +118,26 @@ def test_trials_calibrate_the_rig(run: Run, tmp_path: Path) -> None:
     assert 0.6 < load_rig(tmp_path / "rig.yaml").loss_factor < 1.6
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("run",), "--port and --simulate are missing; one of them must be given"),
+        (("run", "--port", "p", "--simulate", RIG), "--port and --simulate are given; it must be one of them"),
+        (
+            ("calibrate", TRIALS, "--rig", RIG),
+            "--trials is missing; the file has the column spring_back_percent, of trials and not of a log",
+        ),
+        (
+            ("calibrate", LOG, "--rig", RIG, "--trials"),
+            "--trials is given; the file has the column temperature_degC, of a log and not of trials",
+        ),
+        (("plan", RIG, "--tube", "4"), "--tube: tube is 4; without a robot it must be 1, the rig file's own"),
+    ],
+)
+def test_what_is_missing_or_not_meant_is_told_by_its_flag(run: Run, words: tuple[str, ...], message: str) -> None:
+    assert refused(run("heat", *words)) == [message]
+
+
 def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
     flags = (
         "--rig",

@@ -27,6 +27,9 @@ CODES: dict[type[Exception], tuple[int, str]] = {
 OF_FILE = re.compile(r"\S+\.\w+: ")
 """How a message on what stands in a file begins."""
 
+ABSENT = re.compile(r"(\w+)(?: and (\w+))?(?= (?:is|are) (?:missing|given)\b)")
+"""How a message begins on one or two keys that should be there, or should not."""
+
 
 def failure(error: Exception) -> tuple[str, int, str] | None:
     """Message, exit code and kind of what a command raised; None of what is nobody's mistake but ours."""
@@ -87,10 +90,15 @@ def told_by_flag(typed: Mapping[str, str], known: Mapping[str, str]) -> Iterator
 
 
 def _in_flags(line: str, flags: Mapping[str, str]) -> str:
-    """A line with flags in place of keys, unless it is about a file; a key that is a plain word only beside another."""
+    """A line with flags in place of keys, unless it is about a file; a key that is a plain word only beside another, or
+    where it is what the line says to be missing or given."""
     if OF_FILE.match(line):
         return line
+    absent = ABSENT.match(line)
+    named = {key for key in absent.groups() if key} if absent is not None else set()
     out = line
+    if absent is not None and named <= flags.keys():
+        out = " and ".join(flags[key] for key in absent.groups() if key) + line[absent.end() :]
     for key, flag in sorted(flags.items(), key=lambda item: "_" not in item[0]):
         if "_" in key:
             out = re.sub(rf"(?<![\w./-]){key}(?!\w)", flag, out)

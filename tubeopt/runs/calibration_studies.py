@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from ..files.checked import Number, Positive, in_file
+from ..files.csv_file import read_csv
 from ..files.units import MM, to_si
 from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
 from ..shaping.heating.colours import NITINOL_COLOURS, ColourTable
@@ -20,7 +21,7 @@ from ..typing import Array
 from .base import Progress, Study
 from .heating_study import TubeOnRig
 from .mold_file import Trials, load_trials
-from .rig_file import load_camera, load_colours, load_heating_log, load_heating_trials
+from .rig_file import LOG_COLUMNS, OUTCOMES, load_camera, load_colours, load_heating_log, load_heating_trials
 
 CameraView = tuple[Array, Array, Array]
 """Times, places and temperatures that a camera saw."""
@@ -60,6 +61,12 @@ class HeatingCalibrationStudy(TubeOnRig):
 
     @functools.cached_property
     def _read(self) -> HeatingLog | tuple[Trial, ...]:
+        columns = read_csv(self.log).columns
+        outcomes, readings = ([name for name in known if name in columns] for known in (OUTCOMES, LOG_COLUMNS[2:]))
+        if outcomes and not self.trials:
+            raise ValueError(f"trials is missing; the file has the column {outcomes[0]}, of trials and not of a log")
+        if readings and self.trials:
+            raise ValueError(f"trials is given; the file has the column {readings[0]}, of a log and not of trials")
         if self.trials:
             return load_heating_trials(self.log)
         log = load_heating_log(self.log, to_si(self.position_mm, MM))

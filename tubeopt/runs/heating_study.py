@@ -95,6 +95,8 @@ class TubeOnRig(Study):
 
     @model_validator(mode="after")
     def _has_a_tube(self) -> Self:
+        if self.robot is None and self.tube > 1:
+            raise ValueError(f"tube is {self.tube}; without a robot it must be 1, the rig file's own")
         self.heated()
         return self
 

@@ -97,7 +97,10 @@ LOG_COLUMNS = ("time_s", "duty", "temperature_degC", "voltage_V", "current_A")
 PLACED = re.compile(r"temperature_([-+]?[0-9.]+)_mm_degC")
 """Columns of several thermometers, each with its place."""
 
-TRIAL_COLUMNS = ("duty", "time_s", "ramp_s", "spring_back_percent", "result", "colour", "note")
+OUTCOMES = ("spring_back_percent", "result", "colour")
+"""Columns that tell what came out of a trial; one of them is needed."""
+
+TRIAL_COLUMNS = ("duty", "time_s", "ramp_s", "note", *OUTCOMES)
 
 
 def load_heating_log(path: str | PathLike[str], position: float = 0.0) -> HeatingLog:
@@ -188,7 +191,7 @@ def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
     """
     table = read_csv(path)
     table.expect(TRIAL_COLUMNS[:2], TRIAL_COLUMNS[2:])
-    if not {"result", "spring_back_percent", "colour"} & set(table.columns):
+    if not set(OUTCOMES) & set(table.columns):
         refuse(path, ["column result, spring_back_percent or colour is missing"])
     trials = []
     for k in range(len(table.rows)):
