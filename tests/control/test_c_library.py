@@ -233,6 +233,17 @@ def test_the_servo_reaches_its_target_within_rates_and_slides_along_the_floor(th
     assert known.tip_position == pytest.approx(pose.tip_position, abs=1e-9)
 
 
+def test_the_servo_goes_on_where_a_tube_is_stopped_by_the_end_of_another(thesis: CRobot) -> None:
+    """There derivatives differ to both sides; by those of the wrong one every step loses margin at its floor."""
+    thesis.solve(*START)
+    for target in ([0.1, 0.1, 0.15], [0.0, -0.1, 0.2], [0.1, 0.0, 0.1]):
+        for _ in range(250):
+            told = command(np.array(target), step=1e-2, speed=0.06, shift_rate=0.05, min_margin=0.1)
+            _, distance, _, why = thesis.servo(told)
+            assert Why.HELD not in why
+    assert distance < 0.08
+
+
 def test_bad_input_is_refused(thesis: CRobot) -> None:
     thesis.solve(*START)
     with pytest.raises(InputError, match="finite"):

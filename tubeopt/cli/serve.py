@@ -60,8 +60,8 @@ class ServeEntry(Entry):
 def serve(study: ServeEntry, output: Output) -> None:
     """The robot over WebSocket on this machine: servo_cp, move_cp, servo_jp ... as CRTK names them, with its margin.
 
-    One client commands and many watch; all must know the token. A stream of commands that ends is held. Ends on Ctrl-C.
-    With --json one object with address and token is printed. It needs the extra `control`.
+    One client commands and many watch; all must know the token. A stream of commands that ends is held. Ends on Ctrl-C,
+    with exit code 0. With --json one object with address and token is printed. It needs the extra `control`.
     """
     can_be_saved(output.out)
     robot, options = study.robot, _options(study)

@@ -70,13 +70,15 @@ static void put_slope(const double *frame, const double *slope, double share, in
     slopes->margin[column] = share * slope[12 + N];
 }
 
-/* Derivatives into m->slopes. */
+/* Second order where `exact`. */
 static int look_ahead(tubeopt_memory *m, int exact) {
     double slope[NUMBERS];
+    int blocked[JOINTS];
+    only_backward(m, blocked);
     if (prepare_sides(m)) return 1;
     for (int c = 0; c < JOINTS; c++) {
-        int size = 0;
-        if (differ(m, c, 1, exact, slope) && differ(m, c, -1, exact, slope)) return 1;
+        int size = 0, side = !exact && blocked[c] ? -1 : 1;
+        if (differ(m, c, side, exact, slope) && differ(m, c, -side, exact, slope)) return 1;
         const Answer *a = m->answers + m->here;
         const double *frame = a->frame[a->pieces * STEPS];
         if (a->margin >= FLAT) slope[12 + N] = 0;

@@ -22,11 +22,6 @@ static void by_joints(const double *slope, double *out) {
     }
 }
 
-static void independent(const tubeopt_joints *joints, double *q) {
-    for (int c = 0; c < JOINTS; c++)
-        q[c] = c < N ? joints->rotations[c] : joints->translations[FIRST[c]] - OFFSET[N + FIRST[c]];
-}
-
 static void dependent(const double *q, tubeopt_joints *joints) {
     for (int k = 0; k < 2 * N; k++) {
         double value = OFFSET[k];
