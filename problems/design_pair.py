@@ -43,10 +43,11 @@ def places(count: int, seed: int) -> np.ndarray:
 def main(out: Path, samples: int = 30) -> list[Path]:
     """Search for so many seconds on the clock, judge, print, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+    assert isinstance(robot, tubeopt.ConcentricRobot)
     withdrawn = (np.zeros(3), np.array([-0.02, -0.08, -0.09]))
     bases = base_frame([-0.015, 0, 0], [0, 0, 1]), base_frame([0.015, 0, 0], [0, 0, 1])
     free = [Free("curvature", (i,), 0.4 * tube.curvature, 1.8 * tube.curvature) for i, tube in enumerate(robot.tubes)]
-    task = tubeopt.DesignTask(robot, free, (Strain((0.03,)),), ordered=False)
+    task = tubeopt.DesignTask(robot, tuple(free), (Strain((0.03,)),), ordered=False)
     wanted = tubeopt.PairReach(
         (withdrawn, withdrawn),
         bases,
