@@ -21,7 +21,16 @@ from . import (
     workspaces,
 )
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
-from .design import DesignSolution, DesignSolver, DesignTask, SearchedDesign, optimize_design, search_design
+from .design import (
+    DesignSolution,
+    DesignSolver,
+    DesignTask,
+    SearchedDesign,
+    SearchedPair,
+    optimize_design,
+    search_design,
+    search_pair,
+)
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.clearance import ClearanceCorrection, clearance_correction
 from .equilibrium.file import load_equilibrium
@@ -41,6 +50,7 @@ from .inverse import (
 from .planning import (
     ArmsPlan,
     ArmsProof,
+    PairReach,
     PlacedRobot,
     PlanOptions,
     Proof,
@@ -164,6 +174,7 @@ __all__ = [
     "MoldSpec",
     "Newton",
     "OrderWarning",
+    "PairReach",
     "Path",
     "Piece",
     "PlacedRobot",
@@ -178,6 +189,7 @@ __all__ = [
     "Rig",
     "Roadmap",
     "SearchedDesign",
+    "SearchedPair",
     "SegmentedEccentricRobot",
     "Slots",
     "Snap",
@@ -237,6 +249,7 @@ __all__ = [
     "save_solid",
     "save_table",
     "search_design",
+    "search_pair",
     "show_in_3d",
     "snap_free_certificate",
     "snapping_loss",

@@ -54,7 +54,7 @@ def test_no_more_than_the_distance_and_short_by_less_than_said(exact: object) ->
     some = (distance > -2e-3) & (distance < 4e-3)
     off = np.linalg.norm(field.gradient(points) - normal, axis=1)[some]
     assert np.median(off) < 0.002
-    assert np.quantile(off, 0.95) < 0.01
+    assert off.max() < 0.0101
 
 
 def voxels_away(points: Array, image: LabelImage, chosen: Mask) -> Array:

@@ -163,25 +163,30 @@ class DistanceField:
     def _sloped(self, points: Array) -> Array:
         """(N, 3) unit vectors by differences between neighbours of the nodes, interpolated: of squares of distances,
         which are quadratic about planes and points alike, and next to the surface, where squares have a kink, of the
-        distances themselves."""
+        distances themselves; so too where their slope is nearer to the 1 that it must be than that of squares is to
+        twice their root."""
         at, _ = self._places(points)
         base = np.minimum(np.floor(at).astype(int), np.array(self.values.shape)[:, None] - 2)
         t = at - base
         corner = base[:, :, None] + CORNERS.T[:, None, :]
         weight = np.where(CORNERS.T[:, None, :] == 1, t[:, :, None], 1 - t[:, :, None]).prod(0)
         last = np.array(self.values.shape) - 1
-        linear = (weight * self.values[tuple(corner)]).sum(1)
-        close = np.abs(linear) < NEAR * self.spacing.max()
-        slope = np.empty((at.shape[1], 3))
+        value = self.values[tuple(corner)].astype(float)
+        linear, square = (weight * value).sum(1), (weight * value * np.abs(value)).sum(1)
+        slopes = np.empty((2, at.shape[1], 3))
         for axis in range(3):
             ahead, behind = corner.copy(), corner.copy()
             ahead[axis] = np.minimum(corner[axis] + 1, last[axis])
             behind[axis] = np.maximum(corner[axis] - 1, 0)
             step = (ahead[axis] - behind[axis]) * self.spacing[axis]
             a, b = (self.values[tuple(each)].astype(float) for each in (ahead, behind))
-            near, far = (a - b) / step, (a * np.abs(a) - b * np.abs(b)) / step
-            slope[:, axis] = (weight * np.where(close[:, None], near, far)).sum(1)
-        out = unit_vectors(slope @ self.frame.axes.T, UP)
+            slopes[0, :, axis] = (weight * (a - b) / step).sum(1)
+            slopes[1, :, axis] = (weight * (a * np.abs(a) - b * np.abs(b)) / step).sum(1)
+        plain, squared = np.linalg.norm(slopes, axis=2)
+        root = 2 * np.sqrt(np.maximum(np.abs(square), ROUND_OFF**2))
+        close = np.abs(linear) < NEAR * self.spacing.max()
+        close |= np.abs(plain - 1) <= np.abs(squared / root - 1)
+        out = unit_vectors(np.where(close[:, None], *slopes) @ self.frame.axes.T, UP)
         if self.bounded:  # as far as `signed_distance` is the hypotenuse of both
             away = points - self.frame.placed(at.T * self.spacing)
             out = unit_vectors(out * np.maximum(linear, 0.0)[:, None] + away, out)

@@ -24,7 +24,7 @@ from .requirements import (
     Target,
     Wall,
 )
-from .search import SearchedDesign, search_design
+from .search import SearchedDesign, SearchedPair, search_design, search_pair
 from .sensitivities import Sensitivity
 from .settings import DesignSolver
 from .stock import Candidate, StockChoice, StockTube, choose_from_stock
@@ -58,6 +58,7 @@ __all__ = [
     "Reach",
     "Relaxation",
     "SearchedDesign",
+    "SearchedPair",
     "Sensitivity",
     "SnapFree",
     "SnapFreeInUse",
@@ -76,5 +77,6 @@ __all__ = [
     "optimize_design",
     "pareto_front",
     "search_design",
+    "search_pair",
     "tolerance_analysis",
 ]

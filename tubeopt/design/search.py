@@ -1,13 +1,13 @@
-"""Designs for what has no derivative, as what planning finds out about a robot: simplex searches over the free
-dimensions (Nelder and Mead 1965) from several starts, within the requirements of a task."""
+"""Designs for what has no derivative, as what planning finds out about a robot, or about two: simplex searches over the
+free dimensions (Nelder and Mead 1965) from several starts, within the requirements of a task each."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy
@@ -54,6 +54,25 @@ class Wanted(Protocol):
         """
 
 
+class WantedOfPair(Protocol):
+    """What is asked of two robots, as `Wanted` of one."""
+
+    @property
+    def words(self) -> str:
+        """What its value is called."""
+
+    @property
+    def ranges(self) -> Array:
+        """(k, 2) least and greatest of its own numbers, SI."""
+
+    def __call__(self, one: ConcentricRobot, other: ConcentricRobot, own: Array) -> tuple[float, float]:
+        """A score from 0, at best, to 1, which tells neighbours apart, and the value, of which more is better.
+
+        Raises:
+            InputError, SolveError: of these robots nothing can be told, which is the worst.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class SearchedDesign(Displayed):
     """The best design that was found for what has no derivative.
@@ -90,16 +109,54 @@ class SearchedDesign(Displayed):
         return self.tried
 
 
+@dataclass(frozen=True, eq=False)
+class SearchedPair(Displayed):
+    """The best two robots that were found for what has no derivative.
+
+    Attributes:
+        solutions: the designs, the requirements of each checked again by other code.
+        wanted: what was asked.   before, after: its value of the robots that were given, and of the designs.
+        own: (k,) its own numbers.   tried: pairs that were looked at.   seconds: of all.
+    """
+
+    _brief = ("wanted", "before", "after", "tried")
+
+    solutions: tuple[DesignSolution, DesignSolution]
+    wanted: str
+    before: float
+    after: float
+    own: Array = field(repr=False)
+    tried: int
+    seconds: float
+
+    @property
+    def value(self) -> tuple[ConcentricRobot, ConcentricRobot]:
+        """The robots."""
+        return self.solutions[0].robot, self.solutions[1].robot
+
+    @property
+    def status(self) -> DesignStatus:
+        """Whether both keep what was demanded when they are looked at again; else that of the one that does not."""
+        one, other = (solution.status for solution in self.solutions)
+        return one if other is DesignStatus.KEPT else other
+
+    @property
+    def statistics(self) -> int:
+        """Pairs that were looked at."""
+        return self.tried
+
+
 class _EndError(Exception):
     """The time is over, or there is nothing better."""
 
 
 @dataclass(eq=False)
 class _Search:
-    """Scores at places u (D + k,) of the unit cube, and the best of them."""
+    """Scores at places u (D + k,) of the unit cube, and the best of them: of the dimensions of all programs, then of
+    the own numbers of what is wanted."""
 
-    program: Program
-    wanted: Wanted
+    programs: tuple[Program, ...]
+    wanted: Any
     until: float = 0.0
     tried: int = 0
     score: float = np.inf
@@ -110,20 +167,21 @@ class _Search:
     @property
     def ranges(self) -> Array:
         """(D + k, 2) of all unknowns."""
-        space = self.program.layout.space
+        spaces = [program.layout.space for program in self.programs]
         own = np.reshape(np.asarray(self.wanted.ranges, dtype=float), (-1, 2))
-        return np.concatenate([np.column_stack([space.lower, space.upper]), own])
+        return np.concatenate([*(np.column_stack([space.lower, space.upper]) for space in spaces), own])
 
-    def design(self, u: Array) -> tuple[Array, Array]:
-        """Dimensions and own numbers."""
+    def design(self, u: Array) -> tuple[list[Array], Array]:
+        """Dimensions of each robot, and own numbers."""
         low, high = self.ranges.T
         x = low + np.clip(u, 0.0, 1.0) * (high - low)
-        return np.split(x, [self.program.layout.designs])[0], x[self.program.layout.designs :]
+        *designs, own = np.split(x, np.cumsum([program.layout.designs for program in self.programs]))
+        return designs, own
 
-    def place(self, x: Array, own: Array) -> Array:
+    def place(self, designs: Sequence[Array], own: Array) -> Array:
         """The other way round."""
         low, high = self.ranges.T
-        return np.asarray((np.append(x, own) - low) / np.where(high > low, high - low, 1.0))
+        return np.asarray((np.concatenate([*designs, own]) - low) / np.where(high > low, high - low, 1.0))
 
     def __call__(self, u: Array) -> float:
         """The score: beyond 1 where a requirement is not kept."""
@@ -132,21 +190,23 @@ class _Search:
         self.tried += 1
         if self.progress is not None:
             self.progress(self.tried)
-        x, own = self.design(u)
-        short, _ = violation(self.program, x)
+        designs, own = self.design(u)
+        short = max(violation(program, x)[0] for program, x in zip(self.programs, designs, strict=True))
         if short > FEASIBLE:
             return 1.0 + min(short, 1.0)
-        score, value = self.told(x, own)
+        score, value = self.told(designs, own)
         if score < self.score:
             self.score, self.value, self.best = score, value, np.clip(u, 0.0, 1.0)
         return score
 
-    def told(self, x: Array, own: Array) -> tuple[float, float]:
-        """Score and value of a design that keeps its requirements."""
+    def told(self, designs: Sequence[Array], own: Array) -> tuple[float, float]:
+        """Score and value of designs that keep their requirements."""
         try:
-            return self.wanted(robot_at(self.program, x), own)
+            robots = [robot_at(program, x) for program, x in zip(self.programs, designs, strict=True)]
+            score, value = self.wanted(*robots, own)
         except (InputError, SolveError):
             return 1.0, 0.0
+        return float(score), float(value)
 
     def from_place(self, u: Array, until: float) -> None:
         """Simplex searches, each from where the one before ended, as long as that is better than where it began: a
@@ -202,31 +262,96 @@ def search_design(
         >>> tubeopt.search_design(task, wanted, seconds=10).after
         1.0
     """
-    _check(task)
-    positive("seconds", seconds)
-    for name, value, least in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
-        whole(name, value, least)
     began = time.perf_counter()
-    plain = replace(task, objective=Objective("change"))
-    program = compile_task(plain)
-    ranking = multistart(program, starts=1, seed=seed)
-    if not ranking.designs:
-        raise infeasible(ranking)
+    (solution,), before, search, own = _searched((task,), wanted, (seconds, starts, seed, turns), progress)
+    spent = time.perf_counter() - began
+    return SearchedDesign(solution, wanted.words, before, search.value, own, search.tried, spent)
+
+
+@small
+def search_pair(
+    tasks: tuple[DesignTask, DesignTask],
+    wanted: WantedOfPair,
+    *,
+    seconds: float = 180.0,
+    starts: int = 1,
+    seed: int = 0,
+    turns: int = 6,
+    progress: Progress | None = None,
+) -> SearchedPair:
+    """The best two robots for what has no derivative, sized together, each within the requirements of its own task.
+
+    Args:
+        tasks: as of `search_design`, one for each robot.
+        wanted: as `tubeopt.planning.PairReach`.
+        seconds, starts, seed, turns, progress: as of `search_design`.
+
+    Raises:
+        InputError: not two tasks; tasks as `search_design` refuses them; numbers that make no sense.
+        InfeasibleDesignError: no start leads to designs that keep the requirements.
+        SolveError: a design breaks a promise when it is checked again.
+
+    Examples:
+        >>> import tubeopt
+        >>> from tubeopt.design import Free
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> task = tubeopt.DesignTask(robot, free=[Free("curvature", (0,), 1.0, 20.0)], ordered=False)
+        >>> class Alike:
+        ...     words, ranges = "likeness of curvatures", ()
+        ...     def __call__(self, one, other, own):
+        ...         apart = abs(one.tubes[0].curvature - other.tubes[0].curvature) / 20
+        ...         return apart, 1 - apart
+        >>> float(tubeopt.search_pair((task, task), Alike(), seconds=1).after)
+        1.0
+    """
+    if not isinstance(tasks, (tuple, list)) or len(tasks) != 2:
+        raise InputError(f"tasks are {tasks!r}; they must be two, one for each robot")
+    began = time.perf_counter()
+    (one, other), before, search, own = _searched(tuple(tasks), wanted, (seconds, starts, seed, turns), progress)
+    spent = time.perf_counter() - began
+    return SearchedPair((one, other), wanted.words, before, search.value, own, search.tried, spent)
+
+
+def _searched(
+    tasks: tuple[DesignTask, ...],
+    wanted: Wanted | WantedOfPair,
+    settings: tuple[float, int, int, int],
+    progress: Progress | None,
+) -> tuple[list[DesignSolution], float, _Search, Array]:
+    """The best designs, one for each task, the value before, the search that found them, and the own numbers.
+    `settings`: seconds, starts, seed and turns."""
+    seconds, starts, seed, turns = settings
+    for task in tasks:
+        _check(task)
+    positive("seconds", seconds)
+    for name, number, least in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
+        whole(name, number, least)
+    began = time.perf_counter()
+    plain = [replace(task, objective=Objective("change")) for task in tasks]
+    programs = tuple(compile_task(task) for task in plain)
+    first = []
+    for program in programs:
+        ranking = multistart(program, starts=1, seed=seed)
+        if not ranking.designs:
+            raise infeasible(ranking)
+        first.append(ranking.designs[0].x)
     note = None if progress is None else lambda count: progress(count, 0)
-    search = _Search(program, wanted, progress=note)
+    search = _Search(programs, wanted, progress=note)
     zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
-    _, before = search.told(program.layout.space.start, zero)
-    others = (to_feasibility(program, x) for x in start_values(program, seed, starts)[1:])
+    _, before = search.told([program.layout.space.start for program in programs], zero)
+    drawn = [start_values(program, seed + k, starts)[1:] for k, program in enumerate(programs)]
+    others = ([to_feasibility(*each) for each in zip(programs, some, strict=True)] for some in zip(*drawn, strict=True))
     begin = time.perf_counter()
-    for k, x in enumerate([ranking.designs[0].x, *others]):
-        search.from_place(search.place(x, zero), begin + seconds * (k + 1) / starts)
+    for k, designs in enumerate([first, *others]):
+        search.from_place(search.place(designs, zero), begin + seconds * (k + 1) / starts)
     if search.best is None:  # the time was over before anything could be told
-        search.best = search.place(ranking.designs[0].x, zero)
-        search.value = search.told(ranking.designs[0].x, zero)[1]
-    x, own = search.design(search.best)
-    found = attempt(program, x, None)
-    solution = solution_of(plain, Settled(found, rank([found]), 0), turns, began)
-    return SearchedDesign(solution, wanted.words, before, search.value, own, search.tried, time.perf_counter() - began)
+        search.best, (_, search.value) = search.place(first, zero), search.told(first, zero)
+    designs, own = search.design(search.best)
+    found = [attempt(program, x, None) for program, x in zip(programs, designs, strict=True)]
+    solutions = [
+        solution_of(task, Settled(each, rank([each]), 0), turns, began) for task, each in zip(plain, found, strict=True)
+    ]
+    return solutions, before, search, own
 
 
 def _check(task: DesignTask) -> None:

@@ -6,6 +6,7 @@ from .goals import TipGoal
 from .leader import follow_the_leader
 from .motion import RateLimits
 from .options import PlanOptions
+from .pair_reach import PairReach, PairShare
 from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
 from .reach_share import ReachShare, evaluate_reach
@@ -18,6 +19,8 @@ __all__ = [
     "ArmsPlan",
     "ArmsProof",
     "PairProof",
+    "PairReach",
+    "PairShare",
     "PlacedRobot",
     "PlanOptions",
     "PlanStatistics",

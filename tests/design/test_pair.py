@@ -1,0 +1,100 @@
+"""Two robots sized together: what both hold at once, bounded from below; plates that move; the search over both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+
+import tubeopt
+from tests.command_line import ROOT
+from tests.design.tasks import two_tubes
+from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOptions, search_pair
+from tubeopt.bodies.frames import base_frame
+from tubeopt.design import Free, Strain
+from tubeopt.design.optimize import DesignStatus
+from tubeopt.inverse.outline import Outline
+from tubeopt.typing import Array
+
+CRL = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+WITHDRAWN = (np.zeros(3), np.array([-0.02, -0.08, -0.09]))
+SHIFT = np.array([0.012, -0.05, -0.085])
+
+
+def pair(**other: Any) -> PairReach:
+    """Two CRL robots 16 mm apart, for places that the one on the left has its tip at."""
+    bases = base_frame([-0.008, 0, 0], [0.1, 0, 1]), base_frame([0.008, 0, 0], [-0.1, 0, 1], 0.3)
+    tips = [tubeopt.forward_kinematics(CRL, [a, a + 0.2, a], SHIFT).tip_position for a in (0.0, 1.2, 2.4)]
+    options = PlanOptions(clearance=5e-4, time_limit=60)
+    given = {"options": options, "count": 30, **other}
+    return PairReach((WITHDRAWN, WITHDRAWN), bases, bases[0].placed(tips), **given)
+
+
+def test_arms_are_no_closer_than_is_told() -> None:
+    """Surfaces sampled at 700 places of each arm come no closer than the bound, and hardly stay farther."""
+    wanted = pair()
+    found = wanted.evaluate(CRL, CRL, np.zeros(0))
+    assert found.reached[0].share == 1.0
+    gaps = []
+    for i, j in np.argwhere(np.isfinite(found.apart)):
+        sides = []
+        for side, base, k in zip(found.reached, wanted.bases, (i, j), strict=True):
+            e = tubeopt.forward_kinematics(CRL, side.rotations[k], side.translations[k])
+            line, radius = Outline(e).at(np.linspace(0, e.arc_length[-1], 700))
+            assert base.placed(e.tip_position) == pytest.approx(wanted.targets[k], abs=1e-3)
+            sides.append((base.placed(line), radius))
+        (one, thick), (other, thin) = sides
+        measured = (scipy.spatial.distance.cdist(one, other) - thick[:, None] - thin).min()
+        gaps.append(measured - found.apart[i, j])
+    assert gaps
+    assert min(gaps) > -1e-6
+    assert np.median(gaps) < 4e-4
+    assert not found.held.diagonal().any()
+    assert found.share == found.held.sum() / 6
+
+
+def test_plates_that_are_moved_hold_what_moved_places_are_for_plates_that_are_not() -> None:
+    moving = pair(shift=2e-3, tilt=0.1)
+    own = np.array([1e-3, -2e-3, 5e-4, 0.05, -0.02, 0.0, 1e-3, -1e-3, -0.03, 0.04])
+    assert moving.ranges.shape == (10, 2)
+    there = replace(moving, bases=moving.plates(own), shift=0.0, tilt=0.0)
+    one, other = moving.evaluate(CRL, CRL, own), there.evaluate(CRL, CRL, np.zeros(0))
+    np.testing.assert_allclose(one.apart, other.apart, atol=1e-9)
+
+
+class Together:
+    """Curvatures of the inner tubes of both, which shall be 1.5 and 0.5 times a number of its own."""
+
+    words = "likeness"
+    ranges = np.array([[10.0, 30.0]])
+
+    def __call__(self, one: ConcentricRobot, other: ConcentricRobot, own: Array) -> tuple[float, float]:
+        a, b = (robot.tubes[0].curvature for robot in (one, other))
+        miss = ((a - 1.5 * own[0]) / 30) ** 2 + ((b - 0.5 * own[0]) / 30) ** 2 + ((own[0] - 20) / 30) ** 2
+        return float(np.clip(miss - 1e-5, 0.0, 1.0)), float(-miss)
+
+
+def test_both_robots_and_own_numbers_are_searched_at_once() -> None:
+    robot = two_tubes()
+    free = (Free("curvature", (0,), 1.0, 60.0),)
+    tasks = tuple(DesignTask(robot, free, some, ordered=False) for some in ((), (Strain((0.012,)),)))
+    found = search_pair((tasks[0], tasks[1]), Together(), seconds=60)
+    one, other = found.value
+    assert [one.tubes[0].curvature, other.tubes[0].curvature] == pytest.approx([30.0, 10.0], abs=0.5)
+    assert found.own == pytest.approx([20.0], abs=0.3)
+    assert found.after > found.before
+    assert found.solutions[1].verification.kept
+    assert found.status is DesignStatus.KEPT
+
+
+def test_what_is_no_pair_is_refused() -> None:
+    task = DesignTask(two_tubes(), (Free("curvature", (0,), 1.0, 60.0),), ordered=False)
+    with pytest.raises(InputError, match=r"tasks are .*; they must be two"):
+        search_pair((task,), Together())  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="targets are 1 place; two tips need two"):
+        replace(pair(), targets=np.zeros((1, 3)))
+    with pytest.raises(InputError, match="bases are 1; they must be two"):
+        replace(pair(), bases=pair().bases[:1])  # type: ignore[arg-type]

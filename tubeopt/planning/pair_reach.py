@@ -1,0 +1,203 @@
+"""A region in which the tips of two robots work at the same time, as what the design of a pair is wanted for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ..bodies.frames import Frame
+from ..bodies.obstacles import Obstacle
+from ..bodies.placed import seen_from
+from ..display import Displayed
+from ..equilibrium.kinematics import forward_kinematics
+from ..errors import InputError, SolveError, positive
+from ..inverse.outline import Outline
+from ..robots.robot import Robot
+from ..typing import Array, Mask
+from .arms import PlacedRobot
+from .arms_plan import plan_arms
+from .options import DEFAULT_PLAN, PlanOptions
+from .reach_share import ReachShare, checked_places
+from .region import CLOSE, RegionReach
+
+FINE = 100
+"""Points along an arm between which its distance from another is bounded."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairShare(Displayed):
+    """What became of the pairs of N places for two tips.
+
+    Attributes:
+        reached: of either robot, which places it reaches by itself.
+        apart: (N, N) lower bound of the distance (m) of the arms at rest with the first tip at one place, the second at
+            another; NaN where either is not reached.
+        clearance: that they must keep, m.
+    """
+
+    reached: tuple[ReachShare, ReachShare]
+    apart: Array = field(repr=False)
+    clearance: float
+
+    @property
+    def held(self) -> Mask:
+        """(N, N) the pairs of different places that both tips hold without touching."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray((self.apart >= self.clearance) & ~np.eye(len(self.apart), dtype=bool))
+
+    @property
+    def share(self) -> float:
+        """Of the ordered pairs of different places those that are held."""
+        count = len(self.apart)
+        return float(self.held.sum() / (count * (count - 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class PairReach(Displayed):
+    """What `search_pair` asks of two robots: to hold any two places of a region at the same time, the one tip here and
+    the other there, without touching, from plates that may be moved.
+
+    Each place is reached by a way that keeps margin and clearance from bodies, by itself (`RegionReach`). Where both
+    rest there, the distance of the arms is bounded from below; that a motion of both leads there is for `plan_arms`.
+
+    Args:
+        starts: joint values (rotations, translations), with which either begins.   bases: where the plates stand.
+        targets: (N, 3) places for the tips, m, at least two.   obstacles: bodies; both in the frame of the bases.
+        tolerance, min_margin, options, count: as of `evaluate_reach`; the arms keep the clearance of the options from
+            each other too.
+        shift, tilt: as of `RegionReach`, of either plate along and about its own axes, m and rad.
+
+    Raises:
+        InputError: a table of wrong shape, numbers that make no sense.
+    """
+
+    starts: tuple[Any, Any]
+    bases: tuple[Frame, Frame]
+    targets: Array
+    obstacles: Sequence[Obstacle] = ()
+    tolerance: float = 5e-4
+    min_margin: float = 0.05
+    options: PlanOptions = DEFAULT_PLAN
+    count: int = 200
+    shift: float = 0.0
+    tilt: float = 0.0
+    words: str = field(default="share of the pairs of places that both tips hold without touching", init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "targets", checked_places(self.targets))
+        if len(self.targets) < 2:
+            raise InputError("targets are 1 place; two tips need two at least")
+        for name in ("starts", "bases"):
+            if len(getattr(self, name)) != 2:
+                raise InputError(f"{name} are {len(getattr(self, name))}; they must be two, one for each robot")
+        positive("shift of the plates", self.shift, zero=True)
+        positive("tilt of the plates", self.tilt, zero=True)
+
+    @cached_property
+    def sides(self) -> tuple[RegionReach, RegionReach]:
+        """What either reaches by itself, in the frame of its plate."""
+        numbers = self.tolerance, self.min_margin, self.options, self.count, self.shift, self.tilt
+        one, other = (
+            RegionReach(start, base.seen(self.targets), seen_from(base, self.obstacles), *numbers)
+            for start, base in zip(self.starts, self.bases, strict=True)
+        )
+        return one, other
+
+    @property
+    def ranges(self) -> Array:
+        """(k, 2) of how the plates may be moved: those of `RegionReach` for the one, then for the other."""
+        return np.concatenate([side.ranges for side in self.sides])
+
+    def plates(self, own: Array) -> tuple[Frame, Frame]:
+        """Where the plates stand when they are moved by numbers (k,)."""
+        first, second = (
+            base.inverse.of(side.base(numbers))
+            for base, side, numbers in zip(self.bases, self.sides, np.split(np.asarray(own), 2), strict=True)
+        )
+        return first, second
+
+    def evaluate(self, one: Robot, other: Robot, own: Array) -> PairShare:
+        """What two robots hold from plates that are moved.
+
+        Raises:
+            InputError, SolveError: as of `evaluate_reach`.
+        """
+        numbers = np.split(np.asarray(own, dtype=float), 2)
+        sides = [side.evaluate(robot, x) for side, robot, x in zip(self.sides, (one, other), numbers, strict=True)]
+        arms = [
+            _at_rest(robot, found, base)
+            for robot, found, base in zip((one, other), sides, self.plates(own), strict=True)
+        ]
+        apart = np.full((len(self.targets),) * 2, np.nan)
+        for i, first in arms[0].items():
+            for j, second in arms[1].items():
+                apart[i, j] = _apart(first, second)
+        return PairShare((sides[0], sides[1]), apart, self.options.clearance)
+
+    def __call__(self, one: Robot, other: Robot, own: Array) -> tuple[float, float]:
+        """Score, from 0 where all pairs are held to 1, and the share; places that are missed count by how far."""
+        found = self.evaluate(one, other, own)
+        missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / CLOSE, 1.0) for each in found.reached]
+        return float(np.mean(missed) + 1 - found.share) / 2, found.share
+
+    def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
+        """How many motions of both arms to pairs that are held, evenly picked, are proved, and how many were asked."""
+        pairs = np.argwhere(found.held)
+        some = pairs[np.unique(np.linspace(0, len(pairs) - 1, most).astype(int))] if len(pairs) else pairs
+        arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]
+        options, proved = replace(self.options, objective="none"), 0
+        for pair in some:
+            goals = [
+                (side.rotations[k], side.translations[k]) for side, k in zip(found.reached, pair.tolist(), strict=True)
+            ]
+            try:
+                plan = plan_arms(
+                    arms,
+                    self.starts,
+                    goals,
+                    obstacles=self.obstacles,
+                    min_margin=self.min_margin,
+                    options=options,
+                )
+            except SolveError:
+                continue
+            proved += plan.proved
+        return proved, len(some)
+
+
+_Arm = tuple[Array, Array, float, float]
+"""Centreline (FINE, 3) in the frame of the bases and radii (FINE,) of an arm at rest; square of the length of its
+pieces, and how far it bends off them, m."""
+
+
+def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
+    """Arms at the places that are reached, where forward kinematics finds the same ones."""
+    arms: dict[int, _Arm] = {}
+    for k in np.flatnonzero(found.reached).tolist():
+        try:
+            e = forward_kinematics(robot, found.rotations[k], found.translations[k])
+        except SolveError:
+            continue
+        if not np.linalg.norm(e.tip_position - found.targets[k]) <= 2 * found.tolerance:
+            continue
+        s = np.linspace(0.0, e.arc_length[-1], FINE)
+        line, radius = Outline(e).at(s)
+        # The arm is as thick up to the next point as it is at the one before: it grows thinner towards its tip.
+        thick = np.maximum.accumulate(radius[::-1])[::-1]
+        thick[1:] = np.maximum(thick[1:], thick[:-1])
+        bend = 1.2 * float(np.linalg.norm(e.curvature, axis=1).max(initial=0.0))
+        arms[k] = base.placed(line), thick, s[1] ** 2, bend * s[1] ** 2 / 8
+    return arms
+
+
+def _apart(one: _Arm, other: _Arm) -> float:
+    """Lower bound of the distance of two arms, m: between pieces it is at least the root of the least square of the
+    distances of their ends less a quarter of the squares of their lengths, see `apart`."""
+    far = scipy.spatial.distance.cdist(one[0], other[0], "sqeuclidean")
+    straight = np.sqrt(np.maximum(far - (one[2] + other[2]) / 4, 0.0))
+    return float((straight - one[1][:, None] - other[1]).min()) - one[3] - other[3]
