@@ -315,6 +315,7 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
             int x = h->q.point[a];
             far = fmax(far, fabs(h->state.theta[x][i] - w->theta[x][i] - turn[i]));
         }
+    if (far > limit && h != old && old->margin == 0 && settle(old, 1, w)) limit = largest_twist(old->margin);
     if (!(far <= limit) || !settle(h, m->margins || far > LONG * SOFT_TWIST, w)) return NULL;
     if (same) {
         for (int r = 0; r < h->q.size; r++) h->along[r] = h->state.z[r] - w->last[r];
