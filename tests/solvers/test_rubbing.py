@@ -36,7 +36,7 @@ def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> Poses:
 @pytest.mark.parametrize("seed", [2, 4, 15])  # 4 has steps that the kernel leaves to Python, 15 slides
 def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     own = poses(*way(seed))
-    monkeypatch.setattr(rubbed, "sweep", lambda *_: None)
+    monkeypatch.setattr(rubbed, "sweep", lambda *_, **__: None)
     other = poses(*way(seed))
     assert own.found.all()
     assert own.position == pytest.approx(other.position, abs=1e-10)

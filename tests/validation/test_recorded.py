@@ -149,6 +149,32 @@ def test_an_export_of_optitrack(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.orientation[0], np.eye(3))
 
 
+def one_tool(tmp_path: Path, row: dict[int, str], between: str = ",") -> Measurements:
+    """30 rows of one NDI tool, of which the sixth has other cells."""
+    m = driven(trivial(), count=30, noise=0.0)
+    assert m.time is not None
+    lines = ["Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz"]
+    for k, tip in enumerate(m.tip_position * 1e3):
+        cells = ["1", "A", str(4 * k), "0", "OK", "1", "0", "0", "0", *(f"{x:.6f}" for x in tip)]
+        lines.append(",".join(row.get(j, cell) if k == 5 else cell for j, cell in enumerate(cells)))
+    (tmp_path / "ndi.csv").write_text("\n".join(lines).replace(",", between))
+    joint_log(tmp_path, np.arange(0, 160) / 53.0, float(m.time[-1]))
+    return mapped(tmp_path, f"tips: ndi.csv\njoints: joints.csv\nframe_rate_Hz: 40\njoint_columns: {JOINTS}\n")
+
+
+@pytest.mark.parametrize("missing", ["-3.697314E+28", "MISSING", "NaN", "0"])
+def test_what_an_ndi_tool_does_not_see_is_no_position(tmp_path: Path, missing: str) -> None:
+    assert one_tool(tmp_path, dict.fromkeys(range(5, 12), missing)).remarks[0].startswith("1 of 30 rows have no")
+
+
+def test_an_ndi_export_that_a_spreadsheet_has_touched(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(one_tool(tmp_path, {2: "20.0"}, "\t").sensors, one_tool(tmp_path, {}).sensors)
+    assert "has the time of the row before" in one_tool(tmp_path, {2: "16"}).remarks[0]
+    assert "goes back from 0.400 to 0.300 s" in one_tool(tmp_path, {2: "12"}).remarks[0]
+    with pytest.raises(InputError, match=r"line 7, column Frame is 'x'; it must be a whole number"):
+        one_tool(tmp_path, {2: "x"})
+
+
 # --- what cannot be right ---------------------------------------------------------------------------------------------
 
 

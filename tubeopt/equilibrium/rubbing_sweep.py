@@ -12,18 +12,20 @@ from ..typing import Array
 from .friction import Held, contact_of
 
 
-def sweep(robot: Robot, held: Held, joints: Array, behind: Array) -> tuple[Rubbed, Held] | None:
+def sweep(
+    robot: Robot, held: Held, joints: Array, behind: Array, *, margins: bool = True
+) -> tuple[Rubbed, Held] | None:
     """States at rows of joint values (T, 2n), the first of which is that of `held`, and the last that was reached, from
     where `rubbing_following` goes on: the next step is too long, or a snap. Its heat is not known.
 
     Args:
-        behind: (S,) stations behind the tip that are told, m.
+        behind: (S,) stations behind the tip that are told, m.   margins: whether they are told.
 
     None where there is no kernel for this robot and this friction.
     """
     friction = held.contact.friction
     state = held.found.state.x, held.found.torque, held.found.signs
-    out = rub_compiled(robot, friction, joints, state, behind)
+    out = rub_compiled(robot, friction, joints, state, behind, margins=margins)
     if out is None:
         return None
     count = len(out.margin)

@@ -69,7 +69,24 @@ def doubts_of(found: Measurements, robot: Robot) -> list[str]:
     reach = np.abs(found.translations).max()
     if 0 < reach < 1e-3 * length and np.ptp(found.translations) > 0:
         words.append(f"no translation is beyond {1e3 * reach:.2g} mm: are they in m, in columns that say mm?")
-    return words + _doubts_of_time(found)
+    return words + _doubts_of_clock(found) + _doubts_of_time(found)
+
+
+def _doubts_of_clock(found: Measurements) -> list[str]:
+    """Remarks on times that stand still, or that go back where joint readings are found by them."""
+    if found.time is None:
+        return []
+    steps, words = np.diff(found.time), []
+    still, back = int((steps == 0).sum()), np.flatnonzero(steps < 0)
+    if still:
+        rows = "row has" if still == 1 else "rows have"
+        words.append(f"{still} {rows} the time of the row before: was it recorded twice, or is the clock too coarse?")
+    if found.log is not None and len(back):
+        words.append(
+            f"the time of the positions goes back from {found.time[back[0]]:.3f} to {found.time[back[0] + 1]:.3f} s: "
+            "did the clock start anew? Joint readings are looked for at these times"
+        )
+    return words
 
 
 def _doubts_of_time(found: Measurements) -> list[str]:

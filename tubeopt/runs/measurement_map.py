@@ -71,7 +71,8 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     frames = tips.orientation(_foremost(tips, entry))
     for columns in (tips, joints):
         columns.table.check()
-    return _assemble(entry, robot, positions, time, (rotations, translations), stamps, frames)
+    found = _assemble(entry, robot, positions, time, (rotations, translations), stamps, frames)
+    return replace(found, remarks=(*recorded.remarks, *found.remarks))
 
 
 def _mine(column: str, names: tuple[str, ...], entry: MeasurementMap) -> bool:
@@ -118,6 +119,8 @@ def _assemble(
 ) -> Measurements:
     words: list[str] = []
     seen = np.asarray(np.isfinite(positions[..., 0]).any(1))
+    if not seen.any():
+        raise InputError(f"{entry.tips}: no row has a measured position")
     rotations, translations = joints
     turning = stamps if stamps is not None else time
     if turning is not None:

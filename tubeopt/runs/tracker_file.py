@@ -4,7 +4,8 @@ An export becomes a table whose columns have meanings of their own: `time`, `x_1
 rigid body, and so on, in the order of the file.
 
 - NDI (Track, ToolBox, the recorders of the CAPI samples): one header line in which every tool has the columns Frame,
-  State, Q0, Qx, Qy, Qz, Tx, Ty, Tz; positions in mm; a state other than OK or Enabled is not seen.
+  State, Q0, Qx, Qy, Qz, Tx, Ty, Tz, between commas or tabs; positions in mm. Not seen is what has a state other than OK
+  or Enabled, the word MISSING or NDI's number for it, or a quaternion of zeros.
 - OptiTrack Motive: "Format Version" in the first line with the units of length and the kind of rotation, then lines
   that name type, body and quantity of every column.
 """
@@ -12,8 +13,9 @@ rigid body, and so on, in the order of the file.
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 
 from ..errors import InputError
@@ -21,6 +23,9 @@ from ..files.csv_file import CsvTable, read_csv
 from ..files.files import read_text
 
 QUATERNION = ("qw", "qx", "qy", "qz")
+BAD_FLOAT = 1e20
+"""NDI writes -3.697314e28 for a number that there is not."""
+
 SEEN = ("ok", "enabled", "valid", "")
 """States in which an NDI tool is seen."""
 
@@ -30,10 +35,12 @@ LENGTHS = {"meters": "m", "metres": "m", "centimeters": "cm", "millimeters": "mm
 
 @dataclass(frozen=True)
 class Recorded:
-    """A table, and what its columns mean: name -> "meaning, unit". The header says it, or nothing does."""
+    """A table, what its columns mean (name -> "meaning, unit": the header says it, or nothing does), and what was
+    noticed when it was read."""
 
     table: CsvTable
     meaning: dict[str, str]
+    remarks: tuple[str, ...] = ()
 
 
 def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) -> Recorded:
@@ -45,7 +52,9 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     Raises:
         InputError: no such file, or a file that is none of these.
     """
-    cells = list(csv.reader(read_text(path).removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}").splitlines()))
+    lines = read_text(path).removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}").splitlines()
+    tabs = bool(lines) and "\t" in lines[0] and "," not in lines[0]
+    cells = list(csv.reader(lines, delimiter="\t" if tabs else ","))
     first = [cell.strip() for cell in cells[0]] if cells else []
     if first and first[0].lower() == "format version":
         return _optitrack(path, cells)
@@ -63,11 +72,11 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
         padded = [cell.strip() for cell in row] + [""] * (len(header) - len(row))
         if not any(padded):
             continue
-        rows.append([_ndi_time(padded, header, tools[0], frame_rate)])
+        rows.append([_ndi_time(f"{path}: line {number}", padded, header, tools[0], frame_rate)])
         lines.append(number)
         for k in tools:
             state = _before(header, k, ("state", "transformstatus"))
-            seen = state is None or padded[state].lower() in SEEN
+            seen = (state is None or padded[state].lower() in SEEN) and _is_pose(padded[k : k + 7])
             rows[-1] += padded[k : k + 7] if seen else [""] * 7
     names = ["time", *(f"{name}_{i + 1}" for i in range(len(tools)) for name in (*QUATERNION, "x", "y", "z"))]
     if not rows or not rows[0][0]:  # nothing to tell the time by
@@ -75,19 +84,39 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
     return _recorded(path, names, rows, lines, {"time": "s", "x": "mm", "y": "mm", "z": "mm"})
 
 
+def _is_pose(cells: Sequence[str]) -> bool:
+    """Whether quaternion and position are ones that NDI writes for a tool that it sees; words are left to the table."""
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError:
+        return not any(cell.lower() == "missing" for cell in cells)
+    return any(values[:4]) and max(map(abs, values)) < BAD_FLOAT
+
+
 def _before(header: Sequence[str], k: int, names: Sequence[str]) -> int | None:
     """The nearest column with one of these names before column k, of the same tool."""
     return next((j for j in range(k - 1, max(k - 9, -1), -1) if header[j] in names), None)
 
 
-def _ndi_time(row: Sequence[str], header: Sequence[str], k: int, frame_rate: float | None) -> str:
+def _ndi_time(where: str, row: Sequence[str], header: Sequence[str], k: int, frame_rate: float | None) -> str:
     whole, part = (_before(header, k, (name,)) for name in ("timespec_s", "timespec_ns"))
     if whole is not None and part is not None and row[whole]:
-        return f"{row[whole]}.{int(row[part] or 0):09d}"
+        return f"{row[whole]}.{_whole(where, 'timespec_ns', row[part] or '0'):09d}"
     frame = _before(header, k, ("frame",))
     if frame is None or frame_rate is None or not row[frame]:
         return ""
-    return repr(int(row[frame]) / frame_rate)
+    return repr(_whole(where, "Frame", row[frame]) / frame_rate)
+
+
+def _whole(where: str, name: str, cell: str) -> int:
+    """A whole number of a cell, also one that a spreadsheet wrote as 12.0."""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not value.is_integer():
+        raise InputError(f"{where}, column {name} is {cell!r}; it must be a whole number")
+    return int(value)
 
 
 def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
@@ -118,7 +147,13 @@ def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
     kept = [(number, row) for number, row in enumerate(cells[start + 1 :], start=start + 2) if any(map(str.strip, row))]
     rows = [[row[k].strip() if k < len(row) else "" for k, _ in wanted] for _, row in kept]
     lines = [number for number, _ in kept]
-    return _recorded(path, [name for _, name in wanted], rows, lines, {"time": "s", "x": unit, "y": unit, "z": unit})
+    found = _recorded(path, [name for _, name in wanted], rows, lines, {"time": "s", "x": unit, "y": unit, "z": unit})
+    turned = any(cell.strip().lower() == "rotation" for cell in quantity)
+    if not turned or any(name.startswith("q") for _, name in wanted):
+        return found
+    kind_of_rotation = facts.get("rotation type", "") or "not named"
+    told = f"orientations are left out: Rotation Type is {kind_of_rotation}; export it as Quaternion to use them"
+    return replace(found, remarks=(told,))
 
 
 def _recorded(

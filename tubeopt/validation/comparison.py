@@ -115,7 +115,7 @@ def check_tubes(robot: Robot, measurements: Measurements) -> None:
 def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
     """Measured beside predicted at a state of a model, whose robot this is."""
     m, motion = model.measurements, state.registration
-    poses = model.poses(model.setup(state.x))
+    poses = model.poses(model.setup(state.x), margins=True)
     predicted = model.predicted(state)
     along, axis = distances(model, predicted - model.observed)
     tip = np.full((len(m), 3), np.nan)

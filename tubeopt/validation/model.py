@@ -146,15 +146,17 @@ class ArmModel:
         alpha = self.timeline.with_play(rotations * setup.rotation_gain + setup.rotation, setup.rotation_play)
         return alpha, translations * setup.translation_gain + setup.translation
 
-    def poses(self, setup: Setup, joints: tuple[Array, Array] | None = None) -> Poses:
+    def poses(self, setup: Setup, joints: tuple[Array, Array] | None = None, *, margins: bool = False) -> Poses:
         """Equilibria of every row, at its own joint values or at others; the last few are remembered.
+
+        Along a way with friction `margins` are known of all only where they are asked for.
 
         Raises:
             InputError: there is no such robot, or it cannot be at these joint values.
         """
         alpha, shift = self.joints(setup) if joints is None else joints
         for tubes, a, d, poses in self._solved:
-            if np.array_equal(a, alpha) and np.array_equal(d, shift) and tubes.same_tubes(setup):
+            if not margins and np.array_equal(a, alpha) and np.array_equal(d, shift) and tubes.same_tubes(setup):
                 return poses
         robot = setup.robot(self.robot)
         self.evaluations += len(alpha)
@@ -162,7 +164,7 @@ class ArmModel:
         if friction is None or not runs:
             poses = solve_poses(robot, alpha, shift, self.stations, runs)
         else:
-            poses = rubbed_poses(robot, (alpha, shift), self.stations, runs, friction)
+            poses = rubbed_poses(robot, (alpha, shift), self.stations, runs, friction, margins=margins)
         if joints is None:
             self._solved[:] = [(setup.copy(), alpha, shift, poses), *self._solved[:2]]
         return poses

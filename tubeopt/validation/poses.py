@@ -33,7 +33,7 @@ class Poses:
     Attributes:
         position: (N, K, 3) of K stations, the foremost first.
         frame: (N, 3, 3) of the tip of the tube that ends last: its own axes, turned with it.
-        margin: (N,).   length: (N,) of the arm in front of the plate, m.
+        margin: (N,), NaN too where it was not asked for.   length: (N,) of the arm in front of the plate, m.
         failures: (row, reason in words).
     """
 
@@ -46,7 +46,7 @@ class Poses:
     @property
     def found(self) -> Mask:
         """(N,) whether there is an equilibrium."""
-        return np.isfinite(self.margin)
+        return np.isfinite(self.frame[:, 0, 0])
 
 
 def solve_poses(

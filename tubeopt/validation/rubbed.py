@@ -25,11 +25,17 @@ COARSE = -1
 
 
 def rubbed_poses(
-    robot: Robot, joints: tuple[Array, Array], stations: Array, runs: Sequence[Index], friction: Friction
+    robot: Robot,
+    joints: tuple[Array, Array],
+    stations: Array,
+    runs: Sequence[Index],
+    friction: Friction,
+    *,
+    margins: bool = True,
 ) -> Poses:
     """Poses at joint values (N, n) of the model along `runs` of rows, of which each begins without a history.
 
-    Rows of a run behind one at which the motion is lost have none.
+    Rows of a run behind one at which the motion is lost have none; `margins` are not known of all where not asked for.
 
     Raises:
         InputError: joint values at which the robot cannot be.
@@ -49,7 +55,7 @@ def rubbed_poses(
             seen.put(run[0], held)
             done = 1
             while done < len(run):
-                many = None if loose(robot) else sweep(robot, held, table[done - 1 :], stations)
+                many = None if loose(robot) else sweep(robot, held, table[done - 1 :], stations, margins=margins)
                 if many is not None:
                     count = len(many[0].margin)
                     seen.put_many(run[done : done + count], shift, many[0])

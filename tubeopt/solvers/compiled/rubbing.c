@@ -3,6 +3,7 @@
    snap, a state that is held by friction alone) ends it, and is left to them. */
 #include "sticking.c"
 
+#define LONG 0.3 /* part of the longest step of a state with margin 0 from which the next may be longer still */
 #define MOST_EVENTS ((2 * N + 1) * (2 * N + 1) + 1)
 
 typedef struct {
@@ -19,7 +20,7 @@ typedef struct {
     int rows, pair[MOST_UNKNOWNS], point[MOST_UNKNOWNS], outer[MOST_UNKNOWNS], inner[MOST_UNKNOWNS];
     double most[MOST_UNKNOWNS], torque[MOST_UNKNOWNS], turned[MOST_UNKNOWNS];
     signed char sign[MOST_UNKNOWNS];
-    double alpha[N], shift[N], margin;
+    double alpha[N], shift[N], margin;       /* 0 where it is not known: a lower bound of it */
     int tangent;                             /* whether there is one: */
     double turn[N], along[MOST_UNKNOWNS];    /* how far the bases turned to here, and z changed */
 } Held;
@@ -39,7 +40,8 @@ typedef struct {
     const Method *method;
     Friction friction;
     Room *room;
-    int now; /* which of the two is the state */
+    int margins; /* whether they are wanted of all states, not only where steps are long */
+    int now;     /* which of the two is the state */
 } Motion;
 
 /* --- where tubes rub ------------------------------------------------------------------------------------------------- */
@@ -220,8 +222,8 @@ static int increment(Held *h, int guess, Room *w) {
     return DECLINED;
 }
 
-/* Torsion along the arm, and the margin to 1e-5; 0 where the state is not stable without friction. */
-static int settle(Held *h, Room *w) {
+/* Torsion along the arm, and where it is wanted the margin to 1e-5; 0 where the state is not stable without friction. */
+static int settle(Held *h, int wanted, Room *w) {
     const Unknowns *q = &h->q;
     integrate(q, h->alpha, &h->state, &h->arm);
     for (int r = 0; r < h->rows; r++) {
@@ -233,9 +235,11 @@ static int settle(Held *h, Room *w) {
     turn_along(q, h->alpha, NULL, &h->arm);
     h->margin = 1;
     if (!q->size) return 1;
-    anywhere(w->mode, q->size);
+    h->margin = 0;
     second_variation(q, &h->state, w->matrix);
     if (!cholesky(w->matrix, q->size, STRIDE)) return 0;
+    if (!wanted) return 1;
+    anywhere(w->mode, q->size);
     Factored of = {w->matrix, q->size, STRIDE};
     Lanczos lanczos = {by_factor, &of, q->size, LANCZOS, MOST_UNKNOWNS, 0, ROUGH_ERROR, HARDLY_SOFTER, w->basis[0]};
     h->margin = fmin(1, least_of(&lanczos, w->mode));
@@ -311,7 +315,8 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
             int x = h->q.point[a];
             far = fmax(far, fabs(h->state.theta[x][i] - w->theta[x][i] - turn[i]));
         }
-    if (!(far <= limit) || !settle(h, w)) return NULL;
+    if (far > limit && h != old && old->margin == 0 && settle(old, 1, w)) limit = largest_twist(old->margin);
+    if (!(far <= limit) || !settle(h, m->margins || far > LONG * SOFT_TWIST, w)) return NULL;
     if (same) {
         for (int r = 0; r < h->q.size; r++) h->along[r] = h->state.z[r] - w->last[r];
         memcpy(h->turn, turn, sizeof h->turn);
@@ -392,12 +397,12 @@ static void station_at(const Answer *a, int tip, double behind, double *out) {
 /* Rows 1 ... of joint values (count, N) from the state of row 0, unknowns `z`, `torque` and `sign` of its rows. Returns how
    many there are, row 0 too, before it is lost or at an end; z, torque and sign are then those of the last of them. `out`
    (count, 3 stations + 9 + N + 2) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes there,
-   margin, length. -1 where the state is not one of these tubes. */
+   margin (0 where `sizes` says that it is not wanted), length. -1 where the state is not one of these tubes. */
 CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, const double *friction, double pieces,
                                    long long count, const double *alpha, const double *shift, const long long *sizes,
                                    double *z, double *torque, signed char *sign, const double *behind, double *out,
                                    Room *w) {
-    Motion m = {tubes, method, {friction, pieces}, w, 0};
+    Motion m = {tubes, method, {friction, pieces}, w, (int)sizes[3], 0};
     Held *h = &w->held[0];
     int stations = (int)sizes[2], width = 3 * stations + 9 + N + 2;
     if (!begin_held(&m, shift, h) || h->q.size != sizes[0] || h->rows != sizes[1]) return -1;
@@ -406,7 +411,7 @@ CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, con
     memcpy(h->torque, torque, h->rows * sizeof(double));
     memcpy(h->sign, sign, h->rows);
     look(h);
-    if (!settle(h, w)) return 1;
+    if (!settle(h, 1, w)) return 1;
     for (long long k = 1; k < count; k++) {
         h = move_held(&m, alpha + k * N, shift + k * N);
         if (!h) return k;

@@ -27,7 +27,7 @@ class Rubbed:
 
     Attributes:
         stations: (K, S, 3) m.   frame: (K, 3, 3) of the tip.   rotation: (K, n) of the tubes there, rad.
-        margin: (K,) without friction, to 1e-5.   length: (K,) of the arm, m.
+        margin: (K,) without friction, to 1e-5, NaN if not asked for.   length: (K,) of the arm, m.
         unknowns, torque, signs: (U,), (R,) and (R,) of the last row; as given where K is 0.
     """
 
@@ -83,10 +83,16 @@ def simple(friction: Friction) -> bool:
 
 
 def rub_compiled(
-    robot: Robot, friction: Friction, joints: Array, state: tuple[Array, Array, Signs], behind: Array
+    robot: Robot,
+    friction: Friction,
+    joints: Array,
+    state: tuple[Array, Array, Signs],
+    behind: Array,
+    *,
+    margins: bool = True,
 ) -> Rubbed | None:
     """Increments along rows of joint values (T, 2n) from the state of row 0: unknowns (U,), torques (R,) and signs (R,)
-    of its contact; with stations `behind` (S,) the tip, m.
+    of its contact; with stations `behind` (S,) the tip, m, and, where asked for, `margins`, a quarter of the time.
 
     As many as go well: where a step asks for more care, they end before it. None where there is no kernel for this
     robot and this friction, or no room in it.
@@ -100,7 +106,7 @@ def rub_compiled(
         return None
     alpha, shift = (np.ascontiguousarray(part) for part in (joints[:, :n], joints[:, n:]))
     capacity = np.array(friction.per_pair("torque", n - 1))
-    sizes = np.array([len(unknowns), len(torque), len(behind)], dtype=np.int64)
+    sizes = np.array([len(unknowns), len(torque), len(behind), margins], dtype=np.int64)
     last = np.zeros((2, MOST_UNKNOWNS))
     last[0, : len(unknowns)], last[1, : len(torque)] = unknowns, torque
     slips = np.zeros(MOST_UNKNOWNS, dtype=np.int8)
@@ -117,7 +123,7 @@ def rub_compiled(
         stations=at.reshape(-1, len(behind), 3),
         frame=frame.reshape(-1, 3, 3),
         rotation=turned,
-        margin=margin[:, 0],
+        margin=margin[:, 0] if margins else np.full(len(margin), np.nan),
         length=length[:, 0],
         unknowns=last[0],
         torque=last[1],
