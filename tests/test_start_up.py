@@ -26,6 +26,11 @@ def test_forward_kinematics_needs_neither_statistics_nor_pictures() -> None:
     assert not modules & {"scipy.stats", "scipy.linalg", "scipy.optimize", "matplotlib", "typer", "viser", "trimesh"}
 
 
+def test_the_answer_of_fk_is_told_without_the_questions() -> None:
+    modules = loaded_by("import tubeopt.cli.kinematics, tubeopt.show.equilibrium_report")
+    assert not modules & {"tubeopt.stability", "tubeopt.inverse", "tubeopt.planning", "tubeopt.design"}
+
+
 @pytest.mark.parametrize("name", sorted(tubeopt.__all__))
 def test_every_public_name_is_there(name: str) -> None:
     assert getattr(tubeopt, name) is not None

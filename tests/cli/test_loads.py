@@ -86,7 +86,7 @@ def test_studies_take_a_load(tmp_path: Path) -> None:
 
 def test_what_makes_no_sense(run: Run) -> None:
     assert refused(run("fk", THESIS, "--tip-force-mN", "1,2")) == [
-        "--tip-force-mN has 2 items; it must have at least 3"
+        "--tip-force-mN has 2 numbers; it must have 3: x, y, z"
     ]
     assert "it must be 'newton'" in refused(run("fk", THESIS, "--tip-moment-mN-m", "1,2,3", "--method", "ipopt"))[0]
     lost = run("fk", THESIS, "--tip-force-mN", "0,1500,-1500")

@@ -58,7 +58,8 @@ def test_flags_replace_what_the_plan_study_says(run: Run, tmp_path: Path) -> Non
 def test_a_trajectory_made_elsewhere_is_refuted(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "naive.csv"
     path.write_text("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n10,270,0,0\n")
-    outcome = run("verify", str(path), "--robot", THESIS)
+    outcome = run("verify", str(path), "--robot", THESIS, "--out", str(tmp_path), "--format", "svg")
+    assert "snaps" in (tmp_path / "verified.svg").read_text()
     assert outcome.code == 3
     assert "the robot snaps" in outcome.err
     # The path before it is long, so that the line is broken anywhere.

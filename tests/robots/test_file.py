@@ -204,7 +204,7 @@ PROBLEMS = [
     (
         "diameter_mm: 1\n",
         "diameter_mm: 0.5\n",
-        "tubes[0]: inner_diameter is 0.0005 m; it must be less than outer_diameter (0.0005 m)",
+        "tubes[0].inner_diameter_mm is 0.5; it must be less than outer_diameter_mm (0.5)",
     ),
     (
         "straight_length_mm: 10",
@@ -354,6 +354,7 @@ def test_all_problems_at_once(tmp_path: Path) -> None:
     text = head + "inner_diameter_mm: 2" + last.replace("straight", "straigth")
     assert problems(tmp_path / "x.yaml", text) == [
         "tubes[0].radius_mm is -5; it must be greater than 0",
+        "tubes[2].inner_diameter_mm is 2; it must be less than outer_diameter_mm (1)",
         "tubes[2].straight_length_mm is missing",
         "tubes[2].straigth_length_mm is not a known key; did you mean 'straight_length_mm'?",
         "colour is not a known key",

@@ -141,11 +141,13 @@ def asks(
         def run(output: Output, **typed: Any) -> None:
             given = _given(fields, typed)
             missing = [key for key, field in fields.items() if field.is_required() and key not in given]
-            if missing:
-                told = (f"{called[key].split(',')[0]} is missing: {_about(fields[key])}" for key in missing)
-                raise InputError("\n".join(told))
+            lacks = {f"{names[key]} is missing": _about(fields[key]) for key in missing}
             with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}, first):
-                question = check(study, constant | given, "", names=names)
+                try:
+                    question = check(study, constant | given, "", names=names)
+                except InputError as error:
+                    told = (f"{line}: {lacks[line]}" if line in lacks else line for line in str(error).splitlines())
+                    raise InputError("\n".join(told)) from None
                 function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
 
         run.__name__, run.__doc__ = function.__name__, function.__doc__

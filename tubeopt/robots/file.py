@@ -93,6 +93,14 @@ class TubeEntry(Part):
             raise PydanticCustomError("missing", "Field required")
         return value
 
+    @field_validator("inner_diameter_mm", check_fields=False)
+    @classmethod
+    def _hollow(cls, value: Decimal, info: ValidationInfo) -> Decimal:
+        outer = info.data.get("outer_diameter_mm")
+        if outer is not None and value >= outer:
+            raise ValueError(f"is {value}; it must be less than outer_diameter_mm ({outer})")
+        return value
+
     def build(self) -> Tube:
         """The tube in SI."""
         given = values(Tube, self) | {"material": material_of(self.material)}

@@ -34,6 +34,8 @@ class Checked(Displayed):
     """Joint values over time."""
     proof: Proof
     """What was found."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """That the arm was to keep away from."""
 
 
 def _read(path: str | PathLike[str], robot: Robot | None) -> tuple[str, TimedJoints]:
@@ -113,4 +115,4 @@ class VerifyStudy(LoadedStudy):
             max_force=to_si(asked.max_tip_force_mN or Decimal(0), UNITS["mN"]),
             load=asked.pushing(),
         )
-        return Checked(file, joints, proof)
+        return Checked(file, joints, proof, asked.bodies)

@@ -10,7 +10,6 @@ from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.concentric import ConcentricRobot, friction_of
-from ..stability import friction_band
 from ..typing import Array
 from .load_words import LOADED
 from .quantities import Quantity, line
@@ -65,6 +64,8 @@ def by_history(e: Equilibrium) -> Array | None:
     friction = friction_of(e.robot)
     if friction is None or e.load is not None or e.friction is not None or not e.stable:
         return None
+    from ..stability import friction_band  # with all of stability, which forward kinematics starts without
+
     return friction_band(e, friction).tip_half_widths
 
 

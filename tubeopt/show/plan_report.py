@@ -245,6 +245,12 @@ class CheckedReport(Report[Checked]):
         notes = [Text(f"- {fault}") for fault in a.proof.faults]
         return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), *notes, two_columns("", self.rows()))
 
+    def pictures(self) -> dict[str, Drawing]:
+        """The motion as far as it was followed."""
+        from .plots.trajectory import plot_checked
+
+        return {"verified": drawing(plot_checked, self.answer)}
+
     def conclude(self) -> None:
         """Raise SolveError where something does not hold."""
         if not self.answer.proof.holds:

@@ -11,7 +11,7 @@ import scipy
 from ...errors import InputError
 from ...files.units import TO_MILLI
 from ...typing import Array, Mask
-from .style import INK, angle_locator, new_figure, number, picture
+from .style import INK, angle_locator, narrow, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -138,9 +138,9 @@ def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figur
     axes.set_xlabel(f"rotation of tube {first + 1} relative to home (deg)")
     axes.set_ylabel(f"rotation of tube {second + 1} relative to home (deg)")
     axes.set_title(title, loc="left")
-    bar = figure.colorbar(image, ax=axes, label="stability margin", pad=0.02, shrink=0.9, aspect=28)
+    bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0, 0.035, 1)), label="stability margin")
     bar.outline.set_visible(False)
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.legend(handles=handles, loc="outside lower center", ncols=1 if narrow() else 3)
     return figure
 
 

@@ -17,7 +17,7 @@ from ..slots import shade, slotted
 from . import mesh as surfaces
 from .mesh import Centreline, Mesh
 from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
-from .style import FAINT, INK, caption, headed, new_figure, number, picture, tube_colour
+from .style import FAINT, INK, caption, headed, narrow, new_figure, number, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +90,7 @@ def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, flo
         words += f"{number(each.energy * TO_MILLI, 3)} mJ"
         look = {"lw": 2.2, "alpha": 1.0 if k == 1 else 0.4} if each.stable else {"lw": 1.2, "ls": (0, (3, 2))}
         handles.append(Line2D([], [], color=colour, label=words, **look))
-    figure.legend(handles=handles, loc="outside lower left", ncols=2)
+    figure.legend(handles=handles, loc="outside lower left", ncols=1 if narrow() else 2)
     return figure
 
 

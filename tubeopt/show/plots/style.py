@@ -17,6 +17,7 @@ from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
 from ..load_words import load_in_words
+from ..words import in_a_word
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -174,7 +175,7 @@ def angle_locator() -> MaxNLocator:
     """Ticks for an axis in deg, at round parts of a turn."""
     from matplotlib.ticker import MaxNLocator
 
-    return MaxNLocator(nbins=9, steps=[1, 1.5, 3, 4.5, 6, 9, 10])
+    return MaxNLocator(nbins=5 if narrow() else 9, steps=[1, 1.5, 3, 4.5, 6, 9, 10])
 
 
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
@@ -251,8 +252,9 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     if np.any(equilibrium.translations):
         first = [tubes[0] for tubes in equilibrium.robot.moving_together]
         joints.append(f"translations ({_millimetres(equilibrium.translations[first])}) mm")
-    margin = f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}")
-    verdict = margin if equilibrium.stable else f"{margin}, unstable"
+    margin = f"margin {round(equilibrium.margin, 3) + 0.0:.3f}".replace("-", "\N{MINUS SIGN}")
+    word = in_a_word(equilibrium.margin)
+    verdict = f"{margin}, {word}" if word in ("unstable", "at a snap") else margin
     verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
     pushed = [] if equilibrium.load is None else [f"load: {load_in_words(equilibrium.load)}"]

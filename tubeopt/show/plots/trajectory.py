@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator
 
 from ...bodies.corridors import Corridor, MeshObstacle
 from ...bodies.distance_field import DistanceField
@@ -15,10 +16,11 @@ from ...bodies.obstacles import HalfSpace, Obstacle
 from ...bodies.placed import Turned
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
-from ...errors import InputError
+from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
+from ..load_words import load_in_words
 from ..surfaces import obstacle_surface, swept
 from .mesh import Centreline, Mesh, tube_mesh
 from .shape import exposed
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ...planning import Trajectory
+    from ...runs.verify_study import Checked
 
 SHOWN = 9
 """Shapes of the arm in the picture."""
@@ -39,6 +42,15 @@ FRAMES = 48
 
 FACETS = 120
 """Facets along an arm."""
+
+LOOKED_AT = 150
+"""Instants at which the arm of a trajectory that was checked is drawn, beside its samples."""
+
+WAY = 1500
+"""Points of the drawn way of the tip: between samples it is bent, not straight."""
+
+FLAT = {"rotation (deg)": 10.0, "translation (mm)": 5.0}
+"""Least height of a scale: what does not move is drawn as a line across, not as its rounding."""
 
 SIDES = 20
 """Facets around what is round."""
@@ -67,7 +79,7 @@ def plot_trajectory(
     grid = figure.add_gridspec(curves, 2, width_ratios=(1.15, 1.0))
     scene = figure.add_subplot(grid[:, 0])
     arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
-    seen, box = _stage(t, arms, view)
+    seen, box = _stage(t.tip_position, arms, t.obstacles, view)
     _draw_scene(scene, t, arms, (seen, box))
     first: Axes = figure.add_subplot(grid[0, 1])
     axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, curves))]
@@ -76,6 +88,39 @@ def plot_trajectory(
     axes[1].legend(signs, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     figure.align_ylabels(axes)
     headed(figure, _heading(t, title))
+    return figure
+
+
+@picture
+def plot_checked(checked: Checked, *, title: str = "") -> Figure:
+    """Picture of a trajectory that was checked: the swept arm with the way of its tip, joint values, and the margin as
+    far as it was followed, with the place of a snap."""
+    joints, proof = checked.joints, checked.proof
+    figure = new_figure(10.0, 5.4)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
+    scene, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
+    axes: list[Axes] = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in (1, 2))]
+    time, followed = _followed(checked)
+    tips = np.array([e.tip_position for e in followed])
+    arms = [followed[k] for k in np.unique(np.linspace(0, len(followed) - 1, SHOWN).astype(int))]
+    seen, box = _stage(tips, arms, checked.obstacles, None)
+    draw_box(scene, box, seen)
+    _draw_arms(scene, arms, seen, checked.obstacles)
+    _draw_way(scene, time, tips, seen)
+    _draw_joints(axes, joints.time, joints.rotations, joints.translations)
+    axes[2].plot(time, [e.margin for e in followed], color=INK, lw=1.4)
+    if proof.snap is not None:
+        at = joints.time[0] + proof.snap * (joints.time[-1] - joints.time[0])
+        axes[2].axvline(float(at), color="#C1272D", lw=1.2, label="snaps")
+        axes[2].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    _margin_scale(axes[2], min(e.margin for e in followed))
+    axes[1].legend(*scene.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    _along_time(axes, joints.time)
+    figure.align_ylabels(axes)
+    verdict = "holds" if proof.holds else "does not hold"
+    seconds = number(float(joints.time[-1] - joints.time[0]), 1)
+    least = f"least margin {proof.least_margin:.3f}"
+    headed(figure, f"{title or joints.robot.name or 'robot'}\n{seconds} s,  {least},  {verdict}{_under(proof.end)}")
     return figure
 
 
@@ -99,7 +144,7 @@ def animate_trajectory(
     figure = new_figure(5.0, 5.6)
     figure.set_layout_engine("none")
     scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
-    stage = _stage(t, arms, view)
+    stage = _stage(t.tip_position, arms, t.obstacles, view)
 
     def draw(k: int) -> Sequence[Any]:
         scene.clear()
@@ -108,12 +153,32 @@ def animate_trajectory(
         below.plot(t.time, t.margin, color=FAINT, lw=1)
         below.plot(t.time[: rows[k] + 1], t.margin[: rows[k] + 1], color=INK, lw=1.4)
         below.set_xlabel("time (s)")
-        below.set_ylabel("margin")
-        below.set_ylim(min(0.0, float(t.margin.min())) - 0.02, 1.05)
+        _margin_scale(below, float(t.margin.min()))
         return []
 
     figure.suptitle(f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", fontsize=9, x=0.04, ha="left")
     return save_film(figure, draw, len(rows), path)
+
+
+def _followed(checked: Checked) -> tuple[Array, list[Equilibrium]]:
+    """Instants (k,), s, and the equilibria there, from the first sample to where the proof ends, which is the last."""
+    joints, proof = checked.joints, checked.proof
+    first, last = float(joints.time[0]), float(joints.time[-1])
+    end = first + (proof.snap if proof.snap is not None else proof.followed) * (last - first)
+    instants = np.union1d(joints.time, np.linspace(first, last, LOOKED_AT))
+    times, found = [first], [proof.samples[0] if proof.samples else proof.end]
+    for time in instants[(instants > first) & (instants < end)]:
+        rotations, translations = (
+            np.array([np.interp(time, joints.time, row) for row in values.T])
+            for values in (joints.rotations, joints.translations)
+        )
+        try:
+            here = forward_kinematics(joints.robot, rotations, translations, load=proof.end.load, guess=found[-1])
+        except SolveError:  # so close to a snap that no step from the last one reaches it
+            break
+        times.append(float(time))
+        found.append(here)
+    return np.array([*times, max(end, times[-1] + 1e-9)]), [*found, proof.end]
 
 
 def film_ending(path: str | PathLike[str]) -> str:
@@ -153,10 +218,12 @@ def arms_at(trajectory: Trajectory, rows: Array) -> list[Equilibrium]:
     return found
 
 
-def _stage(trajectory: Trajectory, arms: Sequence[Equilibrium], view: tuple[float, float] | None) -> tuple[View, Box]:
-    points = np.concatenate([*(arm.position for arm in arms), trajectory.tip_position])
+def _stage(
+    tips: Array, arms: Sequence[Equilibrium], obstacles: Sequence[Obstacle], view: tuple[float, float] | None
+) -> tuple[View, Box]:
+    points = np.concatenate([*(arm.position for arm in arms), tips])
     seen = View(*view) if view is not None else widest_view(points)
-    bodies = [body_mesh(obstacle) for obstacle in trajectory.obstacles]
+    bodies = [body_mesh(obstacle) for obstacle in obstacles]
     corners = [mesh.corners.reshape(-1, 3) for mesh in bodies if mesh is not None]
     return seen, Box.around(np.concatenate([points, *corners, np.array([[0.0, 0.0, 0.0]])]))
 
@@ -166,13 +233,28 @@ def _draw_scene(
 ) -> None:
     seen, box = stage
     draw_box(scene, box, seen)
-    parts = [mesh for obstacle in trajectory.obstacles if (mesh := body_mesh(obstacle)) is not None]
+    _draw_arms(scene, arms, seen, trajectory.obstacles)
+    end = None if upto is None else upto + 1
+    _draw_way(scene, trajectory.time[:end], trajectory.tip_position[:end], seen)
+
+
+def _draw_arms(scene: Axes, arms: Sequence[Equilibrium], seen: View, obstacles: Sequence[Obstacle]) -> None:
+    """Arms, paler the earlier they are, among bodies."""
+    parts = [mesh for obstacle in obstacles if (mesh := body_mesh(obstacle)) is not None]
     for k, arm in enumerate(arms):
         strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else 0.2
         parts += [arm_mesh(arm, strong)]
     scene.add_collection(facets(Mesh.join(parts), seen))
-    tips = seen.project(trajectory.tip_position[: None if upto is None else upto + 1])
-    scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5, label="tip")
+
+
+def _draw_way(scene: Axes, time: Array, tips: Array, seen: View) -> None:
+    """The way of a tip, curved between its samples, with its ends."""
+    tips = seen.project(tips)
+    way = tips
+    if len(time) > 2:
+        curve = Akima1DInterpolator(time, tips, method="makima")
+        way = curve(np.union1d(time, np.linspace(time[0], time[-1], WAY)))
+    scene.plot(way[:, 0], way[:, 1], color=INK, lw=0.9, zorder=5, label="tip")
     scene.plot(*tips[0, :2], "o", mfc="white", mec=INK, ms=4, zorder=6, label="start")
     scene.plot(*tips[-1, :2], "o", color=INK, ms=4, zorder=6, label="end")
 
@@ -221,19 +303,12 @@ def _curve_count(t: Trajectory) -> int:
 
 def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
     """Joint values, margin, clearance and deviation over time."""
-    for i in range(t.robot.n_tubes):
-        look: dict[str, Any] = {"color": tube_colour(i), "lw": 1.2 + 1.1 * i, "zorder": 2 - 0.01 * i}
-        axes[0].plot(t.time, np.degrees(t.rotations[:, i]), label=f"tube {i + 1}", **look)
-        axes[1].plot(t.time, t.translations[:, i] * TO_MM, **look)
-    axes[0].set_ylabel("rotation (deg)")
-    axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
-    axes[1].set_ylabel("translation (mm)")
+    _draw_joints(axes, t.time, t.rotations, t.translations)
     rest = iter(axes[2:])
     margin = next(rest)
     margin.plot(t.time, t.margin, color=INK, lw=1.4)
     margin.axhline(t.min_margin, color=FAINT, lw=0.8, ls="--")
-    margin.set_ylim(min(0.0, float(t.margin.min())) - 0.02, 1.05)
-    margin.set_ylabel("margin")
+    _margin_scale(margin, float(t.margin.min()))
     if np.isfinite(t.clearance).all():
         clear = next(rest)
         clear.plot(t.time, t.clearance * TO_MM, color=INK, lw=1.4)
@@ -245,12 +320,40 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
         off.plot(t.time, t.deviation * TO_MM, color=INK, lw=1.4)
         off.set_ylim(bottom=0)
         off.set_ylabel("deviation (mm)")
+    _along_time(axes, t.time)
+
+
+def _draw_joints(axes: Sequence[Axes], time: Array, rotations: Array, translations: Array) -> None:
+    """Joint values over time, in the first two axes."""
+    for name, panel, values in zip(FLAT, axes, (np.degrees(rotations), translations * TO_MM), strict=False):
+        for i, row in enumerate(values.T):
+            panel.plot(time, row, color=tube_colour(i), lw=1.2 + 1.1 * i, zorder=2 - 0.01 * i, label=f"tube {i + 1}")
+        panel.set_ylabel(name)
+        low, high = panel.get_ylim()
+        short = FLAT[name] - (high - low)
+        if short > 0:
+            panel.set_ylim(low - short / 2, high + short / 2)
+    axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+
+
+def _margin_scale(axes: Axes, least: float) -> None:
+    axes.set_ylim(min(0.0, least) - 0.02, 1.05)
+    axes.set_ylabel("margin")
+
+
+def _along_time(axes: Sequence[Axes], time: Array) -> None:
+    """Rules, and one scale of time below all."""
     for each in axes:
         each.grid(axis="y", color="#E6E8EB", lw=0.5)
         each.set_axisbelow(True)
         each.tick_params(labelbottom=each is axes[-1])
     axes[-1].set_xlabel("time (s)")
-    axes[-1].set_xlim(0, max(float(t.time[-1]), 1e-9))
+    axes[-1].set_xlim(float(time[0]), max(float(time[-1]), float(time[0]) + 1e-9))
+
+
+def _under(arm: Equilibrium) -> str:
+    """What pushes on an arm, for a heading."""
+    return "" if arm.load is None else f",  under {load_in_words(arm.load)}"
 
 
 def _heading(t: Trajectory, title: str) -> str:
@@ -258,4 +361,5 @@ def _heading(t: Trajectory, title: str) -> str:
     gap = t.proof.least_clearance
     clear = f",  least clearance {gap * TO_MM:.2f} mm" if np.isfinite(gap) else ""
     proved = "proved" if t.proved else "not proved"
-    return f"{title or t.robot.name or 'robot'}\n{number(float(t.time[-1]), 1)} s,  {least}{clear},  {proved}"
+    found = f"{number(float(t.time[-1]), 1)} s,  {least}{clear},  {proved}{_under(t.start)}"
+    return f"{title or t.robot.name or 'robot'}\n{found}"

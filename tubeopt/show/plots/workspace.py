@@ -106,7 +106,7 @@ def _draw_section(axes: Axes, found: Voxels, values: Array, ends: tuple[float, f
     shown = np.ma.masked_invalid(grid.T)
     span = ends or (0.0, float(values.max()))
     drawn = axes.pcolormesh(*edges, shown, cmap=MAP, vmin=span[0], vmax=span[1], rasterized=True)
-    axes.set(xlabel="distance from the axis (mm)", ylabel="z (mm)")
+    axes.set(xlabel="from the axis (mm)", ylabel="z (mm)")
     axes.set_aspect("equal")
     return drawn
 
