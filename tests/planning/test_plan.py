@@ -85,6 +85,9 @@ def test_rates_and_accelerations_are_kept(turn: Trajectory) -> None:
 def test_smoothing_shortens_the_path(turn: Trajectory) -> None:
     assert turn.statistics.smoothed == "length"
     assert turn.statistics.length < 0.9 * turn.statistics.raw_length
+    half = max(tube.length for tube in THESIS.tubes) / 2
+    ends = np.hstack([turn.rotations, turn.translations / half])[[0, -1]]
+    assert turn.quality == pytest.approx(np.linalg.norm(ends[1] - ends[0]) / turn.statistics.length, rel=1e-9)
 
 
 def test_the_naive_turn_is_refuted_at_the_exact_snap() -> None:

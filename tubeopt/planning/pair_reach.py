@@ -71,6 +71,7 @@ class PairReach(Displayed):
         tolerance, min_margin, options, count: as of `evaluate_reach`; the arms keep the clearance of the options from
             each other too.
         shift, tilt: as of `RegionReach`, of either plate along and about its own axes, m and rad.
+        words: what its value is called.
 
     Raises:
         InputError: a table of wrong shape, numbers that make no sense.

@@ -12,6 +12,7 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
+from ..inverse.joints import joint_space
 from ..inverse.outline import Outline
 from ..robots.robot import Robot
 from ..typing import Array, late
@@ -96,6 +97,17 @@ class Trajectory(Displayed):
     def proved(self) -> bool:
         """Whether all of it is proved; else the time limit was reached before the proof was finished."""
         return self.proof.holds
+
+    @property
+    def quality(self) -> float:
+        """Bound of how good the path is, at best 1: the straight line between the joint values at its ends, over its
+        length, both in units of the joints' scales. No motion between them is shorter: even the shortest has at least
+        this share of the length."""
+        space = joint_space(self.robot)
+        rows = zip(self.rotations, self.translations, strict=True)
+        q = np.array([space.join(*row) for row in rows]) / space.scale
+        length = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
+        return float(np.linalg.norm(q[-1] - q[0])) / length if length > 0 else 1.0
 
     @property
     def status(self) -> str:
