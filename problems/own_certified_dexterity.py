@@ -72,15 +72,16 @@ def designs(
         yield block.equilibrium(solution), float(np.sqrt(solution.value(least)))
 
 
-def main(out: Path) -> list[Path]:
-    """Design with and without the certificate, save the picture into `out`, and return its path."""
+def main(out: Path, samples: int = 3) -> list[Path]:
+    """Design without the certificate, with it, and under a push, or the first `samples` of these; save the picture into
+    `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     tubes = tuple(dataclasses.replace(tube, curvature=START) for tube in robot.tubes)
     near = tubeopt.forward_kinematics(tubeopt.ConcentricRobot(tubes), [1.2, 0.0], [-0.01, -0.03])
     poses, titles = [], []
-    found = [*designs(near, [NO_FLOOR, 0.1]), *designs(near, [0.1], PUSH)]
+    found = [*designs(near, [NO_FLOOR, 0.1]), *(designs(near, [0.1], PUSH) if samples > 2 else ())]
     names = ("no certificate", 0.0), ("certificate 0.1", 0.0), ("0.1 under any push of 20 mN", PUSH)
-    for (name, force), (pose, least) in zip(names, found, strict=True):
+    for (name, force), (pose, least) in zip(names, found, strict=False):
         certified = tubeopt.snap_free_certificate(pose.robot, pose.translations, max_force=force)
         bends = ", ".join(f"{tube.curvature:.2f}" for tube in pose.robot.tubes)
         titles.append(f"{name}: {10 * least:.1f} mm per rad or 50 mm")

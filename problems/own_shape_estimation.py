@@ -38,17 +38,18 @@ def measure(robot: tubeopt.ConcentricRobot) -> list[np.ndarray]:
     return [points + random.normal(0, NOISE, points.shape) for points in picked]
 
 
-def main(out: Path) -> list[Path]:
-    """Estimate the tubes, print them, save the picture into `out`, and return its path."""
+def main(out: Path, samples: int = len(COMMANDS)) -> list[Path]:
+    """Estimate the tubes from `samples` poses, print them, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     assert isinstance(robot, tubeopt.ConcentricRobot)
-    measured = measure(robot)
+    commands = COMMANDS[:samples]
+    measured = measure(robot)[:samples]
 
     opti = ca.Opti()
     curvature, zero = 10 * opti.variable(2), opti.variable(2)
     opti.set_initial(curvature, [tube.curvature for tube in robot.tubes])
     blocks, cost = [], 0.0
-    for turn, points in zip(COMMANDS, measured, strict=True):
+    for turn, points in zip(commands, measured, strict=True):
         near = tubeopt.forward_kinematics(robot, turn)
         block = tubeopt.EquilibriumBlock(opti, near, rotations=zero + ca.DM(turn), tubes={"curvature": curvature})
         cost += sum(ca.sumsqr((block.position(f) - point) / NOISE) for f, point in zip(FRACTIONS, points, strict=True))
@@ -60,10 +61,10 @@ def main(out: Path) -> list[Path]:
     poses = [block.equilibrium(solution) for block in blocks]
     print("curvatures (1/m):", np.round(solution.value(curvature), 2), "of 13.4 and 11.9")
     print("zeros (deg):", np.round(np.degrees(solution.value(zero)), 2), "of 3 and -2")
-    print(f"root mean square of the residuals: {1e3 * NOISE * np.sqrt(solution.value(cost) / 90):.3f} mm")
+    print(f"root mean square of the residuals: {1e3 * NOISE * np.sqrt(solution.value(cost) / (30 * samples)):.3f} mm")
     picture = out / "own_shape_estimation.png"
     plot_shapes(
-        poses, picture, titles=[f"commanded ({first:.0f}°, {second:.0f}°)" for first, second in np.degrees(COMMANDS)]
+        poses, picture, titles=[f"commanded ({first:.0f}°, {second:.0f}°)" for first, second in np.degrees(commands)]
     )
     return [picture]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -93,6 +94,17 @@ def test_the_bound_of_moving_arms_is_below_what_is_sampled_and_close_to_it(seed:
         assert "arm 1 (CRL CTR) and arm 2 (CRL CTR) come as close as" in proof.faults[-1]
 
 
+def moments(plan: arms_plan.ArmsPlan, arms: list[PlacedRobot], count: int) -> Iterator[list[tuple[Array, Array]]]:
+    """`surface_points` of all arms at instants of a plan, solved from its joint values alone."""
+    near: list[Any] = [None] * len(arms)
+    for t in np.linspace(0, plan.duration, count):
+        for k, moved in enumerate(plan.trajectories):
+            table = np.concatenate([moved.rotations, moved.translations], axis=1)
+            q = np.array([np.interp(t, moved.time, column) for column in table.T])
+            near[k] = tubeopt.forward_kinematics(ROBOT, q[:3], q[3:], guess=near[k])
+        yield [surface_points(each, arm.base) for each, arm in zip(near, arms, strict=True)]
+
+
 def test_two_arms_cross_over_without_touching() -> None:
     """Either tip goes to the other's side: one after the other there is room, and by the proof even at once."""
     arms = [PlacedRobot(ROBOT, base_frame([x, 0, 0], [-8 * x, 0, 1])) for x in (-0.008, 0.008)]
@@ -107,15 +119,10 @@ def test_two_arms_cross_over_without_touching() -> None:
     tips = [arm.base.placed(t.tip_position[[0, -1]]) for arm, t in zip(arms, plan.trajectories, strict=True)]
     assert all(tip[0, 0] * tip[1, 0] < 0 for tip in tips)
     # Once more by other code: what was planned, at instants, from the joint values alone.
-    least, near = math.inf, [None, None]
-    for t in np.linspace(0, plan.duration, 40):
-        shapes = []
-        for k, moved in enumerate(plan.trajectories):
-            table = np.concatenate([moved.rotations, moved.translations], axis=1)
-            q = np.array([np.interp(t, moved.time, column) for column in table.T])
-            near[k] = tubeopt.forward_kinematics(ROBOT, q[:3], q[3:], guess=near[k])
-            shapes.append(surface_points(near[k], arms[k].base))
-            assert (np.linalg.norm(shapes[k][0] - ball.centre, axis=1) - 0.004 - shapes[k][1]).min() >= 5e-4
+    least = math.inf
+    for shapes in moments(plan, arms, 40):
+        for points, radius in shapes:
+            assert (np.linalg.norm(points - ball.centre, axis=1) - 0.004 - radius).min() >= 5e-4
         least = min(least, gap(*shapes))
     assert least >= plan.proof.least_clearance
     assert plan.clearance(np.linspace(0, plan.duration, 5)).shape == (5, 1)
@@ -144,15 +151,7 @@ def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pyte
     assert (np.diff(came.time) > 0).all()
     assert came.translations.min(0)[0] < seed[1][0] - 0.02
     # Once more by other code, from the joint values alone.
-    least, near = math.inf, [None, None]
-    for t in np.linspace(0, plan.duration, 60):
-        shapes = []
-        for k, moved in enumerate(plan.trajectories):
-            table = np.concatenate([moved.rotations, moved.translations], axis=1)
-            q = np.array([np.interp(t, moved.time, column) for column in table.T])
-            near[k] = tubeopt.forward_kinematics(ROBOT, q[:3], q[3:], guess=near[k])
-            shapes.append(surface_points(near[k], arms[k].base))
-        least = min(least, gap(*shapes))
+    least = min(gap(*shapes) for shapes in moments(plan, arms, 60))
     assert least >= plan.proof.least_clearance
     # Without making way there is no order in which it can be done.
     monkeypatch.setattr(arms_plan, "_aside", lambda arm, at, options: (at.rotations, at.translations))

@@ -17,6 +17,7 @@ from ..block.transcription.second_variation import margin, unstable_directions
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..errors import SolveError
+from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..typing import Array
@@ -58,7 +59,11 @@ class Solution:
 @lru_cache(maxsize=64)
 def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisation: Discretisation) -> ReducedProblem:
     """The reduced torsion problem at given translations, built once for all rotations."""
-    assembly = robot.assembly(np.array(translations))
+    return reduced_assembly(robot.assembly(np.array(translations)), discretisation)
+
+
+def reduced_assembly(assembly: Assembly, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> ReducedProblem:
+    """The reduced torsion problem of tubes that are placed."""
     d = discretisation
     pieces = piece_counts(assembly, d.refinement)
     return reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))

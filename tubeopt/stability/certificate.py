@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import ReducedProblem
 from ..display import Displayed
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
 from ..errors import InputError, positive, vector
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
@@ -161,9 +162,12 @@ def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
 def estimated_certificate(robot: Robot, shift: Array) -> float:
     """What `snap_free_certificate` is but for what the mesh leaves out of tubes made of pieces, which takes longer to
     bound than the rest: where to look for the least, and no proof."""
+    assembly = robot.assembly(shift)
+    if assembly.eccentric:
+        return proof(assembly)[0]
+    problem = reduced_assembly(assembly)
     if not is_general(robot):
-        return snap_free_certificate(robot, shift)
-    problem = _problem(robot, shift)
+        return least_of_worst_case(problem)
     value, pair = worst_case(problem)[0], pair_of(problem)
     return value if pair is None else max(value, least_margin_of_pair(pair).bound)
 
@@ -198,11 +202,25 @@ def worst_case(problem: ReducedProblem, opposition: Array | None = None) -> tupl
     y = np.zeros((count, n))
     if not problem.size:
         return 1.0, y, 1.0
-    second = np.zeros(problem.size**2)
-    second[problem.places] = _at_worst(problem, opposition)[0].ravel()[problem.entries] * problem.entry_weight
-    values, vectors = np.linalg.eigh(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
+    values, vectors = np.linalg.eigh(_coupled(problem, opposition))
     y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
     return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
+
+
+def least_of_worst_case(problem: ReducedProblem) -> float:
+    """mu_cert alone."""
+    if not problem.size:
+        return 1.0
+    least = scipy.linalg.lapack.dsyevr(_coupled(problem), compute_v=0, range="I", il=1, iu=1)[0][0]
+    return min(1.0, 1.0 + float(least))
+
+
+def _coupled(problem: ReducedProblem, opposition: Array | None = None) -> Array:
+    """(U, U) the second variation less its torsional part, which is the identity, where all curved tubes oppose each
+    other; of `opposition` see `_at_worst`."""
+    second = np.zeros(problem.size**2)
+    second[problem.places] = _at_worst(problem, opposition)[0].ravel()[problem.entries] * problem.entry_weight
+    return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
 
 
 @small

@@ -170,15 +170,15 @@ def _factor(assembly: Assembly, mesh: Mesh, here: Compliant | None, unknowns: tu
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
     factor = np.zeros((len(point), len(point)))
     green = green_of(mesh, elements)
-    for i in range(assembly.n_tubes):
-        mine = tube == i
-        if mine.any():
-            chosen = np.ix_(point[mine], point[mine])
+    ends = np.searchsorted(tube, np.arange(assembly.n_tubes + 1)).tolist()  # the unknowns are sorted by tube
+    for i, (begin, end) in enumerate(pairwise(ends)):
+        if begin < end:
+            mine = point[begin:end]
             if here is None:
-                compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
+                compliance = (assembly.transmission[i] + green[mine[:, None], mine]) / assembly.torsional_stiffness[i]
             else:
-                compliance = green_of_pieces(mesh, elements, here, i)[chosen]
-            factor[np.ix_(mine, mine)] = np.linalg.cholesky(compliance)
+                compliance = green_of_pieces(mesh, elements, here, i)[mine[:, None], mine]
+            factor[begin:end, begin:end] = np.linalg.cholesky(compliance)
     return factor
 
 
