@@ -294,7 +294,13 @@ def plot_springback(calibration: Calibration) -> Figure:
     if np.isfinite(c.noise):
         spread = 2 * c.noise * 100
         axes.fill_between(
-            kappa, fitted - spread, fitted + spread, color=tube_colour(5), alpha=0.25, lw=0, label="± 2 s"
+            kappa,
+            fitted - spread,
+            fitted + spread,
+            color=tube_colour(5),
+            alpha=0.25,
+            lw=0,
+            label="± 2 standard deviations",
         )
     axes.set_xlabel("curvature of the mold (1/m)")
     axes.set_ylabel("lost part of the curvature (%)")
@@ -334,4 +340,7 @@ def plot_materials(ratings: Sequence[MaterialRating]) -> Figure:
     panels[1].axvline(0, color=INK, lw=0.8)
     panels[2].set_xscale("log")
     panels[2].axvline(0.01, color=INK, lw=0.8, ls=(0, (4, 3)))
+    shown = [r.suitable for r in ratings]
+    signs = {"suitable" if suitable else "not suitable": bars[shown.index(suitable)] for suitable in sorted({*shown})}
+    figure.legend(signs.values(), signs.keys(), loc="outside lower center", ncols=2)
     return figure
