@@ -25,8 +25,8 @@ SAMPLES = {
     "own_shape_estimation": 1,
     "thesis_error_budget": 4,
 }
-"""Of rows, poses and seconds, fewer than a problem has; of all others, as of maps, 12: as many as it has take up to half a
-minute."""
+"""Of rows, poses and seconds, fewer than a problem has; of all others, as of maps, 12: as many as it has take up to
+half a minute."""
 
 PROBLEMS = sorted((Path(__file__).resolve().parents[1] / "problems").glob("*.py"))
 

@@ -33,8 +33,8 @@ NOTHING_PROVED = -1e3
 """What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the
 least."""
 
-EVALUATIONS = 500
-"""Evaluations of the certificate by the global search over translations, for every carriage that moves."""
+EVALUATIONS = 1500
+"""Evaluations of the certificate by the global search over translations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
         return WorstCertificate(certify(robot, low), low, high, 1)
     first = [group[0] for group in carriages]
     bounds = scipy.optimize.Bounds(low[first], high[first])
-    found = scipy.optimize.direct(value, bounds, maxfun=EVALUATIONS * len(first), locally_biased=True)
+    found = scipy.optimize.direct(value, bounds, maxfun=EVALUATIONS, locally_biased=True)
     best, least = found.x, float(found.fun)
     corners = np.array(np.meshgrid(*[(0.0, 1.0)] * len(first))).reshape(len(first), -1).T
     span = high[first] - low[first]
