@@ -152,7 +152,7 @@ def led(case: Case, law: HeatingLaw, bias: float) -> tuple[float, float, float]:
     """
     planned, reference = np.round(100 * law.planned) / 100, np.round(10 * law.reference) / 10
     bench = Bench(case.tube, case.rig)
-    feeler = Feeler(case.sensor, bench, bias, float(reference.max()))
+    feeler = Feeler(case.sensor, bench, bias, float(reference.max()) + 1e-3)
     place, total, owed, waited = 0, 0.0, 0.0, 0.0
     first, last = law.hold
     low, high, top = math.inf, -math.inf, -math.inf

@@ -273,7 +273,7 @@ class Bench:
         )
         return found
 
-    def pass_time(self, count: int, span: float) -> Array:
+    def pass_time(self, count: float, span: float) -> Array:
         """Let a span go by at a count of 255; return what the tube was at every step, (S, n) degC.
 
         Implicit Euler steps with the matrix of the span's beginning, once whole and once in halves, extrapolated: the
