@@ -109,7 +109,8 @@ def _planned(
     first = start_equilibrium(task.chart.space, start, task.chart.load)
     task = bearing(task, first.translations)
     check_start(task, first)
-    goals = _goals(task, first, goal, clock, options)
+    hasty = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
+    goals = _goals(task, first, goal, clock, options, 1 if hasty else ENOUGH)
     n = len(first.translations)
     task = bearing(task, first.translations, *(task.chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
@@ -130,11 +131,13 @@ def _planned(
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
 
 
-def _goals(task: Task, first: Equilibrium, goal: Any, clock: Clock, options: PlanOptions) -> list[End]:
-    """The equilibria at which the plan may end; for a goal of the tip those beside a roadmap first."""
+def _goals(
+    task: Task, first: Equilibrium, goal: Any, clock: Clock, options: PlanOptions, enough: int = ENOUGH
+) -> list[End]:
+    """The equilibria at which the plan may end; for a goal of the tip first `enough` of those beside a roadmap."""
     known = options.roadmap
     near = None if known is None else partial(known.near, task, count=NODES)
-    share, enough = Clock(SHARE_OF_GOAL * clock.left), 1 if options.objective == "none" else ENOUGH
+    share = Clock(SHARE_OF_GOAL * clock.left)
     return ends(task, first, goal, share, modulo_turns=options.modulo_turns, near=near, enough=enough)
 
 
@@ -152,6 +155,11 @@ def _way(
     begin = task.chart.of(first)
     if options.roadmap is not None:
         way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(SHARE_OF_ROADMAP * left))
+        if way.points is None and len(goals) < ENOUGH and of_the_tip(goal):
+            goals = _goals(task, first, goal, clock, options)
+            task = _between(task, first, goals)
+            rest = Clock(SHARE_OF_ROADMAP * max(0.0, left - clock.seconds))
+            way = options.roadmap.way(task, begin, [end.point for end in goals], rest)
         if way.points is not None:
             return task, goals, way
         left = max(0.0, until - clock.seconds)
