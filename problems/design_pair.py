@@ -4,7 +4,7 @@ Curvatures of all six tubes are free, and so are the places and leans of both pl
 the ball by itself; that the arms touch is what keeps the pair from a third of the pairs of places.
 
 One learns: a pair is not good because both of its robots are. What is left to gain lies between the arms, and a search
-with a planner in the loop finds most of it in half a minute.
+with a planner in the loop finds some of it in half a minute.
 """
 
 from __future__ import annotations
