@@ -141,12 +141,16 @@ def asks(
         def run(output: Output, **typed: Any) -> None:
             given = _given(fields, typed)
             missing = [key for key, field in fields.items() if field.is_required() and key not in given]
-            lacks = {f"{names[key]} is missing": _about(fields[key]) for key in missing}
+            lacks: dict[str, list[str]] = {}
+            for key in missing:  # files have no name in messages, which begin with theirs
+                lacks.setdefault(f"{names[key]} is missing", []).append(
+                    f"{first[key]} is missing: {_about(fields[key])}"
+                )
             with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}, first):
                 try:
                     question = check(study, constant | given, "", names=names)
                 except InputError as error:
-                    told = (f"{line}: {lacks[line]}" if line in lacks else line for line in str(error).splitlines())
+                    told = (lacks[line].pop(0) if lacks.get(line) else line for line in str(error).splitlines())
                     raise InputError("\n".join(told)) from None
                 function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
 
