@@ -22,7 +22,7 @@ MOST_COLDER = 4.0
 SETTLED = 10.0
 """Time of the hold, s, after which no duty comes near the ramp any more, and counts follow without a look."""
 
-SPARED = 0.02
+SPARED = 0.005
 """Part of ramp and current limit that counts leave unused, for what the quick simulation beside them gets wrong."""
 
 
