@@ -29,7 +29,7 @@ def true_rig() -> Rig:
 
 @lru_cache(maxsize=1)
 def log() -> HeatingLog:
-    """What the fine model of the true rig would log, with noise: not the model that is fitted."""
+    """What the true rig would log, with noise, by another integrator than that of the fit."""
     model = thermal_model(TUBE, true_rig(), FINE)
     history = integrate(model, 2.0, np.append(DUTY[:-1] / 255, 0.0))
     generator = np.random.default_rng(3)
@@ -46,7 +46,6 @@ def test_a_log_gives_back_the_rig_that_made_it() -> None:
     for estimate in found.estimates:
         assert not estimate.held
         assert estimate.low < estimate.factor < estimate.high
-        # The coarse grid of the fit adds its own error to that of the noise.
         assert estimate.factor == pytest.approx(TRUTH[estimate.name], rel=0.015)
     assert found.rig.loss_factor == pytest.approx(found.estimates[0].factor)
     assert found.noise["temperature"] < 5.0

@@ -11,10 +11,12 @@ from scipy.stats import norm
 
 from tubeopt import InputError
 from tubeopt.runs.rig_file import load_camera, load_colours, load_heating_log, load_heating_trials
+from tubeopt.shaping.firmware.simulated import SimulatedRig
 from tubeopt.shaping.heating.ageing import ageing, ageing_words
 from tubeopt.shaping.heating.calibration import FACTORS, calibrate, predict
 from tubeopt.shaping.heating.colours import NITINOL_COLOURS, Colour, ColourTable
-from tubeopt.shaping.heating.logged import HeatingLog, believable, unexplained
+from tubeopt.shaping.heating.logged import HeatingLog, believable, step_of, unexplained
+from tubeopt.shaping.heating.sensors import Thermocouple
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.shaping.heating.trials import Trial, calibrate_from_trials
@@ -67,11 +69,29 @@ def test_a_shifted_thermometer_is_told_and_its_bias_found() -> None:
     assert loss.factor == pytest.approx(1.1, abs=0.03)
 
 
+def test_a_simulated_rig_is_found_as_its_file_says() -> None:
+    rig, sensor = SimulatedRig(thermal_model(TUBE, thesis_rig(), FINE), Thermocouple()), Thermocouple()
+    rows = []
+    for count in DUTY:
+        volt, ampere = rig.electrics(conducting=True)
+        rows.append((rig.time, count, rig.reading + 273.15, round(volt, 2), round(ampere, 1)))
+        for _ in range(8):
+            rig.pass_time(int(count), 0.5)
+    log = HeatingLog(*np.transpose(rows), lag=sensor.lag)
+    found = calibrate(TUBE, thesis_rig(), log, noise={"temperature": 0.6})
+    assert found.remarks == ()
+    assert all(each.low < 1.0 < each.high for each in found.estimates)
+    (words,) = calibrate(TUBE, thesis_rig(), replace(log, lag=0.0), ["loss"], noise={"temperature": 0.6}).remarks
+    assert "residuals of temperature are" in words
+
+
 def test_residuals_are_held_to_the_noise_that_was_stated() -> None:
     noise = RNG.normal(0, 2.0, 200)
     assert unexplained("temperature", noise, 2.0, 2.0) == ()
     assert unexplained("temperature", noise, None, 2.0) == ()
     assert "times the stated noise of 1 K" in unexplained("temperature", noise, 1.0, 2.0)[0]
+    steps = np.round(12.0 + 0.1 * np.sin(np.linspace(0, 12, 200)), 2)
+    assert unexplained("voltage", 12.0 + 0.1 * np.sin(np.linspace(0, 12, 200)) - steps, None, 2.0, step_of(steps)) == ()
     wave = 3 * np.sin(np.linspace(0, 12, 200))
     told = unexplained("voltage", wave, None, 2.0)
     assert len(told) == 1

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..files.checked import Number, Positive, in_file
+from ..files.checked import NotNegative, Number, Positive, in_file
 from ..files.csv_file import read_csv
 from ..files.units import MM, to_si
 from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
@@ -58,6 +58,7 @@ class HeatingCalibrationStudy(TubeOnRig):
     noise_V: Positive | None = Field(None, description="stated noise of the voltage")
     noise_A: Positive | None = Field(None, description="stated noise of the current")
     position_mm: Number = Field(Decimal(0), description="of the thermometer from the middle of the curved part")
+    lag_s: NotNegative = Field(Decimal(0), description="time constant with which the thermometers follow the tube")
 
     @functools.cached_property
     def _read(self) -> HeatingLog | tuple[Trial, ...]:
@@ -69,7 +70,7 @@ class HeatingCalibrationStudy(TubeOnRig):
             raise ValueError(f"trials is given; the file has the column {readings[0]}, of a log and not of trials")
         if self.trials:
             return load_heating_trials(self.log)
-        log = load_heating_log(self.log, to_si(self.position_mm, MM))
+        log = load_heating_log(self.log, to_si(self.position_mm, MM), float(self.lag_s))
         return log if self.camera is None else log.with_camera(*self.camera)
 
     @model_validator(mode="after")

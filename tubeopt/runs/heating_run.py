@@ -25,10 +25,9 @@ from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.replanning import planner_for
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import ENSEMBLE
 from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
-from ..shaping.heating.thermal import thermal_model
+from ..shaping.heating.thermal import FINE, thermal_model
 from .base import Progress, Study
 from .rig_file import LOG_COLUMNS, load_rig
 
@@ -163,7 +162,7 @@ def led_law(rig: Rig) -> tuple[HeatingPlan, HeatingLaw, Sensor]:
 
 def simulated_line(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, speed: float = 20.0) -> Line:
     """A line to a simulated rig that is led by a law."""
-    simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, ENSEMBLE), sensor)
+    simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
     return SimulatedLine(simulated, law, plan.spec.limit + OVERSHOOT, speed, plan.spec.window_degC)
 
 

@@ -103,11 +103,11 @@ OUTCOMES = ("spring_back_percent", "result", "colour")
 TRIAL_COLUMNS = ("duty", "time_s", "ramp_s", "note", *OUTCOMES)
 
 
-def load_heating_log(path: str | PathLike[str], position: float = 0.0) -> HeatingLog:
+def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: float = 0.0) -> HeatingLog:
     """A logged heating in CSV: `time_s`, `duty`, and any of `temperature_degC`, `voltage_V`, `current_A`.
 
-    Empty cells are readings that were not taken. `position` (m): of the thermometer from the middle of the curve.
-    Several have columns with their places: `temperature_-20_mm_degC`.
+    Empty cells are readings that were not taken. `position` (m): of the thermometer from the middle of the curve;
+    `lag` (s): its time constant. Several have columns with their places: `temperature_-20_mm_degC`.
 
     Raises:
         InputError: no such file, columns unknown or missing, cells that are no numbers, or no log (see `HeatingLog`).
@@ -128,6 +128,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0) -> Heatin
             voltage=values.get("voltage_V"),
             current=values.get("current_A"),
             position=list(places.values()) or position,
+            lag=lag,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

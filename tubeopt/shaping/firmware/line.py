@@ -182,8 +182,9 @@ class SimulatedLine:
             "reference_degC": float(self._law.reference[min(place, len(self._law.reference) - 1)]),
             "count": self._count,
             "place": place,
-            "voltage_V": round(volt, 3),
-            "current_A": round(ampere, 2),
+            # In the steps of the sketch's own reports.
+            "voltage_V": round(volt, 2),
+            "current_A": round(ampere, 1),
             "reason": self._reason,
             "dry": self._dry,
             "led": bool(self._lead),

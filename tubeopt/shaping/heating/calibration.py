@@ -4,7 +4,8 @@
 
 over factors x on loss, even gap of the groove, contact resistance, resistivity and battery resistance, as many as the
 log determines. Factors are fitted as logarithms, so that they stay positive; the Jacobian comes from simulating all
-perturbed rigs at once. The noise of every channel is estimated from its own residuals.
+perturbed rigs at once. The noise of every channel is estimated from its own residuals. Intervals are those of the
+noise, with the error of the model's own grid to spare.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from ...errors import InputError, choice, positive
 from ...physics.heat import LEAD, Resolution
 from ...robots.tubes import Tube
 from ...typing import Array
-from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, unexplained
+from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of, unexplained
 from .rates import State, at_rest, current
 from .rig import COUNTS, Rig
+from .sensors import followed
 from .simulation import advance
-from .thermal import ThermalModel, stack, thermal_model, with_gap
+from .thermal import COARSE, FINE, ThermalModel, stack, thermal_model, with_gap
 
-GRID = Resolution(3, 5, 9, 11, 16)
 STEP = 0.5
 """Longest time step of the simulation, s."""
 
@@ -99,27 +100,33 @@ class RigFit(Displayed):
     remarks: tuple[str, ...]
 
 
-def predict(tube: Tube, rigs: Sequence[Rig], log: HeatingLog) -> dict[str, Array]:
+def predict(tube: Tube, rigs: Sequence[Rig], log: HeatingLog, grid: Resolution = FINE) -> dict[str, Array]:
     """(T, B) what the log's channels would show on each rig."""
-    model = stack([thermal_model(tube, rig, GRID) for rig in rigs])
+    model = stack([thermal_model(tube, rig, grid) for rig in rigs])
     state = at_rest(model)
-    rows: dict[str, list[Array]] = {name: [] for name in (*log.thermometers, "voltage", "current")}
-    for k, time in enumerate(log.time):
-        if k:
-            span = float(time - log.time[k - 1])
-            state = advance(model, state, float(log.duty[k - 1]) / COUNTS, span, max(1, int(np.ceil(span / STEP))))
-        for name, values in _seen(model, state, log).items():
-            rows[name].append(values)
-    return {name: np.array(values) for name, values in rows.items()}
+    lags = np.broadcast_to(log.lag, len(log.positions))[:, None]
+    touched = shown = _touched(model, state, log)
+    rows = [_seen(model, state, shown)]
+    for duty, span in zip(log.duty.tolist(), np.diff(log.time).tolist(), strict=False):
+        steps = math.ceil(span / STEP)
+        for _ in range(steps):
+            state = advance(model, state, duty / COUNTS, span / steps, 1)
+            before, touched = touched, _touched(model, state, log)
+            shown = followed(lags, shown, before, touched, span / steps)
+        rows.append(_seen(model, state, shown))
+    return dict(zip((*log.thermometers, "voltage", "current"), np.array(rows).swapaxes(0, 1), strict=True))
 
 
-def _seen(model: ThermalModel, state: State, log: HeatingLog) -> dict[str, Array]:
-    tube = state.cells[:, :, 0]
-    now = current(model, tube, state.lumped)
+def _touched(model: ThermalModel, state: State, log: HeatingLog) -> Array:
+    """(S, B) temperatures of the tube where the thermometers are."""
     at = np.maximum(model.half_length - log.positions, float(model.position[model.zone == LEAD][0]))
-    temperature = np.array([np.interp(at, model.position, row) for row in tube])
-    thermometers = dict(zip(log.thermometers, temperature.T, strict=True))
-    return thermometers | {"voltage": now.terminal_voltage, "current": now.total}
+    return np.array([np.interp(at, model.position, row) for row in state.cells[:, :, 0]]).T
+
+
+def _seen(model: ThermalModel, state: State, shown: Array) -> Array:
+    """(S + 2, B) of the channels, whose thermometers show (S, B)."""
+    now = current(model, state.cells[:, :, 0], state.lumped)
+    return np.vstack([shown, now.terminal_voltage, now.total])
 
 
 def calibrate(
@@ -167,23 +174,25 @@ def calibrate(
         free.pop(weak)
     freedom = max(problem.count - len(free), 1)
     reach = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))
-    values = dict(zip(free, zip(x, errors, strict=True), strict=True))
-    estimates = tuple(_estimate(name, values.get(name), reach) for name in names)
+    room = reach * errors + np.abs(problem.shift(free, x, sigma))
+    values = dict(zip(free, zip(x, room, strict=True), strict=True))
+    estimates = tuple(_estimate(name, values.get(name)) for name in names)
     before, after = problem.before_and_after(free, x)
     for channel, read in problem.read.items():
         share = len(free) * float(read.sum()) / problem.count
-        residual = (after[channel] - log.channels[channel])[read]
-        remarks += unexplained(channel, residual, stated.get(kind_of(channel)), share)
+        logged = log.channels[channel][read]
+        residual = after[channel][read] - logged
+        remarks += unexplained(channel, residual, stated.get(kind_of(channel)), share, step_of(logged))
     return RigFit(problem.rig(free, x), estimates, confidence, sigma, before, after, log, tuple(remarks))
 
 
-def _estimate(name: str, value: tuple[float, float] | None, reach: float) -> Estimate:
+def _estimate(name: str, value: tuple[float, float] | None) -> Estimate:
     if value is None:
         return Estimate(name, *((0.0, -math.inf) if name.startswith(BIAS) else (1.0, 0.0)), math.inf, True)
-    x, error = value
+    x, room = value
     if name.startswith(BIAS):
-        return Estimate(name, BIAS_SCALE * x, BIAS_SCALE * (x - reach * error), BIAS_SCALE * (x + reach * error), False)
-    return Estimate(name, float(np.exp(x)), float(np.exp(x - reach * error)), float(np.exp(x + reach * error)), False)
+        return Estimate(name, BIAS_SCALE * x, BIAS_SCALE * (x - room), BIAS_SCALE * (x + room), False)
+    return Estimate(name, float(np.exp(x)), float(np.exp(x - room)), float(np.exp(x + room)), False)
 
 
 class _Problem:
@@ -237,12 +246,21 @@ class _Problem:
                 c: max(float(np.sqrt((d[:, 0] ** 2).sum() / max(len(d) * (1 - share), 1.0))), LEAST_NOISE[kind_of(c)])
                 for c, d in now.items()
             }
-        J = np.vstack([(d[:, 1:] - d[:, :1]) / PERTURBATION / sigma[c] for c, d in now.items()])
+        J = _jacobian(now, sigma)
         information = J.T @ J
         values, vectors = np.linalg.eigh(information) if names else (np.zeros(0), np.zeros((0, 0)))
         floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
         errors = np.sqrt((vectors**2 / np.maximum(values, floor)).sum(1))
         return x, sigma, errors
+
+    def shift(self, names: Sequence[str], x: Array, sigma: dict[str, float]) -> Array:
+        """By how much the grid's own error moves the logarithms: grids are of second order, so that it is a third of
+        the difference from one of half as many cells."""
+        rig = [self.rig(names, x)]
+        fine, coarse = (predict(self.tube, rig, self.log, grid) for grid in (FINE, COARSE))
+        error = np.concatenate([(fine[c] - coarse[c])[read, 0] / 3 / sigma[c] for c, read in self.read.items()])
+        J = _jacobian(self.differences(names, x), sigma)
+        return np.asarray(np.linalg.lstsq(J, error, rcond=None)[0])
 
     def _fit(self, names: Sequence[str], x: Array, sigma: dict[str, float]) -> Array:
         cache: dict[bytes, tuple[Array, Array]] = {}
@@ -252,11 +270,15 @@ class _Problem:
             if key not in cache:
                 now = self.differences(names, at)
                 r = np.concatenate([d[:, 0] / sigma[c] for c, d in now.items()])
-                J = np.vstack([(d[:, 1:] - d[:, :1]) / PERTURBATION / sigma[c] for c, d in now.items()])
-                cache[key] = r, J
+                cache[key] = r, _jacobian(now, sigma)
             return cache[key]
 
         found = scipy.optimize.least_squares(
             lambda at: both(at)[0], x, jac=lambda at: both(at)[1], bounds=(-2.5, 2.5), xtol=1e-5, ftol=1e-6, max_nfev=25
         )
         return np.asarray(found.x)
+
+
+def _jacobian(now: dict[str, Array], sigma: dict[str, float]) -> Array:
+    """(N, P) of the residuals by the unknowns, of differences at x and with each unknown perturbed."""
+    return np.vstack([(d[:, 1:] - d[:, :1]) / PERTURBATION / sigma[c] for c, d in now.items()])

@@ -47,6 +47,7 @@ class HeatingLog:
         temperature: of the tube, K; (T, S) of several thermometers, or of the pixels of a camera.
         voltage, current: at the battery while the MOSFET conducts, V and A.
         position: of the thermometer from the middle of the curved part, m; (S,) of several.
+        lag: time constant, s, with which its readings follow the tube; (S,) of several that differ.
 
     Raises:
         InputError: fewer than 3 rows, times that do not increase, duties out of range, or nothing that was measured.
@@ -58,11 +59,12 @@ class HeatingLog:
     voltage: Array | None = None
     current: Array | None = None
     position: float | Sequence[float] | Array = 0.0
+    lag: float | Array = 0.0
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if value is not None and f.name != "position":
+            if value is not None and f.name not in ("position", "lag"):
                 object.__setattr__(self, f.name, _column(f.name, value))
         count = len(self.time)
         if count < 3:
@@ -81,6 +83,11 @@ class HeatingLog:
         seen = 1 if self.temperature is None or self.temperature.ndim == 1 else self.temperature.shape[1]
         if len(places) != seen:
             raise InputError(f"position of the log has {len(places)} numbers; it must have {seen}, one per thermometer")
+        lags = np.asarray(self.lag, dtype=float)
+        if lags.shape not in ((), (seen,)) or not (np.isfinite(lags) & (lags >= 0)).all():
+            raise InputError(
+                f"lag of the log is {self.lag}; it must be at least 0 s, one number or one per thermometer"
+            )
         object.__setattr__(self, "position", float(places[0]) if seen == 1 else places)
         if not any(np.isfinite(values).any() for values in self.channels.values()):
             raise InputError("the log holds neither temperature nor voltage nor current; it must hold one of them")
@@ -109,7 +116,7 @@ class HeatingLog:
     def with_camera(self, time: Array, positions: Array, temperature: Array) -> HeatingLog:
         """With what a camera saw, at times of its own, (C,), at places (P,), m: temperatures (C, P), K.
 
-        Duties are those of this log; where one has no reading, the other's times have none.
+        Duties are those of this log; the camera does not lag; where one has no reading, the other's times have none.
 
         Raises:
             InputError: as of the class, or a camera that saw nothing while the log lasts.
@@ -132,8 +139,10 @@ class HeatingLog:
             spread[name] = np.full(len(both), np.nan)
             spread[name][own] = values
         duty = self.duty[np.searchsorted(self.time, both, side="right") - 1]
-        places = np.concatenate([self.positions if before else np.zeros(0), positions])
-        return HeatingLog(both, duty, temperature=table, position=places, **spread)
+        known = self.positions if before else np.zeros(0)
+        places = np.concatenate([known, positions])
+        lags = np.concatenate([np.broadcast_to(self.lag, len(known)), np.zeros(len(positions))])
+        return HeatingLog(both, duty, temperature=table, position=places, lag=lags, **spread)
 
     def kept(self, channels: dict[str, Array]) -> HeatingLog:
         """With other readings in the channels of temperature."""
@@ -197,13 +206,23 @@ def believable(log: HeatingLog, rig: Rig, expected: dict[str, Array]) -> tuple[H
     return log.kept(channels), tuple(words)
 
 
-def unexplained(channel: str, residual: Array, stated: float | None, unknowns: float) -> tuple[str, ...]:
+def step_of(values: Array) -> float:
+    """Least difference between readings (N,) that differ: the step of an instrument that reads in steps; 0 where all
+    are equal."""
+    different = np.diff(np.unique(values))
+    return float(different.min()) if len(different) else 0.0
+
+
+def unexplained(
+    channel: str, residual: Array, stated: float | None, unknowns: float, step: float = 0.0
+) -> tuple[str, ...]:
     """What residuals (N,), in time, say against the model: more than the stated noise, or in long waves.
 
     The first by the chi-square test, the second by the mean number of runs of one sign (Wald and Wolfowitz).
 
     Args:
         unknowns: that were fitted to this channel.
+        step: in which the channel is read; waves within half of one are what rounding makes of a slow change.
     """
     words, unit = [], UNITS[kind_of(channel)]
     count = len(residual)
@@ -215,7 +234,7 @@ def unexplained(channel: str, residual: Array, stated: float | None, unknowns: f
         )
     signs = residual > 0
     above, below = int(signs.sum()), int((~signs).sum())
-    if min(above, below) >= 5:
+    if min(above, below) >= 5 and spread > step / 2:
         runs = 1 + int((signs[1:] != signs[:-1]).sum())
         mean = 1 + 2 * above * below / count
         deviation = np.sqrt((mean - 1) * (mean - 2) / (count - 1))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...display import Displayed
 from ...errors import InputError
@@ -19,6 +20,14 @@ from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
 from .rates import State, current
 from .thermal import ThermalModel
+
+
+def followed(lag: ArrayLike, before: Array, target: Array, now: Array, span: float) -> Array:
+    """Readings that lag behind by a time constant, s, `span` seconds after they were `before`, while their targets went
+    in a line to `now`: solutions of lag y' + y = target."""
+    lag = np.asarray(lag, dtype=float)
+    slope, kept = (now - target) / span, np.exp(-span / np.maximum(lag, 1e-9))
+    return np.asarray(now - lag * slope + (before - target + lag * slope) * kept)
 
 
 @dataclass(frozen=True)
@@ -52,10 +61,7 @@ class Sensor(Displayed):
 
     def followed(self, before: Array, target: Array, now: Array, span: float) -> Array:
         """The lagged reading `span` seconds after it was `before`, while the target went in a line to `now`."""
-        if self.lag == 0.0:
-            return now
-        slope, kept = (now - target) / span, np.exp(-span / self.lag)
-        return np.asarray(now - self.lag * slope + (before - target + self.lag * slope) * kept)
+        return followed(self.lag, before, target, now, span)
 
     def told(self, value: Array) -> Array:
         """A reading in the steps that the sensor has."""
