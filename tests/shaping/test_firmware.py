@@ -303,6 +303,9 @@ def test_a_run_is_logged_row_by_row(tmp_path: Path) -> None:
     log = (tmp_path / "run" / "log.csv").read_text().splitlines()
     assert log[0] == "time_s,duty,temperature_degC,voltage_V,current_A"
     assert len(log) == len(found.rows) + 1
+    # Before the first pulse there is no current to be told.
+    assert log[1].endswith(",,")
+    assert not log[-2].endswith(",")
 
 
 @pytest.mark.parametrize(

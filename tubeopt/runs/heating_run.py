@@ -198,9 +198,9 @@ def run_heating(
                 raise InputError(f"the rig does not start: {found.get('text', '')}")
             if found["state"] == "idle":
                 continue
-            rows.append(found)
             if log is not None:
-                _append(log, found)
+                _append(log, found, rows[-1]["count"] if rows else 0)
+            rows.append(found)
             if leader is not None and (lead := leader.advise(found)) is not None:
                 line.send("lead", **lead)
             if show is not None:
@@ -228,10 +228,11 @@ def _next(line: Line, *events: str) -> dict[str, Any]:
     raise SolveError(f"the rig has not answered for {SILENCE} s; its watchdog stops it where its board hangs")
 
 
-def _append(log: Path, row: dict[str, Any]) -> None:
-    """Write one row, and let it reach the disk."""
+def _append(log: Path, row: dict[str, Any], before: int) -> None:
+    """Write one row, and let it reach the disk.   before: count of the slot that has ended."""
     volt, ampere = row["voltage_V"], row["current_A"]
-    on = row["count"] > 0
+    # What is reported as a slot begins was measured in the one before, and pulses of one count may be too short for it.
+    on = min(before, row["count"]) > 1 and not row["dry"]
     cells = (
         f"{row['time_s']:g}",
         "0" if row["dry"] else str(row["count"]),

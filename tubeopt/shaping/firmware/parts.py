@@ -71,7 +71,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("emergency stop", "normally closed, in the gate driver's supply, second contact to the board",
              "stops without the board too"),
         Part("current sensor", hall, f"{current}; the board stops at {limit:g} A"),
-        Part("divider", f"{upper} kohm to the battery, {LOWER / 1e3:g} kohm and 100 nF to ground",
+        Part("divider", f"{upper} kohm to the battery, {LOWER / 1e3:g} kohm and 1 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, "at the middle of the curved part"),
         Part("board", wiring.known.title, "runs the sketch"),

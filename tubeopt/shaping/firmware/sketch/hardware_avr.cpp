@@ -22,6 +22,7 @@ bool by_watchdog = false;
 volatile uint16_t raw_volt = 0, raw_on = 0, raw_off = 0;
 enum Sample : uint8_t { NOTHING, VOLT, ON, OFF };
 volatile Sample sampling = NOTHING;
+volatile bool current_next = true;
 
 constexpr uint8_t PRESCALER = PWM_PRESCALER == 1024 ? _BV(CS12) | _BV(CS10)
                               : PWM_PRESCALER == 256 ? _BV(CS12)
@@ -65,9 +66,12 @@ ISR(USART_RX_vect) {
 ISR(TIMER2_COMPA_vect) { ++milliseconds; }
 
 ISR(TIMER1_OVF_vect) {
+  // Current and voltage in turns: the converter holds what it sees some 20 us after its start, but a second conversion
+  // would begin 0.1 ms later, when a pulse of few counts is over.
   if (sampling == NOTHING) {
-    sampling = VOLT;
-    convert(0);
+    sampling = current_next ? ON : VOLT;
+    convert(current_next ? 1 : 0);
+    current_next = !current_next;
   }
 }
 
@@ -80,13 +84,8 @@ ISR(TIMER1_COMPB_vect) {
 
 ISR(ADC_vect) {
   const uint16_t value = ADC;
-  if (sampling == VOLT) {
-    raw_volt = value;
-    sampling = ON;
-    convert(1);
-    return;
-  }
-  if (sampling == ON) raw_on = value;
+  if (sampling == VOLT) raw_volt = value;
+  else if (sampling == ON) raw_on = value;
   else raw_off = value;
   sampling = NOTHING;
 }

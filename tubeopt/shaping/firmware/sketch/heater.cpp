@@ -208,7 +208,8 @@ Stop danger() {
     Stop wrong = NOT_STOPPED;
     if (ampere > MOST_AMPERE) wrong = OVER_CURRENT;
     else if (leaking > LEAKING_AMPERE) wrong = SWITCH_STUCK;
-    else if (count > 0 && ampere < LEAST_AMPERE) wrong = NO_CURRENT;
+    // A pulse of one count may be over before a converter has looked.
+    else if (count > 1 && ampere < LEAST_AMPERE) wrong = NO_CURRENT;
     else if (volt < LOWEST_VOLT) wrong = LOW_BATTERY;
     bad_currents = wrong == NOT_STOPPED ? 0 : bad_currents + 1;
     if (bad_currents >= 2) return wrong;
