@@ -207,8 +207,8 @@ Stop danger() {
   if (electrics && !dry) {
     Stop wrong = NOT_STOPPED;
     if (ampere > MOST_AMPERE) wrong = OVER_CURRENT;
-    else if (leaking > LEAKING_AMPERE) wrong = SWITCH_STUCK;
-    // A pulse of one count may be over before a converter has looked.
+    // A pulse of one count may be over before a converter has looked, and so may the pause between long ones.
+    else if (count < 250 && leaking > LEAKING_AMPERE) wrong = SWITCH_STUCK;
     else if (count > 1 && ampere < LEAST_AMPERE) wrong = NO_CURRENT;
     else if (volt < LOWEST_VOLT) wrong = LOW_BATTERY;
     bad_currents = wrong == NOT_STOPPED ? 0 : bad_currents + 1;
