@@ -86,7 +86,7 @@ class LedHeatingReport(Report[LedHeating]):
         )
 
     def save(self, directory: Path) -> list[Path]:
-        """Write law.json, parts.csv and the sketch."""
+        """Write law.json and the sketch."""
         answer = self.answer
         return [self.save_record(directory), *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
 

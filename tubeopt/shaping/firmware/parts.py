@@ -50,8 +50,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     heat = rms**2 * plan.rig.circuit.mosfet_resistance
     current = f"{rms:.0f} A rms, {peak:.0f} A while on"
     sensor = {
-        "max31855": "thermocouple type K 0.25 mm with MAX31855",
-        "max6675": "thermocouple type K 0.25 mm with MAX6675",
+        "max31855": "thermocouple type K 0.25 mm, its bead insulated, with MAX31855",
+        "max6675": "thermocouple type K 0.25 mm, its bead insulated, with MAX6675",
         "analog": f"0 to {wiring.known.reference:g} V line of a camera or amplifier",
     }[wiring.converter]
     bears = math.ceil(2.5 * rest / 10) * 10
@@ -73,6 +73,6 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("current sensor", hall, f"{current}; the board stops at {limit:g} A"),
         Part("divider", f"{upper} kohm to the battery, {LOWER / 1e3:g} kohm and 1 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
-        Part("thermometer", sensor, "at the middle of the curved part"),
+        Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),
         Part("board", wiring.known.title, "runs the sketch"),
     )  # fmt: skip

@@ -82,8 +82,9 @@ def _at(model: ThermalModel, tube: Array, places: tuple[float, ...]) -> Array:
 class Thermocouple(Sensor):
     """A thermocouple on the tube: by default of type K, 0.25 mm thick, read by a MAX31855.
 
-    The steps are those of the converter. Lag, noise and bias are assumed: a bare bead on metal, and half of the
-    standard limits of error of type K at 525 degC (ASTM E230: 0.75 %, 4 K), for one that was compared with another.
+    The steps are those of the converter. Lag, noise and bias are assumed: a bead behind a thin coat that insulates, and
+    half of the standard limits of error of type K at 525 degC (ASTM E230: 0.75 %, 4 K), for one that was compared with
+    another.
     """
 
     name: ClassVar[str] = "thermocouple"

@@ -114,9 +114,10 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
     axes.plot([], [], label="signals", **signal)
     words = (
         "There is one ground: battery, driver and board are joined at the MOSFET's source. Current sensor, divider\n"
-        "and thermometer take theirs from the board."
+        "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
+        "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it."
     )
-    axes.text(0.03, -0.07, words, fontsize=7, color=INK)
+    axes.text(0.03, 0.0, words, fontsize=7, color=INK, va="top")
     axes.legend(loc="upper left", fontsize=7, bbox_to_anchor=(0.0, 1.0))
 
 
