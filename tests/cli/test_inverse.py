@@ -186,7 +186,7 @@ def test_a_target_out_of_reach_fails_with_3(run: Run) -> None:
     ("arguments", "problem"),
     [
         ((), "--target-mm and --targets are missing; one of them must be given"),
-        (("--target-mm", "1,2"), "--target-mm has 2 items; it must have at least 3"),
+        (("--target-mm", "1,2"), "--target-mm has 2 numbers; it must have 3"),
         (("--target-mm", "1,2,x"), "--target-mm[2] is 'x'; it must be a number"),
         ((*TARGET, "--min-margin", "1"), "--min-margin is 1; it must be less than 1"),
         ((*TARGET, "--objective", "best"), "--objective is 'best'; it must be nearest, margin or curvature"),
