@@ -225,3 +225,10 @@ def test_margin_keeps_off_the_limit_too() -> None:
     assert margin > 10
     assert min(held.min() - low, high - held.max()) == pytest.approx(margin, abs=0.01)
     assert spec.limit - (found.tube.max() - ZERO_CELSIUS) == pytest.approx(margin, abs=0.01)
+
+
+def test_a_wire_has_no_bore_that_could_be_another() -> None:
+    wire = Tube(1e-3, 0.0, 0.0, 0.1, 2.0)
+    unknown = Uncertainty(inner_diameter=2e-5)
+    for draw in unknown.draws(4, 0):
+        assert unknown.member(wire, thesis_rig(), draw)[0].inner_diameter == 0.0

@@ -78,7 +78,8 @@ class Uncertainty(Displayed):
             heat_capacity=data.heat_capacity * (1 + by["heat_capacity"]),
             resistivity_slope=data.resistivity_slope * (1 + by["resistivity_slope"]),
         )
-        inner = tube.inner_diameter + by["inner_diameter"]
+        # A wire has no bore that could be another.
+        inner = tube.inner_diameter + by["inner_diameter"] if tube.inner_diameter > 0 else 0.0
         if not 0 <= inner < tube.outer_diameter:
             raise InputError(
                 f"inner_diameter of the uncertainty is {1e6 * self.inner_diameter:g} um; it must leave the tube a "
