@@ -137,7 +137,7 @@ def test_it_is_of_second_order_in_time() -> None:
     assert 3.3 < errors[1] / errors[2] < 4.7
 
 
-@pytest.mark.parametrize("method", ["ros2", "LSODA", "BDF"])
+@pytest.mark.parametrize("method", ["ros2", "LSODA"])
 @pytest.mark.parametrize("material", [CALCIUM_SILICATE, STEEL])
 def test_energy_is_conserved(method: str, material: object) -> None:
     model = thermal_model(TUBE, with_mold(thesis_rig(), material=material, vents=(0.0, 0.3)), COARSE)
@@ -152,7 +152,7 @@ def test_the_integrators_agree() -> None:
     model = thermal_model(TUBE, thesis_rig(), COARSE)
     found = integrate(model, 0.5, SCHEDULE)
     np.testing.assert_allclose(simulate(model, 0.5, SCHEDULE).tube, found.tube, atol=0.3)
-    np.testing.assert_allclose(integrate(model, 0.5, SCHEDULE, method="BDF").tube, found.tube, atol=0.05)
+    np.testing.assert_allclose(integrate(model, 0.5, SCHEDULE, method="Radau").tube, found.tube, atol=0.05)
 
 
 def test_slots_that_are_stepped_over_together_are_as_good_as_alone() -> None:

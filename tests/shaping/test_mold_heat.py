@@ -51,7 +51,7 @@ def by_finite_volumes(diameter: float, material: MoldMaterial, heat: HeatSpec, e
     jacobian = np.zeros((n + 1, n + 1))
     for k, base in enumerate(np.eye(n + 1)):
         jacobian[:, k] = rate(0, base) - rate(0, np.zeros(n + 1))
-    out = solve_ivp(rate, (0, end), np.zeros(n + 1), method="BDF", rtol=1e-8, atol=1e-8, jac=jacobian)
+    out = solve_ivp(rate, (0, end), np.zeros(n + 1), method="Radau", rtol=1e-8, atol=1e-8, jac=jacobian)
     return first * (heat.rise - out.y[0, -1]), out.y[-1, -1]
 
 
