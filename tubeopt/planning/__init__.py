@@ -3,7 +3,7 @@
 from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
 from .goals import TipGoal
-from .leader import follow_the_leader
+from .leader import LeaderSolver, follow_the_leader
 from .motion import RateLimits
 from .options import PlanOptions
 from .pair_reach import PairReach, PairShare
@@ -12,12 +12,13 @@ from .proof import Proof, verify_trajectory
 from .reach_share import ReachShare, evaluate_reach
 from .region import RegionReach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
-from .tip_path import follow_tip_path
+from .tip_path import TipPathSolver, follow_tip_path
 from .trajectory import PlanStatistics, Trajectory
 
 __all__ = [
     "ArmsPlan",
     "ArmsProof",
+    "LeaderSolver",
     "PairProof",
     "PairReach",
     "PairShare",
@@ -30,6 +31,7 @@ __all__ = [
     "RegionReach",
     "Roadmap",
     "TipGoal",
+    "TipPathSolver",
     "Trajectory",
     "build_roadmap",
     "evaluate_reach",

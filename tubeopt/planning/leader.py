@@ -8,14 +8,16 @@ curve of that length. Forth in time, that is the deployment. How far the arm is 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, finite
+from ..errors import InputError, SolveError, check_settings, finite, instance
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
@@ -32,24 +34,40 @@ from .tip_path import distance_from
 from .tracking import track
 from .trajectory import PlanStatistics, Trajectory
 
-STEPS = 60
-"""Lengths at which the arm is fitted."""
 
-ITERATIONS = 6
-"""Most Gauss-Newton steps per length."""
+@dataclass(frozen=True)
+class LeaderSolver(Displayed):
+    """How a deployment behind the tip is looked for.
 
-DIFFERENCE = 1e-5
-"""Step of the differences, in units of the scales."""
+    Args:
+        lengths: at which the arm is fitted to the one at the goal.
+        iterations: most Gauss-Newton steps per length.
+        difference: step of the differences, in units of the scales of the joints.
+        damping: weight of a change of the joints beside the distance over the robot's length: what the shape does not
+            decide.
+        longest_step: largest change of a coordinate per step, in units of the scales.
+        last_step: one below this, in units of the scales, is the last.
 
-DAMPING = 2e-2
-"""Weight of a change of the joints beside the distance over the robot's length: what the shape does not decide."""
+    Raises:
+        InputError: a count that is no whole number of at least 1, another number that is not positive.
+    """
 
-LONGEST = 0.15
-"""Largest change of a coordinate per step of Gauss-Newton, in units of the scales."""
+    lengths: int = 60
+    iterations: int = 6
+    difference: float = 1e-5
+    damping: float = 2e-3
+    longest_step: float = 0.15
+    last_step: float = 1e-3
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+DEFAULT_SOLVER = LeaderSolver()
 
 
 @small
-def follow_the_leader(
+def follow_the_leader(  # noqa: PLR0913
     robot: Robot,
     goal: Any,
     *,
@@ -59,6 +77,7 @@ def follow_the_leader(
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
+    solver: LeaderSolver = DEFAULT_SOLVER,
 ) -> Trajectory:
     """Deployment to a goal in which the arm stays close to the path of its own tip.
 
@@ -66,6 +85,7 @@ def follow_the_leader(
         goal: as for `plan_trajectory`; of several equilibria, the one with the largest margin.
         begin: share of the arm's length at the goal with which the deployment begins, in (0, 1).
         obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
+        solver: how the deployment is looked for.
 
     Returns:
         The trajectory, `.deviation` (T,): the largest distance of a point of the arm from the path of the tip (the arm
@@ -84,9 +104,10 @@ def follow_the_leader(
     """
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
+    instance("solver", solver, LeaderSolver)
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     with in_time(clock):
-        last, path = _withdrawal(task, goal, begin)
+        last, path = _withdrawal(task, goal, begin, solver)
         q = task.chart.joints(path)
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
@@ -104,14 +125,14 @@ def follow_the_leader(
     return built.trajectory(task, first, end, rate_limits, statistics, deviation)
 
 
-def _withdrawal(task: Task, goal: Any, begin: float) -> tuple[Equilibrium, Array]:
+def _withdrawal(task: Task, goal: Any, begin: float, solver: LeaderSolver) -> tuple[Equilibrium, Array]:
     """The equilibrium at the end, and points of the chart (k, m) of arms that lie on it, from the shortest on; raises
     LateError."""
     last = _goal(task, goal)
     length = float(last.arc_length[-1])
     points = [task.chart.of(last)]
-    for share in np.linspace(1.0, begin, STEPS + 1)[1:]:
-        points.append(_fit(task, points[-1], last, share * length))
+    for share in np.linspace(1.0, begin, solver.lengths + 1)[1:]:
+        points.append(_fit(task, points[-1], last, share * length, solver))
     return last, np.array(points[::-1])
 
 
@@ -138,21 +159,21 @@ def _first(task: Task, last: Equilibrium, q: Array) -> Equilibrium:
     return tracked.equilibria[-1]
 
 
-def _fit(task: Task, z: Array, last: Equilibrium, length: float) -> Array:
+def _fit(task: Task, z: Array, last: Equilibrium, length: float, solver: LeaderSolver) -> Array:
     """The point of the chart of an arm of a given length that lies closest to the arm at the goal."""
     space = task.chart.space
     m = len(z)
     z = _withdrawn(task, z, length)
-    for _ in range(ITERATIONS):
-        moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(task.scale)])
+    for _ in range(solver.iterations):
+        moves = np.vstack([np.zeros(m), solver.difference * np.diag(task.scale)])
         arms = task.arms(z + moves)
         s, line = arms.fine()
         target = np.column_stack([np.interp(s[0], last.arc_length, last.position[:, k]) for k in range(3)])
         gap = (line - target).reshape(m + 1, -1) / space.length / np.sqrt(len(target))
-        matrix = ((gap[1:] - gap[0]) / DIFFERENCE).T
-        rotation = ((arms.rotations[1:] - arms.rotations[0]) / DIFFERENCE).T
-        rows, bounds = _constraints(task, z, arms.rotations[0], rotation)
-        weights = np.vstack([matrix, DAMPING * 0.1 * np.eye(m)])
+        matrix = ((gap[1:] - gap[0]) / solver.difference).T
+        rotation = ((arms.rotations[1:] - arms.rotations[0]) / solver.difference).T
+        rows, bounds = _constraints(task, z, arms.rotations[0], rotation, solver.longest_step)
+        weights = np.vstack([matrix, solver.damping * np.eye(m)])
         found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), rows, bounds)
         if found is None:
             break
@@ -163,7 +184,7 @@ def _fit(task: Task, z: Array, last: Equilibrium, length: float) -> Array:
         if share <= 0.05:
             break
         z = z + share * step
-        if np.abs(found.x).max() < 1e-3:
+        if np.abs(found.x).max() < solver.last_step:
             break
     return z
 
@@ -194,15 +215,16 @@ def _translations_only(rows: Array, bounds: Array, n: int) -> tuple[Array, Array
     return rows[kept][:, n:], bounds[kept]
 
 
-def _constraints(task: Task, z: Array, rotations: Array, slope: Array) -> tuple[Array, Array]:
-    """Rows and bounds of a step in units of the scales: ranges, order, the length of the arm, and not too far."""
+def _constraints(task: Task, z: Array, rotations: Array, slope: Array, longest: float) -> tuple[Array, Array]:
+    """Rows and bounds of a step in units of the scales: ranges, order, the length of the arm, and no change of a
+    coordinate beyond the longest."""
     space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
     unit = np.eye(m)
     curved = np.array([tube.curved_length for tube in space.robot.tubes])
-    longest = int(np.argmax(task.chart.translations(z[None])[0] + curved))
-    held = next(k for k, tubes in enumerate(space.carriages) if longest in tubes)
+    front = int(np.argmax(task.chart.translations(z[None])[0] + curved))
+    held = next(k for k, tubes in enumerate(space.carriages) if front in tubes)
     rows = [slope, -slope, unit[n:], -unit[n:], space.rows * task.scale, unit, -unit, unit[n + held], -unit[n + held]]
     low, high = np.minimum(space.lower[:n] - rotations, 0.0), np.minimum(rotations - space.upper[:n], 0.0)
     bounds = [low, high, (space.lower - z)[n:] / task.scale[n:], (z - space.upper)[n:] / task.scale[n:]]
-    bounds += [space.least - space.rows @ z, np.full(2 * m, -LONGEST), np.zeros(2)]
+    bounds += [space.least - space.rows @ z, np.full(2 * m, -longest), np.zeros(2)]
     return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -11,8 +12,9 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, positive
+from ..errors import InputError, SolveError, check_settings, instance, positive
 from ..inverse import IkSession, InverseOptions, inverse_kinematics
 from ..inverse.clock import Clock
 from ..inverse.task import Task
@@ -32,20 +34,35 @@ from .trajectory import PlanStatistics, Trajectory
 LONGEST = 1000
 """Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
 
-SPACING = 0.008
-"""Distance of the points at which the tip is solved for, at first, as a share of the robot's length."""
-
-REFINEMENTS = 3
-"""Times that the spacing is halved where the tip leaves the curve in between."""
-
-SHARE_OF_STARTS = 0.3
-"""Share of the time limit in which configurations with the tip at the first point are looked for."""
-
-MOST_STARTS = 8
-"""Configurations from which the curve is tried."""
-
 DENSE = 40
 """Points per piece at which a curve is sampled."""
+
+
+@dataclass(frozen=True)
+class TipPathSolver(Displayed):
+    """How a motion of the tip along a curve is looked for.
+
+    Args:
+        spacing: of the points at which the tip is solved for, at first, as a share of the robot's length.
+        refinements: times that the spacing is halved where the tip leaves the curve in between.
+        starts: most configurations from which the curve is tried.
+        starts_share: of the time limit in which these are looked for.
+
+    Raises:
+        InputError: a count that is no whole number of at least 1 (0 for `refinements`), another number that is not
+            positive.
+    """
+
+    spacing: float = 0.008
+    refinements: int = 3
+    starts: int = 8
+    starts_share: float = 0.3
+
+    def __post_init__(self) -> None:
+        check_settings(self, ("refinements",))
+
+
+DEFAULT_SOLVER = TipPathSolver()
 
 
 @small
@@ -61,6 +78,7 @@ def follow_tip_path(  # noqa: PLR0913
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
+    solver: TipPathSolver = DEFAULT_SOLVER,
 ) -> Trajectory:
     """A motion in which the tip runs along a curve; what the curve leaves free goes towards larger margin.
 
@@ -70,6 +88,7 @@ def follow_tip_path(  # noqa: PLR0913
             kinematics, until one is found from which the whole curve can be followed.
         tolerance: largest distance of the tip from the curve, m.
         obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
+        solver: how the motion is looked for.
 
     Returns:
         The trajectory; `.deviation` (T,) is the distance of the tip from the curve.
@@ -88,6 +107,7 @@ def follow_tip_path(  # noqa: PLR0913
         (True, True)
     """
     positive("tolerance", tolerance)
+    instance("solver", solver, TipPathSolver)
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     curve = _curve(path, spline)
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
@@ -97,9 +117,9 @@ def follow_tip_path(  # noqa: PLR0913
             f"path is {length:.6g} m long; it must be at most {longest:g} m, {LONGEST} times the longest tube"
         )
     furthest, reason = 0.0, "the first point is out of reach"
-    for first in _starts(task, curve, start, tolerance, limits, options, clock):
-        spacing = SPACING * task.chart.space.length
-        for _ in range(REFINEMENTS + 1):
+    for first in _starts(task, curve, start, tolerance, limits, options, clock, solver):
+        spacing = solver.spacing * task.chart.space.length
+        for _ in range(solver.refinements + 1):
             places = _spaced(curve, spacing)
             try:
                 equilibria = _track(task, first, places, limits, options, clock)
@@ -166,6 +186,7 @@ def _starts(
     limits: JointLimits | None,
     options: PlanOptions,
     clock: Clock,
+    solver: TipPathSolver,
 ) -> Iterator[Equilibrium]:
     if start is not None:
         first = start_equilibrium(task.chart.space, start)
@@ -188,11 +209,11 @@ def _starts(
         clearance=options.clearance,
         carriage_gap=options.carriage_gap,
         section_length=options.section_length,
-        time_limit=max(SHARE_OF_STARTS * clock.left, LEAST_SECONDS),
+        time_limit=max(solver.starts_share * clock.left, LEAST_SECONDS),
     )
     question: dict[str, Any] = {"min_margin": task.min_margin, "limits": limits, "obstacles": task.obstacles}
     found = inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, options=how, **question)
-    for answer in found[:MOST_STARTS]:
+    for answer in found[: solver.starts]:
         yield answer.equilibrium
 
 

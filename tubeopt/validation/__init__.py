@@ -1,6 +1,7 @@
 """The model against measured tips: frames registered, errors told, the effects found that part robot and drawing."""
 
 from .comparison import Validation, validate
+from .descent import FitSolver
 from .effects import EFFECTS, KINDS
 from .errors import ErrorGroup, ErrorSummary, ErrorTable, group_errors
 from .fitting import Estimate, Fit, FitOptions, fit
@@ -24,6 +25,7 @@ __all__ = [
     "Estimate",
     "Fit",
     "FitOptions",
+    "FitSolver",
     "ForceEstimate",
     "ForceRecord",
     "JointLog",

@@ -8,56 +8,86 @@ A step to where there is no robot, or no stable shape, is shortened like one tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InputError, SolveError
+from ..display import Displayed
+from ..errors import InputError, SolveError, check_settings
 from ..typing import Array
 from .model import ArmModel, State
 
-ITERATIONS = 50
 LOSSES = ("linear", "huber", "soft_l1")
 """How a large error counts: by its square, or in the end by its size."""
 
-TURNS_LINEAR = 3.0
-"""Length of an error of three coordinates, in standard deviations of one, from which Huber's loss is linear."""
-
-SETTLED = 1e-7
-"""Relative decrease of the cost at which the descent ends: a small part of what noise makes of it."""
-
-NEAR = 1e-5
-"""The same where a step is costly, or one of many fits alike: a few hundredths of a standard error of the parameters.
-Along a way with friction, kinks where what sticks changes let steps gain less than they promise, and never end."""
-
 EXACT = 1e-14
 """Cost of an observation, in squares of its standard deviation, that is as good as none."""
-
-FAITHFUL = 0.7
-"""Part of the promised decrease that came about, from which costly slopes serve another step."""
 
 STEEPEST = 1e12
 """Damping at which a step is too short to be worth another."""
 
 
+@dataclass(frozen=True)
+class FitSolver(Displayed):
+    """How a fit descends; a field of `FitOptions`.
+
+    Args:
+        iterations: after which it gives up.
+        settled: relative decrease of the cost at which it ends: a small part of what noise makes of it.
+        nearly_settled: the same where a step is costly, or one of many fits alike: a few hundredths of a standard error
+            of the parameters. Along a way with friction, kinks where what sticks changes let steps gain less than they
+            promise, and never end.
+        faithful: part of the promised decrease that came about, from which costly slopes serve another step.
+        first_damping: of the first step, relative to the diagonal of the normal equations.
+        chord_iterations: with slopes that are known from near by, as in fits to all folds but one: each gains two
+            digits or more.
+        robust_from: length of an error of three coordinates, in standard deviations of one, from which a robust loss
+            grows like it and no longer like its square.
+
+    Raises:
+        InputError: a count that is no whole number of at least 1, another number that is not positive.
+    """
+
+    iterations: int = 50
+    settled: float = 1e-7
+    nearly_settled: float = 1e-5
+    faithful: float = 0.7
+    first_damping: float = 1e-6
+    chord_iterations: int = 8
+    robust_from: float = 3.0
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def by_chords(self) -> FitSolver:
+        """For one of many fits alike, whose slopes are known from near by."""
+        return replace(self, iterations=self.chord_iterations, settled=self.nearly_settled)
+
+
+DEFAULT_SOLVER = FitSolver()
+
+
 @dataclass(frozen=True, eq=False)
 class Weights:
     """sigma (V,): standard deviation of a coordinate of each observation; share (V,): 0 leaves an observation out;
-    prior (P,): standard deviation of each parameter around its start, infinite for none."""
+    prior (P,): standard deviation of each parameter around its start, infinite for none; loss, robust_from: how a large
+    error counts, and from which size on."""
 
     sigma: Array
     share: Array
     prior: Array
     loss: str = "linear"
+    robust_from: float = DEFAULT_SOLVER.robust_from
 
     def losses(self, residuals: Array) -> Array:
         """(V,) what each observation costs, in squares of its standard deviation."""
-        square = (residuals**2).sum(1) / self.sigma**2
+        square, edge = (residuals**2).sum(1) / self.sigma**2, self.robust_from
         if self.loss == "huber":
             size = np.sqrt(square)
-            square = np.where(size > TURNS_LINEAR, 2 * TURNS_LINEAR * size - TURNS_LINEAR**2, square)
+            square = np.where(size > edge, 2 * edge * size - edge**2, square)
         elif self.loss == "soft_l1":
-            square = 2 * TURNS_LINEAR**2 * (np.sqrt(1 + square / TURNS_LINEAR**2) - 1)
+            square = 2 * edge**2 * (np.sqrt(1 + square / edge**2) - 1)
         return np.asarray(square)
 
     def cost(self, residuals: Array) -> float:
@@ -69,9 +99,9 @@ class Weights:
         size = np.sqrt((residuals**2).sum(1)) / self.sigma
         softened = np.ones(len(size))
         if self.loss == "huber":
-            softened = np.minimum(1.0, TURNS_LINEAR / np.maximum(size, TURNS_LINEAR))
+            softened = np.minimum(1.0, self.robust_from / np.maximum(size, self.robust_from))
         elif self.loss == "soft_l1":
-            softened = 1 / np.sqrt(1 + (size / TURNS_LINEAR) ** 2)
+            softened = 1 / np.sqrt(1 + (size / self.robust_from) ** 2)
         return np.asarray(self.share * softened / self.sigma**2)
 
 
@@ -109,8 +139,7 @@ def descend(
     *,
     jacobian: Array | None = None,
     first: Array | None = None,
-    iterations: int = ITERATIONS,
-    settled: float = SETTLED,
+    solver: FitSolver = DEFAULT_SOLVER,
 ) -> Descent:
     """The least cost near a start at which every row can be solved.
 
@@ -118,17 +147,17 @@ def descend(
         jacobian: to keep throughout, where the start is close to the answer; None is that of every state, or, where it
             is costly, of those at which an older one no longer serves, and of the last.
         first: that of the start, where it is known.
-        settled: relative decrease of the cost, won or promised, at which to end; at least NEAR where it is costly.
+        solver: when it ends, among others.
     """
     bounds = np.array([[p.low, p.high] for p in model.parameters]).reshape(-1, 2).T
     state = State(np.clip(start.x, *bounds), start.registration)
     residuals = model.residuals(state)
     known = first if jacobian is None else jacobian
     slopes, fresh = model.jacobian(state) if known is None else known, True
-    cost, damping, obstacle = _cost(model, weights, state, residuals), 1e-6, ""
-    for _ in range(iterations):
+    cost, damping, obstacle = _cost(model, weights, state, residuals), solver.first_damping, ""
+    for _ in range(solver.iterations):
         square, slope = normal_equations(model, weights, state, residuals, slopes)
-        least = max(settled, NEAR) if model.costly(state) else settled
+        least = max(solver.settled, solver.nearly_settled) if model.costly(state) else solver.settled
         before, accepted, enough = cost, False, least * cost + EXACT * len(residuals)
         while not accepted and damping < STEEPEST:
             step = _step(square, slope, damping, state.x, bounds)
@@ -153,7 +182,7 @@ def descend(
             return Descent(state, residuals, slopes, True, obstacle)
         if jacobian is None:
             promised = float(-2 * slope @ step - step @ square @ step)
-            serves = accepted and before - cost > max(float(enough), FAITHFUL * promised)
+            serves = accepted and before - cost > max(float(enough), solver.faithful * promised)
             fresh = not (serves and model.costly(state))
             slopes = model.jacobian(state) if fresh else slopes
     return Descent(state, residuals, slopes, False, obstacle)

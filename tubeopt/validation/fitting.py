@@ -15,12 +15,12 @@ import numpy as np
 import scipy
 
 from ..display import Displayed
-from ..errors import InputError, choice, positive
+from ..errors import InputError, choice, instance, positive
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index, Sentence
 from .comparison import Progress, Validation, check_tubes, compare_at, distances
-from .descent import ITERATIONS, LOSSES, Descent, Weights, descend, normal_equations
+from .descent import DEFAULT_SOLVER, LOSSES, Descent, FitSolver, Weights, descend, normal_equations
 from .errors import ErrorSummary
 from .folds import deal, passes
 from .held_out import bootstrap_errors, hold_out
@@ -53,6 +53,7 @@ class FitOptions:
         loss: how a large error counts: "linear" (least squares), "huber" or "soft_l1".
         priors: whether parameters are drawn to their values in the drawing, by how far these may be off.
         noise: standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it.
+        solver: how the fit descends.
 
     Raises:
         InputError: a value out of its range.
@@ -65,10 +66,12 @@ class FitOptions:
     loss: str = "linear"
     priors: bool = False
     noise: tuple[float | None, float | None] = (None, None)
+    solver: FitSolver = DEFAULT_SOLVER
 
     def __post_init__(self) -> None:
         choice("registration", self.registration, FREEDOMS)
         choice("loss", self.loss, LOSSES)
+        instance("solver", self.solver, FitSolver)
         if not 0 < self.confidence < 1:
             raise InputError(f"confidence is {self.confidence:g}; it must lie between 0 and 1")
         for name, value in zip(("position", "direction"), self.noise, strict=True):
@@ -216,7 +219,7 @@ def weigh(model: ArmModel, options: FitOptions, sigma: tuple[float, float]) -> W
     """How observations count, given the noise of positions and directions."""
     prior = np.array([p.prior if options.priors else np.inf for p in model.parameters])
     spread = np.where(model.directed, sigma[1], sigma[0])
-    return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss)
+    return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss, options.solver.robust_from)
 
 
 class FitProblem:
@@ -257,13 +260,14 @@ class FitProblem:
     def _settle(self, start: State, slopes: Array) -> Descent:
         """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least
         squares of positions it does not matter what it is."""
-        found = descend(self.model, self.weights(), start, first=slopes)
+        solver = self.options.solver
+        found = descend(self.model, self.weights(), start, first=slopes, solver=solver)
         for _ in range(6):
             last, self.sigma = self.sigma, self._noise(found)
             alike = not self.model.directed.any() and self.options.loss == "linear" and not self.options.priors
             if alike or np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0):
                 break
-            found = descend(self.model, self.weights(), found.state, first=found.jacobian)
+            found = descend(self.model, self.weights(), found.state, first=found.jacobian, solver=solver)
         return found
 
     def _noise(self, found: Descent) -> tuple[float, float]:
@@ -319,7 +323,7 @@ class FitProblem:
         out = (
             (None, None)
             if fold is None
-            else distances(model, hold_out(model, self.weights(), self.fit, fold).residuals)
+            else distances(model, hold_out(model, self.weights(), self.fit, fold, options.solver).residuals)
         )
         told(3, 4)
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
@@ -358,8 +362,8 @@ class FitProblem:
         words += louder(self._left(self.fit), self.options.noise)
         if not self.fit.converged:
             words.append(
-                f"the fit had not settled after {ITERATIONS} steps: estimate fewer parameters, or start from a closer "
-                "robot"
+                f"the fit had not settled after {self.options.solver.iterations} steps: estimate fewer parameters, or "
+                "start from a closer robot"
             )
         if self.fit.obstacle:
             words.append(

@@ -8,11 +8,8 @@ import numpy as np
 
 from ..errors import SolveError
 from ..typing import Array, Index
-from .descent import NEAR, Descent, Weights, descend, normal_equations
+from .descent import DEFAULT_SOLVER, Descent, FitSolver, Weights, descend, normal_equations
 from .model import ArmModel
-
-STEPS = 6
-"""Steps of a fit to the rows of the other folds, with the Jacobian of the fit to all: each gains two digits or more."""
 
 DRAWS = 400
 DRAW_SEED = 1
@@ -26,8 +23,11 @@ class HeldOut:
     fold: Index
 
 
-def hold_out(model: ArmModel, weights: Weights, fit: Descent, fold: Index) -> HeldOut:
-    """Residuals of every observation by fits to the other folds; `fold` (N,) is that of each row.
+def hold_out(
+    model: ArmModel, weights: Weights, fit: Descent, fold: Index, solver: FitSolver = DEFAULT_SOLVER
+) -> HeldOut:
+    """Residuals of every observation by fits to the other folds, with the slopes of the fit to all; `fold` (N,) is that
+    of each row.
 
     A fold without which the parameters leave the allowed robots keeps those of the whole fit.
     """
@@ -36,7 +36,7 @@ def hold_out(model: ArmModel, weights: Weights, fit: Descent, fold: Index) -> He
     for k in np.unique(own):
         rest = replace(weights, share=weights.share * (own != k))
         try:
-            without = descend(model, rest, fit.state, jacobian=fit.jacobian, iterations=STEPS, settled=NEAR)
+            without = descend(model, rest, fit.state, jacobian=fit.jacobian, solver=solver.by_chords)
             out[own == k] = without.residuals[own == k]
         except SolveError:
             out[own == k] = fit.residuals[own == k]

@@ -22,7 +22,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .comparison import Progress, check_tubes, distances
-from .descent import NEAR, Descent, Weights, descend
+from .descent import Descent, Weights, descend
 from .errors import ErrorSummary
 from .fitting import BLOCKS, FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
@@ -39,9 +39,6 @@ TRIED = 4
 
 ROUNDS = 8
 """Rounds at most."""
-
-CHORDS = 8
-"""Steps of a costly fit with the slopes that all share; the best is then fitted in full."""
 
 STRONG = 10.0
 """Twice the logarithm of a Bayes factor that is very strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90
@@ -244,7 +241,7 @@ class _Search:
             return self._fitted(kinds, start, self.now.sigma)
         model = self.model.with_parameters(chosen)
         weights = weigh(model, self.options, self.now.sigma)
-        fit = descend(model, weights, start, jacobian=self.slopes.of(kinds), iterations=CHORDS, settled=NEAR)
+        fit = descend(model, weights, start, jacobian=self.slopes.of(kinds), solver=self.options.solver.by_chords)
         return self._held_out(kinds, model, fit, self.now.sigma)
 
     def _long(self, kinds: Sequence[str]) -> bool:
