@@ -109,6 +109,13 @@ def test_three_tubes_tilt_at_two_ends_and_none_without_room() -> None:
     assert still.tip_radius == 0
 
 
+def test_tubes_that_go_on_around_one_that_ended_stay_where_they_are() -> None:
+    withdrawn = forward_kinematics(PAIR, [0.3, -0.4], [-40 * MM, 0.0])
+    found = clearance_correction(withdrawn)
+    assert not found.leavings
+    np.testing.assert_array_equal(found.position, withdrawn.position)
+
+
 def test_file_tells_of_clearance(tmp_path: object) -> None:
     path = f"{tmp_path}/robot.yaml"
     replace(PAIR, clearance=(0.03 * MM,)).save(path)

@@ -106,6 +106,8 @@ def clearance_correction(
 ) -> ClearanceCorrection:
     """How far the room between its tubes lets a concentric robot be from where its equilibrium says.
 
+    Where a tube ends inside others that go on alone, these are taken to stay where they are.
+
     Args:
         clearance: (n - 1,) m, radial, of every tube in the next one, or one number for all; by default those of the
             robot's file, else those of its diameters.
@@ -141,9 +143,10 @@ def clearance_correction(
 
 
 def _leaving(e: Equilibrium, outer: int, room: float) -> Leaving | None:
-    """What happens where a tube ends; None where that is behind the plate, at the tip, or both bend alike."""
+    """What happens where a tube ends; None where that is behind the plate, no tube inside it goes on, or both bend
+    alike."""
     end = float(e.tube_end[outer])
-    if end <= 0 or e.arc_length[-1] - end < SHORTEST:
+    if end <= 0 or e.tube_end[:outer].max() - end < SHORTEST:
         return None
     assembly = e.robot.assembly(e.translations)
     before = e.arc_length <= end
