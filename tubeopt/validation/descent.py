@@ -154,7 +154,7 @@ def descend(
     residuals = model.residuals(state)
     known = first if jacobian is None else jacobian
     slopes, fresh = model.jacobian(state) if known is None else known, True
-    cost, damping, obstacle = _cost(model, weights, state, residuals), solver.first_damping, ""
+    cost, damping, obstacle = cost_of(model, weights, state, residuals), solver.first_damping, ""
     for _ in range(solver.iterations):
         square, slope = normal_equations(model, weights, state, residuals, slopes)
         least = max(solver.settled, solver.nearly_settled) if model.costly(state) else solver.settled
@@ -166,7 +166,7 @@ def descend(
             trial = state.moved(step)
             try:
                 there = model.residuals(trial)
-                cost_there, obstacle = _cost(model, weights, trial, there), ""
+                cost_there, obstacle = cost_of(model, weights, trial, there), ""
             except (InputError, SolveError) as error:
                 cost_there, obstacle = np.inf, str(error).splitlines()[0]
             accepted = cost_there <= cost
@@ -188,7 +188,8 @@ def descend(
     return Descent(state, residuals, slopes, False, obstacle)
 
 
-def _cost(model: ArmModel, weights: Weights, state: State, residuals: Array) -> float:
+def cost_of(model: ArmModel, weights: Weights, state: State, residuals: Array) -> float:
+    """What is minimised, at a state with its residuals (V, 3)."""
     return weights.cost(residuals) + float((((state.x - model.start.x) / weights.prior) ** 2).sum())
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .comparison import Progress, check_tubes, distances
-from .descent import Descent, Weights, descend
+from .descent import Descent, Weights, cost_of, descend
 from .errors import ErrorSummary
 from .fitting import BLOCKS, FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
@@ -44,7 +45,7 @@ STRONG = 10.0
 """Twice the logarithm of a Bayes factor that is very strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90
 (1995))."""
 
-CROOKED = 30.0
+CROOKED = 100.0
 """A set is fitted if it is no more than so much worse to first order, which curvature of the model may make up for."""
 
 
@@ -163,6 +164,7 @@ class _Search:
         self.model = ArmModel(robot, measurements, (), options.registration, options.base)
         self.fits: dict[Effects, _Trial | None] = {}
         self.passed: list[str] = []
+        self.tried = 0
         self.begun = self.now = self._fitted((), self.model.start, FIRST_GUESS)
         self.fits[Effects()] = self.begun
         self.slopes = self._slopes(self.now, known)
@@ -176,17 +178,19 @@ class _Search:
             if better is None:
                 break
             self._move(better)
-            self.slopes = self._slopes(self.now, self.known)
-            self.sets = self._sets(self.slopes)
-        limit = self._cost(self.now) + STRONG * self.sets.inflation
-        while (first := self._earlier(limit)) is not None:
+        while (first := self._earlier()) is not None:
             self._move(first)
+        while (fewer := self._fewer()) is not None:
+            self._move(fewer)
 
     def _move(self, trial: _Trial) -> None:
         self.passed += self.now.effects
         long = self._long(trial.effects)
         self.now = self._fitted(trial.effects, trial.fit.state, trial.sigma) if long else trial
-        self.fits[Effects(trial.effects)] = self.now
+        self.slopes = self._slopes(self.now, self.known)
+        self.sets = self._sets(self.slopes)
+        # What was fitted from afar, by the slopes there, may not have come to its end.
+        self.fits = {Effects(): self.begun, Effects(trial.effects): self.now}
 
     def _better(self) -> _Trial | None:
         """The first of the sets that promise most, or nearly, which is better than that of now; None where none is."""
@@ -199,20 +203,35 @@ class _Search:
                 return trial
         return None
 
-    def _earlier(self, limit: float) -> _Trial | None:
-        """A set with an effect of the table in the place of one behind it, that costs no more than a limit."""
+    def _earlier(self) -> _Trial | None:
+        """A set with one or two effects of the table in the place of one behind them, that the data do not speak
+        strongly against; what they are charged, and what is held out at few places, is no such evidence."""
         order, now, sets = list(self.known), Effects(self.now.effects), self.sets
-        near = sets.cost(now) + (STRONG + CROOKED) * sets.inflation
-        for kind in reversed(self.now.effects):
-            for other in order[: order.index(kind)]:
-                fewer = now - {kind}
-                changed = fewer | {other}
-                if other in now or sets.cost(changed) > near or sets.lost(changed) >= sets.lost(fewer):
-                    continue  # it must predict better than nothing in its place, not only cost little
+        limit = self._seen(self.now) + STRONG * sets.inflation
+        near = sets.seen(now) + (STRONG + CROOKED) * sets.inflation
+        for count, kind in product((1, 2), reversed(self.now.effects)):
+            others = [other for other in order[: order.index(kind)] if other not in now]
+            fewer = now - {kind}
+            changes = [fewer | Effects(some) for some in combinations(others, count)]
+            # They must predict better than nothing in its place.
+            near_by = [one for one in changes if sets.seen(one) <= near and sets.lost(one) < sets.lost(fewer)]
+            for changed in sorted(near_by, key=sets.seen)[:TRIED]:
                 trial = self._tried(changed)
-                if trial is not None and self._cost(trial) <= limit:
+                if trial is not None and self._seen(trial) <= limit:
                     return trial
         return None
+
+    def _fewer(self) -> _Trial | None:
+        """The best set of one effect less that is better than that of now; None where none is."""
+        trials = [self._tried(Effects(self.now.effects) - {kind}) for kind in self.now.effects]
+        known = [trial for trial in trials if trial is not None]
+        best = min(known, key=self._cost, default=self.now)
+        return best if self._cost(best) < self._cost(self.now) else None
+
+    def _seen(self, trial: _Trial) -> float:
+        """What a set loses by the fit to all, priors among it."""
+        weights = weigh(trial.model, self.options, self.now.sigma)
+        return cost_of(trial.model, weights, trial.fit.state, trial.fit.residuals)
 
     def _cost(self, trial: _Trial) -> float:
         """What a set costs: its loss held out, and the charge for its parameters."""
@@ -258,7 +277,8 @@ class _Search:
         weights = weigh(model, self.options, sigma)
         out = predicted_held_out(model, weights, fit, self.fold)
         if self.progress is not None:
-            self.progress(len(self.fits) + 1, 0)
+            self.tried += 1
+            self.progress(self.tried, 0)
         return _Trial(kinds, model, fit, sigma, out)
 
     def _slopes(self, around: _Trial, kinds: Iterable[str]) -> Slopes:
@@ -337,15 +357,15 @@ class _Search:
     def _rivals(self, kind: str) -> tuple[str, ...]:
         """Other effects that predict as well in the place of one that is kept."""
         sets, now = self.sets, Effects(self.now.effects)
-        near = STRONG * sets.inflation
+        fewer, room = now - {kind}, STRONG * sets.inflation
+        near, limit = sets.seen(now) + room + CROOKED * sets.inflation, self._seen(self.now) + room
         found = []
         for other in self.known:
-            fewer = now - {kind}
             changed = fewer | {other}
-            if other in now or sets.cost(changed) > sets.cost(now) + near or sets.lost(changed) >= sets.lost(fewer):
+            if other in now or sets.seen(changed) > near or sets.lost(changed) >= sets.lost(fewer):
                 continue
             trial = self._tried(changed)
-            if trial is not None and self._cost(trial) - self._cost(self.now) <= near:
+            if trial is not None and self._seen(trial) <= limit:
                 found.append(other)
         return tuple(found)
 

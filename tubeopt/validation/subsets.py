@@ -86,7 +86,7 @@ class HeldOutSets:
         self.absent, self.drawn = linear.absent * own, linear.drawn * own
         self.low, self.high, self.inverse = linear.low * own, linear.high * own, 1 / (linear.prior * own) ** 2
         self.known: dict[Effects, float] = {}
-        optimism = self.lost(self.there) - self._seen(self.there)
+        optimism = self.lost(self.there) - self.seen(self.there)
         self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.there) + self.free, 1)))
         least = max(math.log(linear.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
         self.charge = self.inflation * (least - 2)
@@ -107,7 +107,7 @@ class HeldOutSets:
         steps = (self._step(effects, total - own) for own in self.squares)
         return float(sum(step @ own @ step for step, own in zip(steps, self.squares, strict=True)))
 
-    def _seen(self, effects: Effects) -> float:
+    def seen(self, effects: Effects) -> float:
         """What it loses by the fit to all."""
         total = self.squares.sum(0)
         step = self._step(effects, total)
