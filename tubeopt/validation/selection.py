@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
 
 import numpy as np
 
@@ -45,7 +44,7 @@ STRONG = 10.0
 """Twice the logarithm of a Bayes factor that is very strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90
 (1995))."""
 
-CROOKED = 100.0
+CROOKED = 30.0
 """A set is fitted if it is no more than so much worse to first order, which curvature of the model may make up for."""
 
 
@@ -204,18 +203,17 @@ class _Search:
         return None
 
     def _earlier(self) -> _Trial | None:
-        """A set with one or two effects of the table in the place of one behind them, that the data do not speak
-        strongly against; what they are charged, and what is held out at few places, is no such evidence."""
+        """A set with an effect of the table in the place of one behind it, against which the data do not speak strongly;
+        what is held out at few places, and charged for parameters, is no such evidence."""
         order, now, sets = list(self.known), Effects(self.now.effects), self.sets
         limit = self._seen(self.now) + STRONG * sets.inflation
         near = sets.seen(now) + (STRONG + CROOKED) * sets.inflation
-        for count, kind in product((1, 2), reversed(self.now.effects)):
-            others = [other for other in order[: order.index(kind)] if other not in now]
-            fewer = now - {kind}
-            changes = [fewer | Effects(some) for some in combinations(others, count)]
-            # They must predict better than nothing in its place.
-            near_by = [one for one in changes if sets.seen(one) <= near and sets.lost(one) < sets.lost(fewer)]
-            for changed in sorted(near_by, key=sets.seen)[:TRIED]:
+        for kind in reversed(self.now.effects):
+            for other in order[: order.index(kind)]:
+                fewer = now - {kind}
+                changed = fewer | {other}
+                if other in now or sets.seen(changed) > near or sets.lost(changed) >= sets.lost(fewer):
+                    continue  # it must predict better than nothing in its place, not only cost little
                 trial = self._tried(changed)
                 if trial is not None and self._seen(trial) <= limit:
                     return trial
@@ -260,7 +258,7 @@ class _Search:
             return self._fitted(kinds, start, self.now.sigma)
         model = self.model.with_parameters(chosen)
         weights = weigh(model, self.options, self.now.sigma)
-        fit = descend(model, weights, start, jacobian=self.slopes.of(kinds), solver=self.options.solver.by_chords)
+        fit = descend(model, weights, start, jacobian=self.slopes.of(chosen), solver=self.options.solver.by_chords)
         return self._held_out(kinds, model, fit, self.now.sigma)
 
     def _long(self, kinds: Sequence[str]) -> bool:

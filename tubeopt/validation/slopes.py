@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,11 +32,11 @@ class Slopes:
     table: Array
     jumps: Mapping[str, Array]
 
-    def of(self, effects: Iterable[str]) -> Array:
-        """(V, 3, Q + F) derivatives by the parameters of some effects."""
-        wanted = set(effects)
-        own = [p.kind in wanted for p in self.model.parameters]
-        return self.table[..., np.append(own, np.ones(self.model.freedoms, dtype=bool)).astype(bool)]
+    def of(self, parameters: Sequence[Parameter]) -> Array:
+        """(V, 3, Q + F) derivatives by some of the parameters, in their order."""
+        names = [p.name for p in self.model.parameters]
+        count = len(names)
+        return self.table[..., [*(names.index(p.name) for p in parameters), *range(count, count + self.model.freedoms)]]
 
     def sets(self, weights: Weights, fold: Index) -> HeldOutSets:
         """Sets of effects; weights with the priors of all parameters, fold (N,) of each row."""
@@ -67,7 +67,7 @@ class Slopes:
         fewer = self.model.with_parameters([p for p, mine in zip(self.model.parameters, own, strict=True) if mine])
         residuals = self.residuals + self.jumps.get(kind, 0.0)
         state = State(self.state.x[own], self.state.registration)
-        near = Descent(state, residuals, self.of({kind, *self.there}), True)
+        near = Descent(state, residuals, self.of(fewer.parameters), True)
         return predicted_held_out(fewer, replace(weights, prior=weights.prior[own]), near, fold)
 
 
