@@ -13,8 +13,9 @@ from tubeopt.validation import FitOptions, Measurements, compare_effects, fit, v
 from tubeopt.validation.fitting import FitProblem
 from tubeopt.validation.folds import deal, passes
 from tubeopt.validation.held_out import hold_out, predicted_held_out
-from tubeopt.validation.model import ArmModel
+from tubeopt.validation.model import ArmModel, State
 from tubeopt.validation.parameters import choose_parameters
+from tubeopt.validation.slopes import slopes_around
 from tubeopt.validation.subsets import HeldOutSets, Linear
 from tubeopt.validation.timeline import Timeline, runs_of
 
@@ -63,6 +64,16 @@ def test_what_is_wrong_with_the_drives_is_found_within_the_intervals() -> None:
         assert found.noise == pytest.approx(0.3 * MM, rel=0.1)
     assert min(hits.values()) >= 8, hits
     assert sum(hits.values()) >= 53
+
+
+def test_slopes_around_a_fit_stand_in_the_order_of_the_parameters_asked_for() -> None:
+    first, second = ([*choose_parameters(robot(), driven(count=40), names)] for names in (["latency"], ["rotation_2"]))
+    model = ArmModel(robot(), driven(count=40))
+    later = FitProblem(model.with_parameters(second), FitOptions(folds=0))
+    around = slopes_around(later.model, later.fit, [first])
+    both = model.with_parameters([*first, *second])
+    state = State(np.append(0.0, later.fit.state.x), later.fit.state.registration)
+    np.testing.assert_allclose(around.of(both.parameters), both.jacobian(state), rtol=1e-6, atol=1e-9)
 
 
 def test_the_calibrated_robot_predicts_by_itself() -> None:

@@ -203,8 +203,8 @@ class _Search:
         return None
 
     def _earlier(self) -> _Trial | None:
-        """A set with an effect of the table in the place of one behind it, against which the data do not speak strongly;
-        what is held out at few places, and charged for parameters, is no such evidence."""
+        """A set with an effect of the table in the place of one behind it, where the data do not speak strongly against
+        it; what is held out at few places, and charged for parameters, is no such evidence."""
         order, now, sets = list(self.known), Effects(self.now.effects), self.sets
         limit = self._seen(self.now) + STRONG * sets.inflation
         near = sets.seen(now) + (STRONG + CROOKED) * sets.inflation
