@@ -221,7 +221,9 @@ class _Search:
 
     def _fewer(self) -> _Trial | None:
         """The best set of one effect less that is better than that of now; None where none is."""
-        trials = [self._tried(Effects(self.now.effects) - {kind}) for kind in self.now.effects]
+        now, sets = Effects(self.now.effects), self.sets
+        near = sets.cost(now) + CROOKED * sets.inflation
+        trials = [self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near]
         known = [trial for trial in trials if trial is not None]
         best = min(known, key=self._cost, default=self.now)
         return best if self._cost(best) < self._cost(self.now) else None
