@@ -171,7 +171,7 @@ class _Search:
 
     def run(self) -> None:
         """From set to set while one is better, then to effects that stand first in the table where nothing speaks
-        strongly against them."""
+        strongly against them, then to those that are worth their price."""
         for _ in range(ROUNDS):
             better = self._better()
             if better is None:
@@ -220,13 +220,19 @@ class _Search:
         return None
 
     def _fewer(self) -> _Trial | None:
-        """The best set of one effect less that is better than that of now; None where none is."""
-        now, sets = Effects(self.now.effects), self.sets
+        """The set without the effect that is least worth its price by the fit to all; None where all are worth it."""
+        now, sets, cost = Effects(self.now.effects), self.sets, self._cost(self.now)
         near = sets.cost(now) + CROOKED * sets.inflation
-        trials = [self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near]
-        known = [trial for trial in trials if trial is not None]
-        best = min(known, key=self._cost, default=self.now)
-        return best if self._cost(best) < self._cost(self.now) else None
+        tried = (self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near)
+        worth = {trial: self._worth(trial) for trial in tried if trial is not None}
+        idle = [trial for trial, value in worth.items() if value < 0 or self._cost(trial) < cost]
+        return min(idle, key=lambda trial: worth[trial], default=None)
+
+    def _worth(self, fewer: _Trial) -> float:
+        """What the effects of now gain by the fit to all, beside fewer, over their price: what is held out at few
+        places may seem to gain more, by chance."""
+        count = len(self.now.model.parameters) - len(fewer.model.parameters)
+        return float(self._seen(fewer) - self._seen(self.now) - self.sets.price * count)
 
     def _seen(self, trial: _Trial) -> float:
         """What a set loses by the fit to all, priors among it."""
