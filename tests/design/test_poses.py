@@ -103,7 +103,7 @@ def test_derivatives_of_all_rows_are_those_of_differences() -> None:
 
 
 def test_robot_reaches_around_a_corner() -> None:
-    task = corner_task(6)
+    task = corner_task()
     design = optimize_design(task)
     reach = task.requirements[0]
     assert isinstance(reach, Reach)
