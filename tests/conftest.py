@@ -18,6 +18,8 @@ from hypothesis import HealthCheck, settings
 
 from tests.command_line import COLOUR, Outcome, Run
 from tubeopt.cli.app import main
+from tubeopt.show.plots.trajectory import save_film
+from tubeopt.solvers.compiled.library import cache_directory
 
 # A solve that builds its functions first takes seconds, later ones well under a millisecond: a deadline per example
 # would only measure the order of the tests.
@@ -72,6 +74,27 @@ def _memory() -> Iterator[None]:
         gc.collect()
         with contextlib.suppress(AttributeError, OSError):
             ctypes.CDLL(None).malloc_trim(0)  # the C library keeps what is free otherwise
+
+
+@pytest.fixture(scope="module")
+def own_tables(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A cache in which a module makes tables of its own, beside the kernels that were compiled before."""
+    own, kernels = tmp_path_factory.mktemp("cache"), cache_directory() / "kernels"
+    kernels.mkdir(parents=True, exist_ok=True)
+    (own / "kernels").symlink_to(kernels, target_is_directory=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TUBEOPT_CACHE", str(own))
+        yield
+
+
+@pytest.fixture
+def short_films(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Films of three pictures."""
+    for module in ("trajectory", "arms"):
+        monkeypatch.setattr(
+            f"tubeopt.show.plots.{module}.save_film",
+            lambda figure, draw, count, path: save_film(figure, draw, min(count, 3), path),
+        )
 
 
 @pytest.fixture

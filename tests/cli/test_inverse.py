@@ -22,11 +22,7 @@ ETR = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
 TARGET = ("--target-mm", "50,30,150")
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> object:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TUBEOPT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
+pytestmark = pytest.mark.usefixtures("own_tables")
 
 
 def test_help_has_an_example_and_the_common_flags(run: Run) -> None:

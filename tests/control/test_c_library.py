@@ -40,7 +40,7 @@ START = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 
 @pytest.fixture(scope="module")
 def thesis() -> CRobot:
-    return CRobot(c_library(THESIS))
+    return CRobot(c_library(THESIS, loads=True))
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +116,8 @@ def test_a_table_that_varies_quickly_has_the_room_it_needs() -> None:
     assert refused > 0
 
 
-def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led() -> None:
-    library = CRobot(c_library(THESIS, loads=True))
+def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led(thesis: CRobot) -> None:
+    library = thesis
     free = library.solve(*START)
     load = Load(force=(5e-3, 1e-2, -3e-3), gravity=(0.0, 0.0, -9.81))
     library.bear(np.array(load.force) / 3)
@@ -151,6 +151,7 @@ def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led() -> None:
     # It bears what it bore.
     again = library.follow(np.radians([200, 0, 0]), np.zeros(3))
     assert again.tip_position == pytest.approx(borne.tip_position, abs=1e-9)
+    library.bear()
 
 
 def test_tubes_made_of_pieces_bear_loads_and_have_a_compliance(pieces: CRobot) -> None:

@@ -43,11 +43,7 @@ SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
 TARGET = np.array([50.0, 30.0, 150.0]) * MM
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> object:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TUBEOPT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
+pytestmark = pytest.mark.usefixtures("own_tables")
 
 
 def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.05) -> None:

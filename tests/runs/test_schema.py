@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,26 @@ import yaml
 from tubeopt.runs.schema import PAGE, page, schemas, write_schemas
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+SCHEMAS = schemas()
 
 
-@pytest.mark.parametrize("name", schemas())
+@lru_cache
+def validator(name: str) -> Any:
+    """Of files of a kind; checked itself."""
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(SCHEMAS[f"{name}.schema.json"])
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
 def test_the_files_are_in_step(name: str) -> None:
     written = (CONFIGS / "schema" / name).read_text(encoding="utf-8")
-    assert written == schemas()[name], "run `python -m tubeopt.runs.schema`"
+    assert written == SCHEMAS[name], "run `python -m tubeopt.runs.schema`"
 
 
 def test_they_are_written_where_asked(tmp_path: Path) -> None:
-    assert {path.name for path in write_schemas(tmp_path / "schema")} == set(schemas())
+    assert {path.name for path in write_schemas(tmp_path / "schema")} == set(SCHEMAS)
     assert json.loads((tmp_path / "schema" / "robot.schema.json").read_text())["title"] == "tubeopt robot"
 
 
@@ -31,7 +42,6 @@ def test_the_page_is_in_step() -> None:
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.stem)
 def test_every_file_passes_its_schema(path: Path) -> None:
-    jsonschema = pytest.importorskip("jsonschema")
     name = {
         "studies": "study",
         "molds": "mold",
@@ -41,12 +51,10 @@ def test_every_file_passes_its_schema(path: Path) -> None:
         "obstacles": "obstacles",
         "colours": "oxide_colours",
     }.get(path.parent.name, "robot")
-    schema: Any = json.loads(schemas()[f"{name}.schema.json"])
-    jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.validate(yaml.safe_load(path.read_text(encoding="utf-8")), schema)
+    validator(name).validate(yaml.safe_load(path.read_text(encoding="utf-8")))
 
 
 def test_bounds_and_units_are_in_the_schema() -> None:
-    tube = json.loads(schemas()["robot.schema.json"])["$defs"]["TubeEntry"]
+    tube = json.loads(SCHEMAS["robot.schema.json"])["$defs"]["TubeEntry"]
     assert tube["properties"]["outer_diameter_mm"] == {"exclusiveMinimum": 0, "type": "number"}
     assert tube["additionalProperties"] is False

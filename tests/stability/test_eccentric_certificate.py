@@ -23,7 +23,6 @@ from tubeopt import (
     judge,
     snap_free_certificate,
     worst_certificate,
-    worst_margin,
 )
 from tubeopt.block.transcription.offset_margin import softenings
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
@@ -252,7 +251,8 @@ def test_segmented_robots() -> None:
     assert verdict.finding is Finding.CAN_SNAP
     assert verdict.snap is not None
     assert abs(verdict.snap.before.margin) < 1e-8
-    assert worst_margin(robot).margin <= least(1.003 * edge) + 1e-7
+    assert verdict.worst is not None
+    assert verdict.worst.margin <= least(1.003 * edge) + 1e-7
 
 
 def test_no_way_of_a_robot_that_is_proved_snaps() -> None:

@@ -56,9 +56,9 @@ def test_every_equilibrium_under_a_tip_force_is_found() -> None:
     directions *= scale[3] / np.linalg.norm(directions, axis=1)[:, None]
     z = np.concatenate([rotations + random.uniform(-2 * np.pi, 2 * np.pi, (STARTS, 3)), directions], axis=1)
     for _ in range(30):
-        gap = explicit(z) - wanted
-        sides = [explicit(z + 1e-6 * scale * axis) - wanted - gap for axis in np.eye(6)]
-        slope = np.stack(sides, axis=2) / 1e-6 / scale[:, None]
+        moved = z + 1e-6 * np.concatenate([np.zeros((1, 6)), np.diag(scale)])[:, None]
+        gap, *sides = explicit(moved.reshape(-1, 6)).reshape(moved.shape) - wanted
+        slope = np.stack([side - gap for side in sides], axis=2) / 1e-6 / scale[:, None]
         step = -np.linalg.solve(slope, (gap / scale)[..., None])[..., 0]
         z = z + scale * step * np.minimum(1.0, 0.7 / np.abs(step).max(1, initial=1e-9))[:, None]
     arrived = np.flatnonzero(np.abs((explicit(z) - wanted) / scale).max(1) < 1e-8)

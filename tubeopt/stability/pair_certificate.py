@@ -35,7 +35,6 @@ from ..block.transcription.green import ahead
 from ..block.transcription.reduced import ReducedProblem
 from ..physics.certificate import bend_rate_function
 from ..typing import Array
-from .shooting import profiles
 
 TOLERANCE = 1e-7
 """How far the bound may be below the least margin that was found, as a fraction of 1 less that."""
@@ -43,8 +42,11 @@ TOLERANCE = 1e-7
 FIRST, MOST = 32, 20000
 """Intervals to begin with, and tip angles to look at; the bound holds wherever one stops."""
 
-POLISHING = 12
-"""Newton steps at most on the collocated equations, from shooting, right to 1e-6 rad, or the mean of two neighbours."""
+SWEEPS, POLISHING = 60, 12
+"""Fixed-point sweeps of the collocated equations at most, and Newton steps after them."""
+
+SETTLED = 1e-12
+"""Change (rad) at which they are solved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,22 +100,27 @@ def pair_of(problem: ReducedProblem) -> Pair | None:
 
 def _differences(pair: Pair, tips: Array) -> Array:
     """(B, N) D + psi at differences of tip angles (B,)."""
-    i, j = pair.tubes
-    angles = np.zeros((len(tips), pair.problem.assembly.n_tubes))
-    angles[:, i] = tips
-    theta = profiles(pair.problem, angles)
-    return _polished(pair, tips, theta[..., i] - theta[..., j] + pair.lag)
+    return _settled(pair, tips, tips[:, None] + pair.lag)
 
 
-def _polished(pair: Pair, tips: Array, d: Array) -> Array:
-    """(B, N) D + psi by Newton's method on the collocated equations, from near it."""
+def _settled(pair: Pair, tips: Array, d: Array) -> Array:
+    """(B, N) D + psi on the collocated equations, from some guess.
+
+    The differences at a place follow from those nearer to the tip alone (an equation of Volterra), so that putting them
+    in again and again converges from anywhere, k times about as the k-th term of a cosine. What strong tubes on long
+    pieces leave of it after SWEEPS is for Newton's method.
+    """
     turn = pair.reach * pair.coupling
+    free = tips[:, None] + pair.lag
+    for _ in range(SWEEPS):
+        before, d = d, free + np.sin(d) @ turn.T
+        if np.abs(d - before).max(initial=0.0) < SETTLED:
+            return np.asarray(d)
     for _ in range(POLISHING):
-        off = tips[:, None] + pair.lag + np.sin(d) @ turn.T - d
         slope = np.eye(len(turn)) - turn * np.cos(d)[:, None, :]
-        step = np.linalg.solve(slope, off[..., None])[..., 0]
+        step = np.linalg.solve(slope, (free + np.sin(d) @ turn.T - d)[..., None])[..., 0]
         d = d + step
-        if np.abs(step).max(initial=0.0) < 1e-12:
+        if np.abs(step).max(initial=0.0) < SETTLED:
             break
     return np.asarray(d)
 
@@ -163,7 +170,7 @@ def least_margin_of_pair(pair: Pair) -> Least:
         if not open_.any() or len(x) + open_.sum() > MOST:
             break
         new = (x[:-1] + x[1:])[open_] / 2
-        between = _polished(pair, new, (d[:-1] + d[1:])[open_] / 2)
+        between = _settled(pair, new, (d[:-1] + d[1:])[open_] / 2)
         order = np.argsort(x := np.concatenate([x, new]))
         values = np.concatenate([values, _margins(pair, np.cos(between))])[order]
         x, d = x[order], np.concatenate([d, between])[order]
