@@ -5,9 +5,11 @@
 The server runs in a process of its own. A commander streams velocities of the tip and pauses, and is killed every ten
 seconds, in the middle of a stream; another client sends messages that make no sense; watchers read the state. Every
 fifteen seconds the clock of the server jumps, by 1,000 s ahead or back, which the server is not told. The process looks
-at every step by another clock: whether the robot moved later than the watchdog allows after the last command that was
-taken, and faster than its rates. Times are processor times of a step, and by how much it began late; beside it a third
-process does nothing but sleep for a period, again and again, and so tells which periods the machine had no time for.
+at every step by the clock that does not jump: whether the robot moved later than the watchdog allows after the last
+command that was taken, and faster than its rates. When it moved is told twice: by the time that the setpoint carries,
+and by when somebody could read it first, as a process may be put aside between the two. Times are processor times of a
+step, and by how much it began late; beside it a third process does nothing but sleep for a period, again and again, and
+so tells which periods the machine had no time for.
 """
 
 from __future__ import annotations
@@ -16,8 +18,9 @@ import argparse
 import asyncio
 import json
 import sys
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -46,43 +49,60 @@ JUNK = [
 JUNK += ['{"op": "servo_cv", "linear": [0, 0, NaN]}', '{"op": "servo_jp", "rotations": [0]}', "\u0000" * 100]
 
 
+class Jumping(threading.local):
+    """A clock that jumps ahead and back; `steady` is when each thread read it last, by one that does not."""
+
+    steady = -np.inf
+
+    def __call__(self) -> float:
+        """Seconds."""
+        self.steady = time.monotonic()
+        return self.steady + JUMP * (int(self.steady / EVERY) % 2)
+
+
+CLOCK = Jumping()
+
+
 class Watched(CrtkRobot):
-    """A robot whose motion is looked at by a clock of its own."""
+    """A robot whose motion is looked at by a clock that does not jump."""
 
     def __init__(self, servo: Led) -> None:
         super().__init__(servo, watchdog=WATCHDOG)
         self.taken = -np.inf
-        self.moved, self.late_motion, self.too_fast = 0, 0.0, 0
+        self.moved, self.dropped, self.too_fast = 0, 0, 0
+        self.late, self.late_to_read = -np.inf, -np.inf
 
     def command(self, message: Mapping[str, Any], now: float) -> None:
-        """As that of the robot, with the time at which it was taken."""
+        """As that of the robot, with the time at which it was taken: that of `now`, which this thread has just read."""
         super().command(message, now)
-        self.taken = time.perf_counter()
+        self.taken = CLOCK.steady
 
-    def tick(self, now: float, dt: float) -> None:
-        """As that of the robot; then what it did."""
-        before, began, o = self.servo.equilibrium, time.perf_counter(), self.servo.options
-        super().tick(now, dt)
+    def tick(self, clock: Callable[[], float], dt: float) -> None:
+        """As that of the robot; then what it did. The last that it read of the clock is the time of the setpoint."""
+        before, sent, o, asked = self.servo.equilibrium, self.sent, self.servo.options, [0]
+
+        def counted() -> float:
+            asked[0] += 1
+            return clock()
+
+        super().tick(counted, dt)
+        stamp, readable = CLOCK.steady, time.monotonic()
+        self.dropped += asked[0] == 2 and self.sent == sent
         after = self.servo.equilibrium
         turned, shifted = np.abs(after.rotations - before.rotations), np.abs(after.translations - before.translations)
         if not (turned.any() or shifted.any()):
             return
         self.moved += 1
-        self.late_motion = max(self.late_motion, began - self.taken - WATCHDOG)
+        self.late = max(self.late, stamp - self.taken - WATCHDOG)
+        self.late_to_read = max(self.late_to_read, readable - self.taken - WATCHDOG)
         self.too_fast += bool(turned.max() > o.turn_rate * dt + 1e-9 or shifted.max() > o.shift_rate * dt + 1e-9)
-
-
-def jumping() -> float:
-    """A clock that jumps ahead and back."""
-    now = time.monotonic()
-    return now + JUMP * (int(now / EVERY) % 2)
 
 
 async def serve(path: str) -> None:
     """Serve until a line comes in; then say how it went."""
     robot = tubeopt.load_robot(path)
     watched = Watched(servo_of(robot, SEED))
-    server = RobotServer(watched, ServerOptions(port=0, token=TOKEN, period=PERIOD, rate=1e4), clock=jumping)
+    server = RobotServer(watched, ServerOptions(port=0, token=TOKEN, period=PERIOD, rate=1e4), clock=CLOCK)
     serving = asyncio.create_task(server.serve(lambda: print(server.port, flush=True)))
     await asyncio.wait(
         {serving, asyncio.create_task(asyncio.to_thread(sys.stdin.readline))}, return_when="FIRST_COMPLETED"
@@ -95,7 +115,9 @@ async def serve(path: str) -> None:
         "share of periods missed": pace.missed / (pace.steps + pace.missed),
         "processor time of a step (ms): median, 99 %, 99.9 %": [1e3 * pace.quantiles(q)[0] for q in (0.5, 0.99, 0.999)],
         "step began late (ms): median, 99 %, 99.9 %": [1e3 * pace.quantiles(q)[1] for q in (0.5, 0.99, 0.999)],
-        "motion beyond the watchdog (ms, at most one period)": 1e3 * watched.late_motion,
+        "latest time of a setpoint, after the watchdog's (ms; must be at most 0)": 1e3 * watched.late,
+        "the same of when it could be read first": 1e3 * watched.late_to_read,
+        "steps taken back, as the watchdog bit while they were made": watched.dropped,
         "steps beyond the rates": watched.too_fast,
         "crashed": serving.done(),
     }

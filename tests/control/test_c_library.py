@@ -245,6 +245,33 @@ def test_the_servo_goes_on_where_a_tube_is_stopped_by_the_end_of_another(thesis:
     assert distance < 0.08
 
 
+def test_a_motion_that_was_not_sent_is_taken_back(thesis: CRobot, pieces: CRobot) -> None:
+    eccentric = load_robot("configs/robots/thesis_etr.yaml")
+    loaded, home = joint_space(PIECES), joint_space(eccentric)
+    for library, joints in (
+        (thesis, START),
+        (pieces, loaded.split(0.5 * loaded.inside() + 0.5 * loaded.middle())),
+        (CRobot(c_library(eccentric)), home.split(0.5 * home.inside() + 0.5 * home.middle())),
+    ):
+        first = library.solve(*joints)
+        if library is pieces:
+            first = library.bear((1e-3, 0, 0))
+        wanted = command(first.tip_position + np.array([1e-3, -1e-3, 1e-3]))
+        moved = library.servo(wanted)[0]
+        back = library.undo()
+        with pytest.raises(SolveError, match="back to"):
+            library.undo()
+        assert np.abs(moved.rotations - first.rotations).max() > 1e-5
+        assert back.rotations == pytest.approx(first.rotations, abs=0)
+        assert back.tip_position == pytest.approx(first.tip_position, abs=0)
+        assert library.servo(wanted)[0].tip_position == pytest.approx(moved.tip_position, abs=1e-8)
+        library.undo()
+        library.follow(np.add(joints[0], [0.7] + [0] * (len(joints[0]) - 1)), joints[1])
+        assert library.undo().tip_position == pytest.approx(first.tip_position, abs=1e-12)
+        assert library.follow(*joints).tip_position == pytest.approx(first.tip_position, abs=1e-12)
+    pieces.bear()
+
+
 def test_bad_input_is_refused(thesis: CRobot) -> None:
     thesis.solve(*START)
     with pytest.raises(InputError, match="finite"):

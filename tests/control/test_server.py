@@ -29,6 +29,7 @@ SEED = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 CLIENTS = Path("integrations/clients")
 CONNECTED: list[Any] = []
 """Clients of the test that runs, to be closed at its end."""
+NEEDS_COMPILER = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 
 def robot(**options: float) -> CrtkRobot:
@@ -41,6 +42,10 @@ def enabled() -> CrtkRobot:
     return out
 
 
+def tick(of: CrtkRobot, now: float, dt: float = 1e-3) -> None:
+    of.tick(lambda: now, dt)
+
+
 def tip(of: CrtkRobot) -> np.ndarray:
     return of.servo.equilibrium.tip_position
 
@@ -50,7 +55,7 @@ def test_a_stream_moves_the_robot_until_it_ends_however_the_clock_jumps() -> Non
     target = (tip(arm) + np.array([5e-3, 0, 0])).tolist()
     arm.command({"op": "servo_cp", "position": target}, 0.0)
     for k in range(300):
-        arm.tick(1e-3 * k, 1e-3)
+        tick(arm, 1e-3 * k)
         if k == 100:
             held = tip(arm)
     # One tenth of a second of motion at 50 mm/s and the rates, then none.
@@ -60,8 +65,39 @@ def test_a_stream_moves_the_robot_until_it_ends_however_the_clock_jumps() -> Non
     for jump in (1e6, -1e6):
         arm.command({"op": "servo_cp", "position": target}, 1.0)
         before = tip(arm)
-        arm.tick(1.0 + jump, 1e-3)
+        tick(arm, 1.0 + jump)
         assert np.array_equal(tip(arm), before)
+
+
+@pytest.mark.parametrize("fast", [False, pytest.param(True, marks=NEEDS_COMPILER)])
+def test_a_step_whose_time_ran_out_while_it_was_made_is_taken_back(fast: bool) -> None:
+    arm = CrtkRobot(servo_of(THESIS, SEED) if fast else Servo(THESIS, SEED))
+    arm.command({"op": "state_command", "command": "enable"}, 0.0)
+    target = (tip(arm) + np.array([5e-3, 0, 0])).tolist()
+    for message in (
+        {"op": "servo_cp", "position": target},
+        {"op": "servo_jp", "rotations": [0.1, 1, 2], "translations": [-0.05, -0.03, -0.02]},
+    ):
+        arm.command(message, 1.0)
+        tick(arm, 1.05)
+        sent, before = arm.sent, arm.servo.equilibrium
+        assert sent == 1.05
+        # The process is put aside for 0.1 s once the step was begun; or the clock jumps there.
+        for late in (1.101, -1e6):
+            arm.command(message, 1.0)
+            times = iter([1.099, late])
+            arm.tick(lambda: next(times), 1e-3)  # noqa: B023
+            assert arm.servo.equilibrium is before
+            assert arm.sent == sent
+            assert "in time" in arm.report(1.2)["why"]
+        # From there it goes on as if nothing had been.
+        arm.command(message, 2.0)
+        tick(arm, 2.0)
+        gone = arm.servo.equilibrium.rotations - before.rotations
+        assert 0 < np.abs(gone).max() <= arm.servo.options.turn_rate * 1e-3 + 1e-12
+        known = forward_kinematics(THESIS, arm.servo.equilibrium.rotations, arm.servo.equilibrium.translations)
+        assert tip(arm) == pytest.approx(known.tip_position, abs=1e-9)
+        assert arm.report(2.0)["setpoint_time"] == 2.0
 
 
 def test_a_move_arrives_or_says_why_not() -> None:
@@ -70,23 +106,23 @@ def test_a_move_arrives_or_says_why_not() -> None:
     arm.command({"op": "move_cp", "position": target.tolist()}, 0.0)
     assert arm.busy
     for k in range(600):
-        arm.tick(1e-3 * k, 1e-3)
+        tick(arm, 1e-3 * k)
     assert not arm.busy
     assert tip(arm) == pytest.approx(target, abs=2e-6)
     arm.command({"op": "move_jp", "rotations": [0, 1, 2], "translations": [-0.05, -0.03, -0.02]}, 1.0)
     for k in range(200):
-        arm.tick(1 + 1e-2 * k, 1e-2)
+        tick(arm, 1 + 1e-2 * k, 1e-2)
     assert tip(arm) == pytest.approx(SEED.tip_position, abs=1e-5)
     arm.command({"op": "move_cp", "position": [0.29, 0, 0]}, 10.0)
     k = 0
     while arm.busy and k < 2000:
-        arm.tick(10 + 1e-2 * k, 1e-2)
+        tick(arm, 10 + 1e-2 * k, 1e-2)
         k += 1
     assert not arm.busy
     assert "short" in arm.report(20.0)["why"]
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+@NEEDS_COMPILER
 def test_the_c_library_leads_where_it_can_do_what_is_asked() -> None:
     fast = servo_of(THESIS, SEED)
     assert isinstance(fast, CServo)
@@ -141,7 +177,7 @@ def test_what_makes_no_sense_changes_nothing() -> None:
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             arm.command(message, 0.0)
-    arm.tick(0.0, 1e-3)
+    tick(arm, 0.0)
     assert np.array_equal(tip(arm), SEED.tip_position)
     with pytest.raises(InputError, match="watchdog is 0"):
         robot(watchdog=0.0)

@@ -340,3 +340,14 @@ def test_loads_beyond_the_kernel_are_left_to_the_general_solver() -> None:
     with pytest.raises(SolveError, match=r"bifurcates at 7\.13"):
         forward_kinematics(THESIS, [0.0, 0.0, 0.0], load=Load((0, 1.5, -1.5)))
     assert np.isnan(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(moment=(0.01, 0, 0))).margin)
+
+
+@compiler
+def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    seed = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
+    at = forward_kinematics(THESIS, [0.01, 1.0, 2.0], [-0.05, -0.03, -0.02], guess=seed)
+    monkeypatch.setattr(binding, "solve_compiled", lambda *_: pytest.fail("solved once more"))
+    arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
+    start = binding.Start(*arm, np.zeros(3), at.translations)
+    for side in (1, -1):
+        assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, side) is not None

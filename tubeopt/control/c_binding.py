@@ -29,7 +29,7 @@ LOGGER = logging.getLogger("tubeopt")
 
 REFUSED = {
     1: "no stable equilibrium was found from tubes without torsion",
-    3: "there is no equilibrium to go on from",
+    3: "there is no equilibrium to go on from, or back to",
     4: "the branch does not lead there: the robot would snap",
     5: "the motion is longer than one call may be",
 }
@@ -96,6 +96,7 @@ class CRobot:
             for name, arguments in (
                 ("solve", (self._in, self._pose)),
                 ("follow", (self._in, self._pose)),
+                ("undo", (self._pose,)),
                 ("slopes_at", (self._slopes,)),
                 ("servo", (self._in, self._pose, self._report)),
                 *([("bear", (self._in, self._pose))] if library.loads else []),
@@ -135,6 +136,12 @@ class CRobot:
     def follow(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
         """The equilibrium to which a straight motion from the last one leads; raises SolveError at a snap."""
         return self._go("follow", rotations, translations)
+
+    def undo(self) -> CPose:
+        """The equilibrium before the last `follow` or `servo`, for a motion that was not sent; raises SolveError where
+        another call has come in between."""
+        self._call("undo")
+        return self._posed()
 
     def bear(self, force: ArrayLike = (0, 0, 0), gravity: ArrayLike = (0, 0, 0)) -> CPose:
         """The last equilibrium under a force (3,) at the tip, N, and an acceleration (3,) by which the tubes weigh,
@@ -201,7 +208,7 @@ class CServo:
             raise InputError("the servo of a C library knows no bodies, no priorities, no objective but the margin")
         self.space = joint_space(library.robot)
         self._robot = CRobot(library)
-        self.equilibrium = self._robot.solve(*seed)
+        self.equilibrium = self._before = self._robot.solve(*seed)
 
     @property
     def compliance(self) -> Array | None:
@@ -213,6 +220,7 @@ class CServo:
         if command.pivot is not None:
             raise InputError("the servo of a C library knows no pivot")
         here, o = self.equilibrium, self.options
+        self._before = here
         if command.joints is not None:
             rotations, translations = command.joints
             return self._straight(rotations, translations, dt)
@@ -224,6 +232,12 @@ class CServo:
         told = np.concatenate([[dt], place, pointing, [o.speed, o.turn_rate, o.shift_rate, o.min_margin, push]])
         self.equilibrium, distance, angle, why = self._robot.servo(told)
         return CStep(self.equilibrium, why, distance, angle)
+
+    def undo(self) -> None:
+        """Take the last step back, which was not sent; nothing where it made none, or was taken back already."""
+        if self.equilibrium is not self._before:
+            self._robot.undo()
+            self.equilibrium = self._before
 
     def _straight(self, rotations: Array, translations: Array, dt: float) -> CStep:
         """A step straight to joint values, as far as rates allow; none where the margin would fall below its floor."""
@@ -240,7 +254,7 @@ class CServo:
             return CStep(here, Why.HELD, np.nan, np.nan)
         inside = self.space.admissible(self.space.join(there.rotations, there.translations))
         if there.margin < min(o.min_margin, here.margin) or not inside:
-            self._robot.follow(here.rotations, here.translations)
+            self._robot.undo()
             return CStep(here, Why.HELD | (Why.RANGE if not inside else Why.MARGIN), np.nan, np.nan)
         self.equilibrium = there
         return CStep(there, why, np.nan, np.nan)

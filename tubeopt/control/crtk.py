@@ -2,7 +2,8 @@
 
 Names and meanings are those of the Collaborative Robotics Toolkit (Su et al., IEEE ISMR 2020): servo_cp, servo_cv and
 servo_jp want a stream and go at once where they say; move_cp and move_jp go there and stay busy until they have
-arrived. Times are those of a monotonic clock that is given, so that nothing here waits or asks for the time.
+arrived. Times are those of a monotonic clock that is given. It is asked before a step and again once the step is
+there: what a process that was put aside in between would send too late is never sent.
 """
 
 from __future__ import annotations
@@ -66,6 +67,9 @@ class Led(Protocol):
     def step(self, command: Command, dt: float) -> Any:
         """One step of `dt` seconds."""
 
+    def undo(self) -> None:
+        """Take the last step back."""
+
 
 @dataclass
 class _Goal:
@@ -76,6 +80,10 @@ class _Goal:
     stream: bool
     closest: float = math.inf
     closer: float = 0.0
+
+    def stale(self, now: float, watchdog: float) -> bool:
+        """Whether it is a stream without news, however the clock jumps."""
+        return self.stream and not 0 <= now - self.since <= watchdog
 
 
 class CrtkRobot:
@@ -95,6 +103,8 @@ class CrtkRobot:
         self._words = ""
         self._before = servo.equilibrium
         self._moved = 0.0
+        self.sent: float | None = None
+        """By the clock, when the last step was there; None before the first."""
 
     @property
     def busy(self) -> bool:
@@ -130,19 +140,29 @@ class CrtkRobot:
         """Whoever commanded has gone: hold."""
         self._goal = None
 
-    def tick(self, now: float, dt: float) -> None:
-        """Go on by one step of `dt` seconds at a time `now`; a stream without news is held, however the clock jumps."""
+    def tick(self, clock: Callable[[], float], dt: float) -> None:
+        """Go on by one step of `dt` seconds. A stream without news is held; so is one whose watchdog bites while the
+        step is made, which is then taken back."""
         goal = self._goal
         self._before, self._moved = self.servo.equilibrium, dt
         if goal is None or self.state != "ENABLED":
             return
-        if goal.stream and not 0 <= now - goal.since <= self.watchdog:
-            self._goal, self._words = None, "no command has come in time: held"
+        if goal.stale(clock(), self.watchdog):
+            self._hold()
             return
-        self._why = self.servo.step(goal.command, dt).why
-        self._words = self._why.words
+        why = self.servo.step(goal.command, dt).why
+        now = clock()
+        if goal.stale(now, self.watchdog):
+            self.servo.undo()
+            self._hold()
+            return
+        self.sent, self._why, self._words = now, why, why.words
         if not goal.stream:
             self._arrive(goal, now)
+
+    def _hold(self) -> None:
+        """What the watchdog does."""
+        self._goal, self._why, self._words = None, Why(0), "no command has come in time: held"
 
     def _arrive(self, goal: _Goal, now: float) -> None:
         """End a move that has arrived, or comes no closer."""
@@ -219,6 +239,7 @@ class CrtkRobot:
         return {
             "op": "state",
             "time": now,
+            "setpoint_time": self.sent,
             "operating_state": {"state": self.state, "is_homed": True, "is_busy": self.busy},
             # There is no sensor here: what is measured is what was sent.
             "setpoint_js": state,

@@ -48,7 +48,8 @@ class Guard:
         self.options = options
         self.space: JointSpace = joint_space(robot, limits)
         self.scene: Scene = scene_of(tuple(obstacles))
-        self.here = seed_posture(self.space, seed)
+        self.here = self.before = seed_posture(self.space, seed)
+        """Where the robot is, and where it was before the last step."""
         self.sight = 0.0
         """Distance (m) up to which bodies are looked at where a step leads: once for the guard and the next step."""
         if not self.space.admissible(self.here.q):

@@ -170,7 +170,7 @@ class RobotServer:
             began, late = time.thread_time(), time.perf_counter() - due
             try:
                 with self._robot_in_hand:
-                    self.robot.tick(self._clock(), period)
+                    self.robot.tick(self._clock, period)
             except (InputError, SolveError) as error:
                 LOGGER.warning("the robot holds: %s", error)
                 with self._robot_in_hand:

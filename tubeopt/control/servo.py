@@ -90,7 +90,7 @@ class Servo:
         """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
         if not (np.isfinite(dt) and dt > 0):
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
-        here = self.guard.here
+        here = self.guard.before = self.guard.here
         rows, bounds, kinds = self._hedges(here, dt)
         told = self.guard.left(command)
         groups = (self._task(group, command, here, dt) for group in [*self.options.priorities, ""])
@@ -108,6 +108,10 @@ class Servo:
         m = len(here.q)
         change = np.clip(found[0], bounds[:m], -bounds[m : 2 * m]) * self.space.scale
         return ServoStep(*self.guard.go(change, why), *told)
+
+    def undo(self) -> None:
+        """Take the last step back, which was not sent."""
+        self.guard.here = self.guard.before
 
     def _hedges(self, here: Posture, dt: float) -> tuple[Array, Array, list[Why]]:
         """Rows and bounds of a step over the joints' scales, and what each stands for; what is missed already must not

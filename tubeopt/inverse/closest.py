@@ -17,7 +17,7 @@ import scipy
 
 from ..typing import Array, Index, Mask
 from .descent import ALMOST, SHORTEST_STEP, SLACK, Search, boxed
-from .goal import NEAR, Goal
+from .goal import Goal
 from .least_squares import constrained_least_squares
 from .order import apart, beyond, breakpoint_order
 from .outline import MOST_CONTACTS
@@ -48,6 +48,7 @@ SMALLEST = 1e-6
 def approach(goal: Goal, start: Posture) -> Search | None:
     """The local minimum of what is left to the target that is found from a posture; None where no allowed posture is
     found near the start."""
+    goal.touched.clear()  # so that what is found does not depend on what was looked for before
     first = restored(goal, start)
     if first is None:
         return None
@@ -130,7 +131,7 @@ def _demands(goal: Goal, at: Posture) -> tuple[Array, Array, Index]:
         bounds = np.concatenate([bounds, -goal.extras.room(at)])
     names = -1 - np.arange(len(rows))
     if goal.scene.bodies:
-        contacts = at.outline.contacts(goal.scene, goal.gap + NEAR * goal.space.length)
+        contacts = goal.ahead(at)
         rows = np.vstack([rows, at.contact_slopes(goal.scene, contacts)])
         bounds = np.concatenate([bounds, goal.gap - contacts.distance])
         names = np.concatenate([names, contacts.body * MOST_CONTACTS + contacts.rank])

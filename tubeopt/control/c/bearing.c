@@ -47,6 +47,7 @@ tubeopt_status tubeopt_bear(tubeopt_memory *m, const tubeopt_load *load, tubeopt
     for (int r = 0; r < 3; r++) size += fabs(load->force[r]) + fabs(load->gravity[r]);
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (!isfinite(size)) return TUBEOPT_BAD_INPUT;
+    m->before = NULL;
     if (size > 0 && m->bears && change_load(m, load)) return TUBEOPT_SNAP;
     if (size > 0 && !m->bears) {
         if (grow_anew(m, load)) return TUBEOPT_DECLINED;

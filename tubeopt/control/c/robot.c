@@ -30,7 +30,8 @@ struct tubeopt_memory {
 #endif
     Answer answers[2], first;                           /* the last equilibrium, room for the next; where a way began */
     int here, started, fresh;                           /* fresh: the workspace has the last equilibrium */
-    tubeopt_joints joints;                              /* of the last one */
+    const Answer *before;                               /* to which tubeopt_undo leads, NULL where nothing does */
+    tubeopt_joints joints, origin;                      /* of the last one, and of that before */
     double rotation[N * MOST_SHAPE], torsion[N * MOST_SHAPE]; /* of the last one, by tubes */
     Slopes slopes;
     Quadratic quadratic;
@@ -131,6 +132,7 @@ static int step_in(tubeopt_memory *m, const tubeopt_joints *joints, Workspace *w
     const Answer *last = m->answers + m->here;
     Answer *next = m->answers + !m->here;
     double turn[N];
+    m->before = NULL; /* the next answer takes its room */
     for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - m->joints.rotations[i];
     Guess guess = {last->pieces * STEPS + 1, last->points, last->arc_length, m->rotation, m->torsion, last->point,
                    last->point_rotation[0], turn, m->joints.translations};
@@ -170,6 +172,7 @@ static tubeopt_joints between(const tubeopt_joints *from, const tubeopt_joints *
 tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tubeopt_pose *pose) {
     if (!sensible(joints)) return TUBEOPT_BAD_INPUT;
     m->fresh = 0;
+    m->before = NULL;
     if (solve_one(&ROBOT, &METHOD, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
         return TUBEOPT_DECLINED;
     accept(m, joints);
@@ -192,6 +195,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     double longest = 1 / parts, step = longest, done = 0;
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
     m->first = *last;
+    m->origin = from;
 #if TUBEOPT_LOADS
     m->first_loaded = m->loaded;
     if (m->bears) tubeopt_bearing_keep(room_of(m));
@@ -219,6 +223,24 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
             return TUBEOPT_SNAP;
         }
     }
+    m->before = &m->first;
+    tell(m, pose);
+    return TUBEOPT_DONE;
+}
+
+tubeopt_status tubeopt_undo(tubeopt_memory *m, tubeopt_pose *pose) {
+    if (!m->before) return TUBEOPT_NOT_STARTED;
+    if (m->before == &m->first)
+        m->answers[m->here] = m->first;
+    else
+        m->here = (int)(m->before - m->answers);
+    take(m, &m->origin);
+    m->fresh = 0;
+    m->before = NULL;
+#if TUBEOPT_LOADS
+    m->loaded = m->first_loaded;
+    if (m->bears) tubeopt_bearing_return(room_of(m));
+#endif
     tell(m, pose);
     return TUBEOPT_DONE;
 }

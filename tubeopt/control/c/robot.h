@@ -90,6 +90,10 @@ tubeopt_status tubeopt_solve(tubeopt_memory *memory, const tubeopt_joints *joint
 /* The equilibrium to which a slow straight motion from the last one leads. The last one stays where it fails. */
 tubeopt_status tubeopt_follow(tubeopt_memory *memory, const tubeopt_joints *joints, tubeopt_pose *pose);
 
+/* Takes the last call of tubeopt_follow or tubeopt_servo back, for a motion that was not sent, as when time ran out:
+   the robot is where it was before. TUBEOPT_NOT_STARTED where another call has come in between, and the second time. */
+tubeopt_status tubeopt_undo(tubeopt_memory *memory, tubeopt_pose *pose);
+
 #if TUBEOPT_LOADS
 /* A dead load, in the plate frame: a force at the tip, N, and the acceleration by which the tubes weigh, m/s^2. */
 typedef struct {

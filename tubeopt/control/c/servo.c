@@ -154,6 +154,12 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
     report->solves = 0;
     report->why = TUBEOPT_HELD;
     if (look_ahead(m, 0)) return TUBEOPT_DECLINED;
+    const Answer *here = m->answers + m->here;
+    m->origin = m->joints;
+#if TUBEOPT_LOADS
+    m->first_loaded = m->loaded;
+    if (m->bears) tubeopt_bearing_keep(room_of(m));
+#endif
     aim_at(m, c, &aim, report);
     independent(&m->joints, q);
     floor = fmin(c->min_margin, margin_here(m)); /* what is below it does not get worse */
@@ -172,6 +178,7 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
             break;
         }
     }
+    m->before = here;
     tell(m, pose);
     return TUBEOPT_DONE;
 }

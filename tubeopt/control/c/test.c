@@ -131,6 +131,11 @@ static void servo(tubeopt_memory *robot, int steps) {
         took[k] = 1e6 * (after.tv_sec - before.tv_sec) + 1e-3 * (after.tv_nsec - before.tv_nsec);
         total += took[k];
         check(pose.margin >= 0.2, "the floor of the margin is kept");
+        if (k == 10) { /* was not sent */
+            check(tubeopt_undo(robot, &pose) == TUBEOPT_DONE, "a step is taken back");
+            check(!memcmp(&pose.joints, &last, sizeof last), "the robot is where it was before");
+            check(tubeopt_undo(robot, &pose) == TUBEOPT_NOT_STARTED, "no step is taken back twice");
+        }
         for (int i = 0; i < N; i++) {
             check(fabs(pose.joints.rotations[i] - last.rotations[i]) < 3e-3 + 1e-12, "no joint turns too fast");
             check(fabs(pose.joints.translations[i] - last.translations[i]) < 1e-4 + 1e-12, "no joint moves too fast");

@@ -241,7 +241,7 @@ def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: 
     move towards `side`; of a margin that two modes share, by one of these. None where the kernel declines or has
     none.
     """
-    prepared = with_kernel(robot)
+    prepared = with_kernel(robot, 0)
     if prepared is None or prepared[0].differentiate is None:
         return None
     kernel, n = prepared[0], robot.n_tubes

@@ -82,9 +82,8 @@ class RobotNode(Node):
 
     def tick(self) -> None:
         """One step, and what is told of it."""
-        now = time.monotonic()
-        self.robot.tick(now, self._period)
-        told, stamp = self.robot.report(now), self.get_clock().now().to_msg()
+        self.robot.tick(time.monotonic, self._period)
+        told, stamp = self.robot.report(time.monotonic()), self.get_clock().now().to_msg()
         for name in ("measured_js", "setpoint_js"):
             message = JointState(name=told[name]["name"], position=told[name]["position"])
             message.velocity = told[name]["velocity"]
