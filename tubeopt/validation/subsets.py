@@ -65,7 +65,8 @@ class HeldOutSets:
 
     Attributes:
         inflation: of the variance of parameters, 1 for independent errors.
-        price: what a parameter must gain by the fit to all.   charge: what is left of it beside what is lost held out.
+        price: what a parameter must gain by the fit to all, two standard errors.
+        charge: of a parameter, beside what is lost held out.
     """
 
     def __init__(self, linear: Linear) -> None:
@@ -89,7 +90,7 @@ class HeldOutSets:
         optimism = self.lost(self.there) - self.seen(self.there)
         self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.there) + self.free, 1)))
         least = max(math.log(linear.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
-        self.price, self.charge = self.inflation * least, self.inflation * (least - 2)
+        self.price, self.charge = self.inflation * LEAST, self.inflation * (least - 2)
 
     def parameters(self, effects: Iterable[str]) -> int:
         """How many a set has."""
