@@ -50,7 +50,11 @@ from .inverse import (
 from .planning import (
     ArmsPlan,
     ArmsProof,
+<<<<<<< HEAD
     LeaderSolver,
+=======
+    EntryRegion,
+>>>>>>> w-d
     PairReach,
     PlacedRobot,
     PlanOptions,
@@ -68,6 +72,7 @@ from .planning import (
     follow_tip_path,
     load_roadmap,
     plan_arms,
+    plan_from_region,
     plan_trajectory,
     verify_arms,
     verify_trajectory,
@@ -149,6 +154,7 @@ __all__ = [
     "Discretisation",
     "EccentricRobot",
     "EnergyMap",
+    "EntryRegion",
     "Equilibrium",
     "EquilibriumBatch",
     "EquilibriumBlock",
@@ -244,6 +250,7 @@ __all__ = [
     "load_workspace",
     "optimize_design",
     "plan_arms",
+    "plan_from_region",
     "plan_heating",
     "plan_mold",
     "plan_trajectory",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,9 +12,9 @@ import pytest
 import scipy
 
 import tubeopt
-from tests.command_line import ROOT
+from tests.command_line import ROOT, Run, answer, refused
 from tests.design.tasks import two_tubes
-from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOptions, search_pair
+from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOptions, ReachShare, search_pair
 from tubeopt.bodies.frames import base_frame
 from tubeopt.design import Free, Strain
 from tubeopt.design.optimize import DesignStatus
@@ -42,7 +44,8 @@ def test_arms_are_no_closer_than_is_told() -> None:
     for i, j in np.argwhere(np.isfinite(found.apart)):
         sides = []
         for side, base, k in zip(found.reached, wanted.bases, (i, j), strict=True):
-            e = tubeopt.forward_kinematics(CRL, side.rotations[k], side.translations[k])
+            e = side.arm(CRL, k)
+            assert e is not None
             line, radius = Outline(e).at(np.linspace(0, e.arc_length[-1], 700))
             assert base.placed(e.tip_position) == pytest.approx(wanted.targets[k], abs=1e-3)
             sides.append((base.placed(line), radius))
@@ -63,6 +66,21 @@ def test_plates_that_are_moved_hold_what_moved_places_are_for_plates_that_are_no
     there = replace(moving, bases=moving.plates(own), shift=0.0, tilt=0.0)
     one, other = moving.evaluate(CRL, CRL, own), there.evaluate(CRL, CRL, np.zeros(0))
     np.testing.assert_allclose(one.apart, other.apart, atol=1e-9)
+
+
+def test_arms_are_the_ones_to_which_ways_lead_not_those_that_a_robot_takes_at_once() -> None:
+    """At these joint values CRL takes another equilibrium than the one of the last test row, whose tip is the place."""
+    turns, shift = np.radians([190.0, 20.0, 10.0]), np.array([0.015, -0.04, -0.08])
+    known = [e for e in tubeopt.find_equilibria(CRL, turns, shift) if e.stable]
+    at_once = tubeopt.forward_kinematics(CRL, turns, shift)
+    other = max(known, key=lambda e: float(np.linalg.norm(e.tip_position - at_once.tip_position)))
+    assert np.linalg.norm(other.tip_position - at_once.tip_position) > 5e-3
+    row = {"rotations": turns[None], "translations": shift[None], "tip_rotations": other.tip_rotations[None]}
+    share = ReachShare(other.tip_position[None], np.zeros(1), 5e-4, **row)
+    arm = share.arm(CRL, 0)
+    assert arm is not None
+    np.testing.assert_allclose(arm.tip_position, other.tip_position, atol=1e-9)
+    assert replace(share, targets=share.targets + 0.01).arm(CRL, 0) is None
 
 
 class Together:
@@ -98,3 +116,61 @@ def test_what_is_no_pair_is_refused() -> None:
         replace(pair(), targets=np.zeros((1, 3)))
     with pytest.raises(InputError, match="bases are 1; they must be two"):
         replace(pair(), bases=pair().bases[:1])  # type: ignore[arg-type]
+
+
+ARM = {
+    "robot": str(ROOT / "configs" / "robots" / "crl_ctr.yaml"),
+    "start_mm": [-20, -80, -90],
+    "free": [{"tubes": [1, 2, 3], "curvature_factor": [0.5, 1.2]}],
+    "requirements": {},
+    "ordered": False,
+}
+ARMS = [
+    ARM | {"name": f"arm {k}", "base": {"position_mm": [x, 0, 0], "direction": [0, 0, 1]}}
+    for k, x in (("A", -12), ("B", 12))
+]
+STUDY: dict[str, Any] = {
+    "kind": "design_pair",
+    "arms": ARMS,
+    "region": {"centre_mm": [0, 0, 60], "radius_mm": 6},
+    "places": 2,
+    "judged": 2,
+    "points": 20,
+    "seconds": 0.2,
+}
+
+
+def test_a_pair_is_designed_saved_and_drawn(run: Run, tmp_path: Path) -> None:
+    """What is told and what is saved are of the same designs."""
+    study = tmp_path / "study.yaml"
+    study.write_text(json.dumps(STUDY))
+    told = answer(run("design-pair", str(study), "--out", str(tmp_path), "--plot", "--json"))
+    assert [arm["name"] for arm in told["arms"]] == ["arm A", "arm B"]
+    assert told["arms"][1]["position_mm"] == pytest.approx([12, 0, 0])
+    assert told["searched_after"] >= told["searched_before"]
+    rows = np.genfromtxt(tmp_path / "pairs.csv", delimiter=",", skip_header=1)
+    assert len(rows) == 2
+    assert rows[:, 7].mean() == told["after"]
+    away = np.linalg.norm(rows[:, :6].reshape(-1, 3) - [0, 0, 60], axis=1)
+    assert away.max() <= 6 + 1e-9
+    first = tubeopt.load_robot(tmp_path / "arm_1" / "robot.yaml")
+    (factor,) = told["arms"][0]["dimensions"]
+    assert first.tubes[0].curvature == pytest.approx(factor["after"] / factor["before"] * 28, rel=1e-9)
+    assert (tmp_path / "pairs.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"arms": ARMS[:1]}, "arms has 1 item; it must have at least 2"),
+        ({"region": None}, "neither a region nor an anatomy with a target"),
+        ({"region": {"centre_mm": [0, 0, 60], "radius_mm": -1}}, "region.radius_mm is -1"),
+        ({"places": 1}, "places is 1; it must be at least 2"),
+        ({"arms": [ARM, ARM]}, "arms[0].base is missing"),
+    ],
+)
+def test_studies_that_make_no_pair_are_refused(run: Run, tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text(json.dumps(STUDY | change))
+    told = refused(run("design-pair", str(study)))
+    assert any(message in line for line in told), told

@@ -48,6 +48,10 @@ class Anatomy(Displayed):
         """
         if name == "target" and self.target is not None:
             return self.target
+        return self.landmark(name)
+
+    def landmark(self, name: str) -> Array:
+        """(3,) where a landmark is; raises InputError where there is none of this name."""
         if name not in self.landmarks:
             known = [*self.landmarks, *(["target"] if self.target is not None else [])]
             there = f"they are {', '.join(known)}" if known else "there are none"

@@ -35,6 +35,7 @@ COMMANDS = {
     "validate": "validation.validate",
     "measure": "validation.measure",
     "design": "design.design",
+    "design-pair": "design.design_pair",
     "sweep": "sweep.sweep",
     "workspace": "workspace.workspace",
     "fabricate": "fabrication.fabricate",

@@ -69,9 +69,8 @@ class Question:
         return not self.structure.section or 3 + 2 * self.pointed > free
 
 
-@lru_cache(maxsize=64)
 def inverse_program(question: Question, thread: int) -> Problem:
-    """The program of a question, built once; each `thread` has its own numbers.
+    """The program of a question, built once as long as it is among the last ones; each `thread` has its own numbers.
 
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
@@ -80,6 +79,10 @@ def inverse_program(question: Question, thread: int) -> Problem:
     `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights` of the
     joints; `order` (closings, G) and its `bound`.
     """
+    return (_among_bodies if question.obstacles else _in_free_space)(question, thread)
+
+
+def _program(question: Question, _thread: int) -> Problem:
     structure, length = question.structure, question.length
     n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
     problem = Problem("inverse kinematics")
@@ -129,6 +132,12 @@ def inverse_program(question: Question, thread: int) -> Problem:
     return problem
 
 
+_in_free_space = lru_cache(maxsize=64)(_program)
+
+_among_bodies = lru_cache(maxsize=8)(_program)
+"""Distances from the segments of a way, written out for points along an arm, take 60 MB."""
+
+
 def _aside(direction: Any, target: Any) -> Any:
     """(2,) components of a direction square to the target, in the basis of Duff et al. (JCGT 6(1), 2017)."""
     x, y, z = target[0], target[1], target[2]
@@ -140,7 +149,7 @@ def _aside(direction: Any, target: Any) -> Any:
     return ca.vertcat(ca.dot(first, direction), ca.dot(second, direction))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)  # not more: what is cached keeps its body, which may be a table of 100 MB
 def has_formula(obstacle: Obstacle) -> bool:
     """Whether an obstacle's distance can be written with symbols."""
     point = ca.SX.sym("p", 3)

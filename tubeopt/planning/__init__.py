@@ -2,6 +2,7 @@
 
 from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
+from .entry import EntryRegion, plan_from_region
 from .goals import TipGoal
 from .leader import LeaderSolver, follow_the_leader
 from .motion import RateLimits
@@ -13,11 +14,13 @@ from .reach_share import ReachShare, evaluate_reach
 from .region import RegionReach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
 from .tip_path import TipPathSolver, follow_tip_path
-from .trajectory import PlanStatistics, Trajectory
+from .trajectory import Entry, PlanStatistics, Trajectory
 
 __all__ = [
     "ArmsPlan",
     "ArmsProof",
+    "Entry",
+    "EntryRegion",
     "LeaderSolver",
     "PairProof",
     "PairReach",
@@ -39,6 +42,7 @@ __all__ = [
     "follow_tip_path",
     "load_roadmap",
     "plan_arms",
+    "plan_from_region",
     "plan_trajectory",
     "verify_arms",
     "verify_trajectory",

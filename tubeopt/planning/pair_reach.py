@@ -14,7 +14,6 @@ from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
 from ..bodies.placed import seen_from
 from ..display import Displayed
-from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError, positive
 from ..inverse.outline import Outline
 from ..robots.robot import Robot
@@ -152,10 +151,9 @@ class PairReach(Displayed):
         some = pairs[np.unique(np.linspace(0, len(pairs) - 1, most).astype(int))] if len(pairs) else pairs
         arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]
         options, proved = replace(self.options, objective="none"), 0
-        for pair in some:
-            goals = [
-                (side.rotations[k], side.translations[k]) for side, k in zip(found.reached, pair.tolist(), strict=True)
-            ]
+        for pair in some.tolist():
+            ends = zip(found.reached, (one, other), pair, strict=True)
+            goals = [goal for side, robot, k in ends if (goal := side.arm(robot, k)) is not None]
             try:
                 plan = plan_arms(
                     arms,
@@ -177,14 +175,11 @@ pieces, and how far it bends off them, m."""
 
 
 def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
-    """Arms at the places that are reached, where forward kinematics finds the same ones."""
+    """Arms at the places that are reached."""
     arms: dict[int, _Arm] = {}
     for k in np.flatnonzero(found.reached).tolist():
-        try:
-            e = forward_kinematics(robot, found.rotations[k], found.translations[k])
-        except SolveError:
-            continue
-        if not np.linalg.norm(e.tip_position - found.targets[k]) <= 2 * found.tolerance:
+        e = found.arm(robot, k)
+        if e is None:
             continue
         s = np.linspace(0.0, e.arc_length[-1], FINE)
         line, radius = Outline(e).at(s)

@@ -127,9 +127,12 @@ def parameter_values(**values: Any) -> Array:
     return np.concatenate([np.ravel(np.asarray(values[name], dtype=float), order="F") for name in PARAMETERS])
 
 
-@lru_cache(maxsize=32)
 def path_program(question: PathQuestion) -> PathProgram:
-    """The program of a question, built once."""
+    """The program of a question, built once as long as it is among the last ones."""
+    return (_among_bodies if question.obstacles else _in_free_space)(question)
+
+
+def _program(question: PathQuestion) -> PathProgram:
     n, groups, intervals = question.kind.n, len(question.carriages), question.intervals
     m, knots = n + groups, question.intervals + 1
     sizes = {"robot": question.kind.size, "offset": n, "scale": m, "rate": m, "acceleration": m, "weights": 4}
@@ -189,6 +192,11 @@ def path_program(question: PathQuestion) -> PathProgram:
         problem, _hessian({**problem, "f": objective}, rows, bent), rows, distances, rows_of_bodies(question)
     )
 
+
+_in_free_space = lru_cache(maxsize=32)(_program)
+
+_among_bodies = lru_cache(maxsize=4)(_program)
+"""What is cached keeps its bodies, which may be tables of 100 MB."""
 
 PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
 """What an own cost on the path may speak of, at every knot."""

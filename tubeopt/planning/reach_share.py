@@ -16,12 +16,15 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..inverse.clock import Clock, LateError
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.task import Task
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..stability import find_equilibria
 from ..typing import Array, Mask
 from .goals import check_start, start_equilibrium
 from .motion import DEFAULT_RATES
@@ -37,6 +40,9 @@ which it is approached."""
 ITERATIONS = 15
 """Most Gauss-Newton steps from each."""
 
+SAME = 0.05
+"""Difference of tip rotations (rad) up to which two equilibria at the same joint values are one."""
+
 SHORTER = 0.5 ** np.arange(5)
 """Shares of a step that are tried."""
 
@@ -51,6 +57,7 @@ class ReachShare(Displayed):
             there is none better.
         tolerance: distance up to which a place counts as reached, m.
         rotations, translations: (N, n) joint values of these arms, rad and m; NaN where there is none.
+        tip_rotations: (N, n) of their tubes at the ends, rad: of several equilibria they tell which one it is.
         examined: points at which the robot may be that the roadmap has.
     """
 
@@ -59,6 +66,7 @@ class ReachShare(Displayed):
     tolerance: float
     rotations: Array = field(repr=False)
     translations: Array = field(repr=False)
+    tip_rotations: Array = field(repr=False)
     examined: int = 0
 
     @property
@@ -70,6 +78,18 @@ class ReachShare(Displayed):
     def share(self) -> float:
         """Of the places, those that are reached."""
         return float(self.reached.mean())
+
+    def arm(self, robot: Robot, k: int) -> Equilibrium | None:
+        """The equilibrium in which a robot reaches place k; None where none has these joint values and this tip."""
+        joints, tips = (self.rotations[k], self.translations[k]), self.tip_rotations[k]
+        with suppress(SolveError):
+            found = [forward_kinematics(robot, *joints)]
+            if np.abs(found[0].tip_rotations - tips).max() > SAME:  # the one that the robot takes at once is another
+                found = [e for e in find_equilibria(robot, *joints) if e.stable]
+            best = min(found, key=lambda e: float(np.abs(e.tip_rotations - tips).max()), default=None)
+            if best is not None and np.linalg.norm(best.tip_position - self.targets[k]) <= 2 * self.tolerance:
+                return best
+        return None
 
 
 @small
@@ -114,7 +134,7 @@ def evaluate_reach(
     check_start(task, first)
     begin, n = task.chart.of(first), robot.n_tubes
     miss = np.linalg.norm(first.tip_position - places, axis=1)
-    joints = np.full((len(places), len(begin)), np.nan)
+    joints, tips = np.full((len(places), len(begin)), np.nan), np.full((len(places), n), np.nan)
     examined = 0
     with suppress(LateError, SolveError):  # what was found by then
         roadmap = build_roadmap(robot, obstacles=obstacles, min_margin=min_margin, options=options, count=count)
@@ -125,9 +145,9 @@ def evaluate_reach(
                 if gap >= miss[k] or clock.over:
                     break
                 if search.leads(z):
-                    miss[k], joints[k] = gap, task.chart.joints(z[None])[0]
+                    miss[k], joints[k], tips[k] = gap, task.chart.joints(z[None])[0], z[:n]
     whole = np.array([task.chart.space.joint(q) for q in joints])
-    return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], examined)
+    return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], tips, examined)
 
 
 def checked_places(targets: ArrayLike) -> Array:

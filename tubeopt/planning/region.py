@@ -103,7 +103,9 @@ class RegionReach(Displayed):
         some, proved = np.flatnonzero(found.reached)[:most], 0
         bodies, options = seen_from(self.base(own), self.obstacles), replace(self.options, objective="none")
         for k in some:
-            goal = found.rotations[k], found.translations[k]
+            goal = found.arm(robot, int(k))
+            if goal is None:
+                continue
             try:
                 plan = plan_trajectory(
                     robot, self.start, goal, obstacles=bodies, min_margin=self.min_margin, options=options

@@ -8,6 +8,7 @@ from os import PathLike
 
 import numpy as np
 
+from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
 from ..display import Displayed
@@ -45,6 +46,22 @@ class PlanStatistics:
 
 
 @dataclass(frozen=True, eq=False)
+class Entry(Displayed):
+    """A place of the plate that was chosen.
+
+    frame: in the frame of the plate as it is given.   base: in the patient, RAS; the same without a patient.
+    looked_at: places that were looked at.   clear: of them those in which the arm is clear at the start.   tried: of
+    those the ones from which plans were made.
+    """
+
+    frame: Frame
+    base: Frame
+    looked_at: int
+    clear: int
+    tried: int
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory(Displayed):
     """A motion on one stable branch, T samples of n tubes; joint values are linear between samples. SI units.
 
@@ -59,6 +76,7 @@ class Trajectory(Displayed):
             words.   statistics: how it was found.
         deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
             from the path of its tip, m; None for other plans.
+        entry: where the plate stands that was chosen, see `plan_from_region`; None where it stands as it is given.
     """
 
     _brief = ("robot", "status", "time")
@@ -81,6 +99,7 @@ class Trajectory(Displayed):
     proof: Proof
     statistics: PlanStatistics
     deviation: Array | None = None
+    entry: Entry | None = None
 
     @cached_property
     def clearance(self) -> Array:

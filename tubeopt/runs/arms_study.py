@@ -21,14 +21,39 @@ from .obstacle_file import Bodies, Place, point
 from .plan_study import RatesEntry
 
 
-class ArmPart(Entry):
-    """One of the robots: where it stands, from where it begins, and its goal; without one it stays where it is."""
+class PlacedPart(Entry):
+    """One of several robots: where it stands, and from where it begins."""
 
     robot: RobotPath
     name: str = Field("", description="what messages and pictures call it; by default the robot's name")
     base: BasePart | None = Field(None, description="where its plate stands in the frame that all share")
     start_deg: OnePerTube | None = Field(None, description="rotations at the start; all 0 where not given")
     start_mm: OnePerTube | None = Field(None, description="translations at the start; home where not given")
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Joint values with which it begins."""
+        return radians(self.start_deg, np.zeros(self.robot.n_tubes)), metres(
+            self.start_mm, self.robot.home_translations
+        )
+
+    def placed(self, anatomy: Anatomy) -> PlacedRobot:
+        """The robot where it stands; landmarks are those of an anatomy."""
+        base = Frame() if self.base is None else self.base.frame(anatomy.landmarks)
+        return PlacedRobot(self.robot, base, self.name)
+
+
+def shared(anatomy: Anatomy | None) -> Anatomy:
+    """What is around all arms; raises ValueError where it says where a plate stands, as that of one robot does."""
+    found = Anatomy() if anatomy is None else anatomy
+    if not (np.array_equal(found.base.axes, np.eye(3)) and np.array_equal(found.base.origin, np.zeros(3))):
+        raise ValueError("anatomy has a base or a registration, of one robot; here every arm has a base")
+    return found
+
+
+class ArmPart(PlacedPart):
+    """One of the robots, and its goal; without one it stays where it is."""
+
     goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; those of the start where not given")
     goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
     tip_mm: Place | None = Field(None, description="goal as a position of the tip, in the frame that all share")
@@ -44,15 +69,9 @@ class ArmPart(Entry):
             raise ValueError("tip_direction is given without tip_mm or tip_at")
         return self
 
-    def placed(self, anatomy: Anatomy) -> PlacedRobot:
-        """The robot where it stands; landmarks are those of an anatomy."""
-        base = Frame() if self.base is None else self.base.frame(anatomy.landmarks)
-        return PlacedRobot(self.robot, base, self.name)
-
     def ends(self, anatomy: Anatomy) -> tuple[tuple[Array, Array], Any]:
         """Start and goal."""
-        alpha = radians(self.start_deg, np.zeros(self.robot.n_tubes))
-        shift = metres(self.start_mm, self.robot.home_translations)
+        alpha, shift = self.start
         towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
         if self.tip_mm is not None:
             return (alpha, shift), TipGoal(np.array(point(self.tip_mm)), towards)
@@ -87,9 +106,6 @@ class ArmsStudy(Study):
 
     @model_validator(mode="after")
     def _landmarks(self) -> Self:
-        frame = self._around.base
-        if not (np.array_equal(frame.axes, np.eye(3)) and np.array_equal(frame.origin, np.zeros(3))):
-            raise ValueError("anatomy has a base or a registration, of one robot; here every arm has a base")
         for arm in self.arms:
             arm.placed(self._around)
             arm.ends(self._around)
@@ -97,7 +113,7 @@ class ArmsStudy(Study):
 
     @property
     def _around(self) -> Anatomy:
-        return Anatomy() if self.anatomy is None else self.anatomy
+        return shared(self.anatomy)
 
     @property
     def bodies(self) -> tuple[Obstacle, ...]:

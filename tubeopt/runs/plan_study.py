@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from decimal import Decimal
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..bodies.anatomy import Anatomy
+from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
-from ..files.checked import NotNegative, Positive, Triple, Whole
+from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
 from ..files.fields import Part, entry_of
-from ..files.units import MM, UNITS, to_si
-from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
+from ..files.units import DEG, MM, UNITS, to_si
+from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
@@ -25,6 +28,29 @@ if TYPE_CHECKING:  # to which an entry is whatever can be built
     RatesEntry = Part
 else:
     RatesEntry = entry_of(RateLimits)
+
+
+class EntryPart(Entry):
+    """Where the plate may stand, and how it may point, in the frame of the plate as it is given: one is chosen from
+    which the goal is reached."""
+
+    radius_mm: Positive | None = Field(None, description="radius of a disc of entry points, square to the direction")
+    box_mm: Triple | None = Field(None, description="how far along x, y and z of the plate, to both sides")
+    at: Annotated[list[str], Field(min_length=1)] | None = Field(
+        None, description="landmarks of the anatomy, one of which is the entry point"
+    )
+    cone_deg: NotNegative = Field(Decimal(0), lt=90, description="half angle of the cone of directions")
+    places: Annotated[Whole, Field(ge=1)] = Field(64, description="of the plate that are looked at")
+
+    def region(self, anatomy: Anatomy | None) -> EntryRegion:
+        """The region in SI; raises InputError for several, none, or landmarks that there are not."""
+        around = Anatomy() if anatomy is None else anatomy
+        return EntryRegion(
+            0.0 if self.radius_mm is None else to_si(self.radius_mm, MM),
+            (0.0, 0.0, 0.0) if self.box_mm is None else point(self.box_mm),
+            None if self.at is None else np.array([around.landmark(name) for name in self.at]),
+            to_si(self.cone_deg, DEG),
+        )
 
 
 class PlanStudy(LoadedStudy):
@@ -61,6 +87,7 @@ class PlanStudy(LoadedStudy):
     anatomy: AnatomyKey | None = Field(
         None, description="images, meshes and clouds of a patient: what they are made of, or a YAML file"
     )
+    entry: EntryPart | None = Field(None, description="where else the plate may stand, and how it may point")
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     max_tip_force_mN: NotNegative = Field(
         Decimal(0),
@@ -92,6 +119,12 @@ class PlanStudy(LoadedStudy):
             raise ValueError("leader needs a goal, not a curve for the tip")
         if self.pushing() is not None and (self.leader or self.tip_path_mm is not None):
             raise ValueError("a load is given with leader or tip_path_mm; under a load there are plans to a goal only")
+        if self.entry is not None:
+            self.entry.region(self.anatomy)
+            if self.leader or self.tip_path_mm is not None or self.pushing() is not None:
+                raise ValueError(
+                    "entry is given with leader, tip_path_mm or a load; it is for plans to a goal without one"
+                )
         if self.pushing() is not None and self.max_tip_force_mN:
             raise ValueError("max_tip_force_mN is given beside a load; a plan holds under one load, or under any force")
         return self
@@ -139,4 +172,14 @@ class PlanStudy(LoadedStudy):
             return follow_tip_path(robot, path, start=given, tolerance=tolerance, spline=self.spline, **common)
         if self.leader:
             return follow_the_leader(robot, goal, begin=float(self.begin_percent) / 100, **common)
+        if self.entry is not None:
+            region, count = self.entry.region(self.anatomy), self.entry.places
+            plan = plan_from_region(robot, start, goal, region, count=count, progress=progress, **common)
+            return plan if self.anatomy is None else standing(plan, self.anatomy.base)
         return plan_trajectory(robot, start, goal, load=self.pushing(), **common)
+
+
+def standing(plan: Trajectory, base: Frame) -> Trajectory:
+    """A plan whose entry tells where the plate stands in the patient, in whom it stood at `base`."""
+    assert plan.entry is not None
+    return replace(plan, entry=replace(plan.entry, base=base.inverse.of(plan.entry.frame)))

@@ -16,6 +16,7 @@ from ..files.checked import Entry, NotNegative, Number, Positive, Whole
 from ..files.units import DEG, MM, to_si
 from ..planning import PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
+from ..typing import Array
 from .anatomy_file import AnatomyKey
 from .base import Count, Progress, metres, radians
 from .obstacle_file import Bodies
@@ -67,35 +68,49 @@ class RegionAnswer(Displayed):
         )
 
 
-class RegionEntry(Entry):
+class SearchPart(Entry):
+    """What a search for designs that reach a region says, for one robot or for two."""
+
+    obstacles: Bodies = Field((), description="further bodies: a list, or a YAML file")
+    clearance_mm: NotNegative = Field(
+        Decimal("0.2"), description="least distance of an arm from bodies, and of two from each other"
+    )
+    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
+    tolerance_mm: Positive = Field(Decimal("0.5"), description="distance of the tip from a place that is reached")
+    places: Count = Field(12, description="of the region, with which is searched")
+    judged: Count = Field(48, description="other places of it, by which what comes of it is judged")
+    points: Count = Field(200, description="of the roadmap of every robot that is looked at")
+    shift_mm: NotNegative = Field(Decimal(0), description="how far a plate may be moved along each of its axes")
+    tilt_deg: NotNegative = Field(Decimal(0), le=45, description="by how much it may be turned about its x and its y")
+    seconds: Positive = Field(Decimal(180), description="on the clock for the search")
+
+    def chosen(self, target: Array | None, seed: int) -> Array:
+        """(places + judged, 3) places of a target, picked at random; raises ValueError where it has too few, or is
+        none."""
+        if target is None:
+            raise ValueError("has an anatomy without a target, whose share that is reached is wanted")
+        wanted = self.places + self.judged
+        if len(target) < wanted:
+            raise ValueError(
+                f"has a target of {len(target)} voxels; it must have {wanted} at least, as many as places and judged "
+                "together"
+            )
+        return np.asarray(np.random.default_rng(seed).permutation(target)[:wanted])
+
+
+class RegionEntry(SearchPart):
     """The share of the anatomy's target that the tip reaches by ways that keep margin and clearance, from a start."""
 
     kind: Literal["reach_share"]
     anatomy: AnatomyKey = Field(description="images, meshes and clouds of a patient, with a target, or a YAML file")
-    obstacles: Bodies = Field((), description="further bodies: a list, or a YAML file")
     start_deg: Annotated[list[Number], Field(min_length=1)] | None = Field(
         None, description="rotations at the start; all 0 where not given"
     )
     start_mm: Annotated[list[Number], Field(min_length=1)] = Field(description="translations at the start")
-    clearance_mm: NotNegative = Field(Decimal("0.2"), description="least distance of the arm from bodies")
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
-    tolerance_mm: Positive = Field(Decimal("0.5"), description="distance of the tip from a place that is reached")
-    places: Count = Field(12, description="of the target, with which is searched")
-    judged: Count = Field(48, description="other places of it, by which what comes of it is judged")
-    points: Count = Field(200, description="of the roadmap of every robot that is looked at")
-    shift_mm: NotNegative = Field(Decimal(0), description="how far the plate may be moved along each of its axes")
-    tilt_deg: NotNegative = Field(Decimal(0), le=45, description="by how much it may be turned about its x and its y")
-    seconds: Positive = Field(Decimal(180), description="on the clock for the search")
 
     @model_validator(mode="after")
     def _a_region(self) -> Self:
-        if self.anatomy.target is None:
-            raise ValueError("has an anatomy without a target, whose share that is reached is wanted")
-        if len(self.anatomy.target) < self.places + self.judged:
-            raise ValueError(
-                f"has a target of {len(self.anatomy.target)} voxels; it must have {self.places + self.judged} at "
-                "least, as many as places and judged together"
-            )
+        self.chosen(self.anatomy.target, 0)
         return self
 
     def reach(self, n: int, seed: int) -> tuple[RegionReach, RegionReach]:
@@ -103,9 +118,7 @@ class RegionEntry(Entry):
         for name, row in (("start_deg", self.start_deg), ("start_mm", self.start_mm)):
             if row is not None and len(row) != n:
                 raise ValueError(f"objective.{name} has {len(row)} numbers; it must be {n} (one per tube)")
-        target = self.anatomy.target
-        assert target is not None
-        chosen = np.random.default_rng(seed).permutation(target)[: self.places + self.judged]
+        chosen = self.chosen(self.anatomy.target, seed)
         options = PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=seed)
         wanted = RegionReach(
             (radians(self.start_deg, np.zeros(n)), metres(self.start_mm, np.zeros(n))),

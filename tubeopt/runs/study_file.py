@@ -27,6 +27,7 @@ STUDY_KINDS = Kinds(
         "validation": "validation_study.ValidationStudy",
         "measure": "measure_study.MeasureStudy",
         "design": "design_study.DesignStudy",
+        "design_pair": "pair_study.PairStudy",
         "plan": "plan_study.PlanStudy",
         "plan_arms": "arms_study.ArmsStudy",
         "verify": "verify_study.VerifyStudy",

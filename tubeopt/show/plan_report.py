@@ -11,11 +11,12 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
+from ..bodies.frames import Frame
 from ..errors import NotProvedError, SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
-from ..planning import Proof, Trajectory
+from ..planning import Entry, Proof, Trajectory
 from ..planning.file import save_joint_trajectory, save_trajectory
 from ..robots.file import save_robot
 from ..runs.verify_study import Checked
@@ -124,6 +125,26 @@ def _ends(k: int, name: str, about: str) -> Quantity[Trajectory]:
     return Quantity(name, about, lambda t: t, of=joints, words=words)
 
 
+def _chosen(t: Trajectory) -> str | None:
+    if t.entry is None:
+        return None
+    (x, y, z), axes = t.entry.frame.origin * TO_MM, t.entry.frame.axes
+    leans = np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))
+    words = f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm, leaning {leans:.1f} deg"
+    return f"{words}; {t.entry.looked_at} places looked at, {t.entry.tried} tried"
+
+
+ENTRY: tuple[Quantity[Entry], ...] = (
+    Quantity("position_mm", "of the plate in the frame of the plate as it is given", lambda e: e.frame.origin),
+    Quantity("direction", "along which the arm leaves it, likewise", lambda e: e.frame.axes[:, 2]),
+    Quantity("patient_position_mm", "of the plate in the patient, RAS", lambda e: e.base.origin),
+    Quantity("patient_direction", "along which the arm leaves it, likewise", lambda e: e.base.axes[:, 2]),
+    Quantity("looked_at", "places that were looked at"),
+    Quantity("clear", "of them those in which the arm is clear at the start"),
+    Quantity("tried", "of those the ones from which plans were made"),
+)
+
+
 def _smoothed(t: Trajectory) -> str | None:
     s = t.statistics
     words = f"{s.raw_length:.2f} to {s.length:.2f} joint units ({s.smoothed}), {s.iterations} iterations"
@@ -146,6 +167,8 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
     Quantity("tip_by_history_mm", "how far friction can hold the tip off along x, y and z, at the worst of samples, "
              "to first order; absent without friction", lambda t: largest_by_history(t), optional=True,
              label="friction holds it", words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
+    line("plate", _chosen),
+    Quantity("entry", "the place of the plate that was chosen, where that was free", of=ENTRY, optional=True),
     Quantity("proof", "what was proved", of=PROOF),
     Quantity("statistics", "how it was found", lambda t: asdict(t.statistics)),
 )  # fmt: skip
@@ -189,13 +212,17 @@ class TrajectoryReport(Report[Trajectory]):
         return super().rows() + rows(self.answer, FOUND)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write trajectory.csv, with robot.yaml beside it, joint_trajectory.json, tip.csv, and plan.json."""
+        """Write trajectory.csv, with robot.yaml beside it, joint_trajectory.json, tip.csv, and plan.json; base.txt,
+        where the plate stands in the patient, where that was chosen."""
         paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv", "joint_trajectory.json")]
         save_robot(self.answer.robot, paths[0])
         save_trajectory(self.answer, paths[1], robot_file="robot.yaml")
         save_joint_trajectory(self.answer, paths[3])
         columns = ["time_s", "x_mm", "y_mm", "z_mm", "margin", "clearance_mm"]
         write_text(paths[2], to_csv(columns, self._tip()))
+        if self.answer.entry is not None:
+            paths.append(directory / "base.txt")
+            write_text(paths[-1], _pose(self.answer.entry.base))
         return [*paths, self.save_record(directory)]
 
     def _tip(self) -> Iterator[Sequence[object]]:
@@ -221,6 +248,12 @@ class TrajectoryReport(Report[Trajectory]):
         """Raise NotProvedError where the proof was not finished."""
         if not self.answer.proved:
             raise NotProvedError(f"a motion was found, but it is {self.answer.status}")
+
+
+def _pose(base: Frame) -> str:
+    """A frame as a matrix of four rows, mm, as `base: {pose: base.txt}` of an anatomy reads it."""
+    rows = [*np.column_stack([base.axes, base.origin * TO_MM]), np.array([0.0, 0.0, 0.0, 1.0])]
+    return "".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows)
 
 
 CHECKED: tuple[Quantity[Checked], ...] = (

@@ -29,6 +29,7 @@ MODULES = {
     "inverse_report": ("Postures", "TargetTable"),
     "load_report": ("Bearing", "ForceRecord"),
     "mandrel_report": ("Mandrel",),
+    "pair_report": ("PairAnswer",),
     "peg_report": ("PegBoard",),
     "map_report": ("RobotMap",),
     "measure_report": ("Placement",),

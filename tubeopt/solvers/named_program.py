@@ -22,6 +22,9 @@ from .settings import Ipopt
 MENTIONED = 3
 """Constraints that the message of a failed solve names."""
 
+MOST_SOLVERS = 2
+"""Solvers that a program keeps, as one for a cold and one for a warm start; each may take 60 MB."""
+
 
 @dataclass(eq=False)
 class _Variable:
@@ -297,6 +300,8 @@ class NamedProgram:
                 constraints=[each.expression / ca.DM(each.scale) for each in constraints],
             )
             self._solvers[key] = ipopt_function(program, solver, warm=warm)
+            while len(self._solvers) > MOST_SOLVERS:
+                self._solvers.pop(next(iter(self._solvers)), None)
         function: ca.Function = self._solvers[key]
         return function
 

@@ -38,7 +38,7 @@ typedef struct {
     double position[3];                  /* of the tip, m */
     double frame[9];                     /* of the tip in that of the plate, by rows; its third column points ahead */
     double tip_rotations[TUBEOPT_TUBES]; /* of every tube at its own end, rad */
-    double margin;                       /* 1: no elastic coupling, 0: a snap */
+    double margin;                       /* 1: no elastic coupling, 0: a snap; under a load good to 1e-4 above 0.999 */
     double energy;                       /* J */
     double error;                        /* estimate, of the tip, m */
     double residual;                     /* of the equations of torsion, rad */

@@ -1,0 +1,245 @@
+"""Plans whose plate may be placed: a region of entry points and a cone of directions, from which one is chosen.
+
+Many places of the plate are looked at cheaply, by arms of random joint values: how close one that is clear of bodies
+comes to the goal. Plans are then made from the most promising ones, until one is found and proved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ..bodies.frames import Frame
+from ..bodies.obstacles import Obstacle, nearest_distance
+from ..bodies.placed import seen_from
+from ..display import Displayed
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError, positive, whole
+from ..inverse.outline import Outline
+from ..inverse.task import Task
+from ..robots.robot import Robot
+from ..typing import Array
+from .goals import TipGoal, of_the_tip, start_equilibrium
+from .motion import DEFAULT_RATES, RateLimits
+from .options import DEFAULT_PLAN, PlanOptions
+from .plan import plan_trajectory
+from .question import asked
+from .trajectory import Entry, Trajectory
+
+ARMS = 1024
+"""Random arms by which places of the plate are compared."""
+
+NEAREST, ALONG = 12, 48
+"""Of these, those that are looked at for each place of the goal, and points along each."""
+
+SHARE = 4
+"""Part of the time that is left which each place gets to which more than so many others follow."""
+
+
+@dataclass(frozen=True, eq=False)
+class EntryRegion(Displayed):
+    """Where the plate may stand, and how it may point, in the frame of the plate as it is given.
+
+    Args:
+        radius: of the disc square to the plate's z, m.   box: (3,) how far along x, y and z, to both sides, m.
+        places: (N, 3) points in place of a disc or box.   cone: half angle of the cone about z, rad, below a right one.
+
+    Raises:
+        InputError: several of radius, box and places, none of them and no cone, numbers that make no sense.
+    """
+
+    radius: float = 0.0
+    box: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    places: Array | None = field(default=None, repr=False)
+    cone: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("radius of the entry", self.radius, zero=True)
+        for size in self.box:
+            positive("box of the entry", size, zero=True)
+        positive("cone of the entry", self.cone, zero=True)
+        if self.cone >= np.pi / 2:
+            raise InputError(f"cone of the entry is {np.degrees(self.cone):g} deg; it must be less than 90 deg")
+        if (self.radius > 0) + any(self.box) + (self.places is not None) > 1:
+            raise InputError("the entry has several regions; it must have one of a radius, a box, and places")
+        if not (self.radius or any(self.box) or self.places is not None or self.cone):
+            raise InputError("the entry leaves nothing free; it must have a radius, a box, places or a cone")
+
+    def frames(self, count: int, seed: int = 0) -> list[Frame]:
+        """Places of the plate, spread evenly, the first as it is given: without a tilt, and in the middle of a disc
+        or box."""
+        unit = scipy.stats.qmc.Sobol(5, rng=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
+        unit[0] = 0.5, 0.5, 0.5, 0.0, 0.0
+        if self.places is not None:
+            points = np.asarray(self.places, dtype=float)[np.arange(count) % len(self.places)]
+            unit[: len(self.places), 3] = 0.0
+        elif self.radius:
+            far, turn = self.radius * np.sqrt(unit[:, 0]), 2 * np.pi * unit[:, 1]
+            points = np.column_stack([far * np.cos(turn), far * np.sin(turn), 0 * far])
+            points[0] = 0.0
+        else:
+            points = (2 * unit[:, :3] - 1) * np.array(self.box)
+        tilt = np.arccos(1 - unit[:, 3] * (1 - np.cos(self.cone)))
+        turn = 2 * np.pi * unit[:, 4]
+        about = tilt[:, None] * np.column_stack([-np.sin(turn), np.cos(turn), 0 * turn])
+        axes = scipy.spatial.transform.Rotation.from_rotvec(about).as_matrix()
+        return [Frame(*each) for each in zip(axes, points, strict=True)]
+
+
+def plan_from_region(  # noqa: PLR0913
+    robot: Robot,
+    start: Any,
+    goal: Any,
+    region: EntryRegion,
+    *,
+    obstacles: Sequence[Obstacle] = (),
+    min_margin: float = 0.05,
+    rate_limits: RateLimits = DEFAULT_RATES,
+    options: PlanOptions = DEFAULT_PLAN,
+    count: int = 64,
+    progress: Callable[[int, int], object] | None = None,
+) -> Trajectory:
+    """A motion as of `plan_trajectory`, from a plate that is placed within a region so that it can be made.
+
+    Args:
+        start, goal, obstacles, min_margin, rate_limits, options: as of `plan_trajectory`; bodies, and places for the
+            tip, in the frame of the plate as it is given. The time limit holds for all of it.
+        region: where the plate may stand.   count: places that are looked at.
+        progress: called with how many places plans were tried from, and how many there are.
+
+    Returns:
+        The trajectory in the frame of the plate that was chosen, which its `entry` tells. Nothing is said of it but
+        that a plan was made from there: other places may be better.
+
+    Raises:
+        InputError: as `plan_trajectory`.
+        SolveError: from none of the places a plan was found in time.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> tip = tubeopt.forward_kinematics(robot, [0.5, 0.0]).tip_position
+        >>> region = tubeopt.EntryRegion(radius=5e-3)
+        >>> plan = tubeopt.plan_from_region(robot, ([0.0, 0.0], None), tip + [3e-3, 0.0, 0.0], region)
+        >>> plan.proved
+        True
+    """
+    whole("count", count, 1)
+    task, clock = asked(robot, obstacles, min_margin, rate_limits, None, options)
+    first = start_equilibrium(task.chart.space, start)
+    frames = region.frames(count, options.seed)
+    if progress is not None:
+        progress(0, count)
+    score = _scores(task, first, goal, frames)
+    order = [k for k in np.argsort(score, kind="stable").tolist() if np.isfinite(score[k])]
+    if not order:
+        raise SolveError(
+            f"no plan exists from the {count} places of the plate that were looked at: in each the arm at the start "
+            f"does not keep its clearance of {options.clearance * 1e3:g} mm"
+        )
+    why, unproved = "", None
+    for tried, k in enumerate(order):
+        if clock.over:
+            break
+        frame = frames[k]
+        limit = max(clock.left / min(len(order) - tried, SHARE), 1e-3)
+        try:
+            plan = plan_trajectory(
+                robot,
+                start,
+                _goal_seen(goal, frame),
+                obstacles=seen_from(frame, obstacles),
+                min_margin=min_margin,
+                rate_limits=rate_limits,
+                options=replace(options, time_limit=limit),
+            )
+        except SolveError as error:
+            why = why or str(error)
+        else:
+            plan = replace(plan, entry=Entry(frame, frame, count, len(order), tried + 1))
+            if plan.proved:
+                return plan
+            unproved = unproved or plan
+        if progress is not None:
+            progress(tried + 1, len(order))
+    if unproved is not None:
+        return unproved
+    raise SolveError(
+        f"no plan was found from {count} places of the plate; in {len(order)} of them the arm is clear at the start, "
+        f"plans were tried from {tried + 1 - clock.over}; from the most promising one: {why or 'time ran out'}"
+    )
+
+
+def _goal_seen(goal: Any, frame: Frame) -> Any:
+    """A goal as a plate sees it."""
+    if not of_the_tip(goal):
+        return goal
+    known = goal if isinstance(goal, TipGoal) else TipGoal(np.asarray(goal, dtype=float))
+    towards = None if known.direction is None else np.asarray(known.direction) @ frame.axes
+    return TipGoal(frame.seen(known.position), towards)
+
+
+def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
+    """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
+    infinite where the start does not keep its clearance."""
+    at_start = _Line.of([first])
+    start_room = np.array([_room(task, at_start.placed(frame))[0] for frame in frames])
+    if of_the_tip(goal):
+        arms = _Line.random(task)
+        miss = [_missed(task, arms, _goal_seen(goal, frame), frame) for frame in frames]
+    else:
+        end = _Line.of([start_equilibrium(task.chart.space, goal)])
+        miss = [max(task.clearance - _room(task, end.placed(frame))[0], 0.0) for frame in frames]
+    return np.where(start_room >= task.clearance, np.array(miss), np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """Points (N, ALONG, 3) along N arms, and their radii there (N, ALONG), m."""
+
+    points: Array
+    radius: Array
+
+    @classmethod
+    def of(cls, arms: Sequence[Equilibrium]) -> _Line:
+        found = [Outline(e).at(np.linspace(0.0, e.arc_length[-1], ALONG)) for e in arms]
+        return cls(np.array([line for line, _ in found]), np.array([radius for _, radius in found]))
+
+    @classmethod
+    def random(cls, task: Task) -> _Line:
+        """Stable arms of random joint values."""
+        chart = task.chart
+        arms = chart.arms(chart.space.sample(ARMS), task.min_margin)
+        kept = np.flatnonzero(arms.stable)
+        s = np.linspace(0.0, 1.0, ALONG) * arms.arc_length[kept, -1:]
+        shown = s[:, :, None] <= arms.tube_end[kept][:, None, :] + 1e-12
+        return cls(arms.at(s, kept), np.where(shown, chart.radius, 0.0).max(2))
+
+    def placed(self, frame: Frame) -> _Line:
+        return replace(self, points=frame.placed(self.points))
+
+
+def _room(task: Task, arms: _Line) -> Array:
+    """(N,) distance of arms from bodies, m."""
+    return np.asarray((nearest_distance(task.obstacles, arms.points) - arms.radius).min(1))
+
+
+def _missed(task: Task, arms: _Line, goal: TipGoal, frame: Frame) -> float:
+    """How far arms that are turned about the plate's z, as they all may be, stay from a goal, and from their clearance,
+    m: the least of both together."""
+    least = np.inf
+    tip = arms.points[:, -1]
+    for place in goal.places():
+        x, y, z = np.asarray(place.position, dtype=float)
+        miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
+        near = np.argsort(miss)[:NEAREST]
+        turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
+        axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+        turned = _Line(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
+        short = np.maximum(task.clearance - _room(task, turned), 0.0)
+        least = min(least, float((miss[near] + short).min(initial=np.inf)))
+    return least

@@ -1,0 +1,184 @@
+"""The study of two robots sized together, for a region in which both tips work at the same time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..bodies.anatomy import Anatomy
+from ..bodies.frames import Frame
+from ..design import DesignTask, Objective, SearchedPair, search_pair
+from ..display import Displayed
+from ..errors import InputError
+from ..files.checked import Entry, NotNegative, Positive, Whole
+from ..files.units import DEG, MM, to_si
+from ..planning import PairReach, PairShare, PlanOptions
+from ..robots.concentric import ConcentricRobot
+from ..typing import Array
+from .anatomy_file import AnatomyKey, BasePart
+from .arms_study import PlacedPart, shared
+from .base import Count, Progress, Study
+from .design_parts import FreeEntry, Requirements
+from .obstacle_file import Place, point
+from .region_part import HARDLY, OF_ONE, OTHER, SearchPart
+
+PLANNED = 4
+"""Pairs of places of those that are held to which motions of both arms are planned and proved."""
+
+OF_A_PLAN = 20.0
+"""Seconds on the clock for each of these motions."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairAnswer(Displayed):
+    """Two robots sized together, and what they hold of a region.
+
+    search: how they were found.   before, after: what the robots that were given, and the designs, hold of places that
+    were not searched with, over larger roadmaps.   proved, planned: motions of both arms to some pairs of them.
+    names: what the arms are called.   plates: where they stand for the designs.
+    """
+
+    search: SearchedPair
+    before: PairShare
+    after: PairShare
+    proved: int
+    planned: int
+    names: tuple[str, str]
+    plates: tuple[Frame, Frame]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Of the designs, each with the name of its arm, and of the search for what they hold."""
+        told = [
+            f"{name}: {words}"
+            for name, solution in zip(self.names, self.search.solutions, strict=True)
+            for words in solution.remarks
+        ]
+        if min(one.share for one in self.after.reached) <= HARDLY:
+            told.append("an arm reached next to nothing by itself; the roadmap may be too small to tell: raise points")
+        return tuple(told)
+
+
+class PairPart(PlacedPart):
+    """One of the two robots: where it stands, from where it begins, what may change, and what must hold."""
+
+    base: BasePart = Field(description="where its plate stands in the frame that both share")
+    free: Annotated[list[FreeEntry], Field(min_length=1)]
+    requirements: Requirements
+    ordered: bool = Field(
+        True, description="whether the tubes are in order at home and at all translations that the task names"
+    )
+
+    def task(self) -> DesignTask:
+        """What may change of it, and what must hold; raises InputError where that makes no task."""
+        if not isinstance(self.robot, ConcentricRobot):
+            raise InputError("robot must be a concentric robot; its tubes are what is designed")
+        free, keep = tuple(entry.build() for entry in self.free), self.requirements.build()
+        return DesignTask(self.robot, free, keep, Objective("change"), self.name, self.ordered)
+
+
+class BallPart(Entry):
+    """A ball."""
+
+    centre_mm: Place
+    radius_mm: Positive
+
+    def places(self, count: int, seed: int) -> Array:
+        """(count, 3) random places in it, as thick everywhere, m."""
+        random = np.random.default_rng(seed)
+        way = random.normal(size=(count, 3))
+        far = to_si(self.radius_mm, MM) * random.random((count, 1)) ** (1 / 3)
+        return np.asarray(point(self.centre_mm) + far * way / np.linalg.norm(way, axis=1, keepdims=True))
+
+
+class PairStudy(Study, SearchPart):
+    """The two robots, sized together, whose tips hold the most pairs of places of a region without touching."""
+
+    doing = "designing"
+
+    kind: Literal["design_pair"]
+    arms: Annotated[list[PairPart], Field(min_length=2, max_length=2)] = Field(description="the two robots")
+    region: BallPart | None = Field(
+        None, description="for both tips, in the frame that both share; by default the target of the anatomy"
+    )
+    anatomy: AnatomyKey | None = Field(
+        None, description="images, meshes and clouds of a patient: what they are made of, or a YAML file"
+    )
+    clearance_mm: NotNegative = Field(
+        Decimal("0.5"), description="least distance of both arms from bodies, and from each other"
+    )
+    places: Annotated[Whole, Field(ge=2)] = Field(8, description="of the region, with which is searched")
+    judged: Annotated[Whole, Field(ge=2)] = Field(
+        16, description="other places of it, by which what comes of it is judged"
+    )
+    points: Count = Field(80, description="of the roadmap of every robot that is looked at")
+    starts: Count = Field(1, description="dimensions from which to start: the robots' own, and random ones")
+    seed: Annotated[Whole, Field(ge=0)] = 0
+    turns: Annotated[Whole, Field(ge=0)] = Field(
+        6, description="random full turns per translations on which no certified robot may snap"
+    )
+
+    @model_validator(mode="after")
+    def _a_pair(self) -> Self:
+        if self.region is None and self.anatomy is None:
+            raise ValueError("has neither a region nor an anatomy with a target; one of them says where both tips work")
+        self.wanted()
+        for arm in self.arms:
+            arm.task()
+        return self
+
+    @property
+    def _around(self) -> Anatomy:
+        return shared(self.anatomy)
+
+    def wanted(self) -> tuple[PairReach, PairReach]:
+        """What is searched for, and that by which what comes of it is judged."""
+        around = self._around
+        if self.region is None:
+            chosen = self.chosen(around.target, self.seed)
+        else:
+            chosen = self.region.places(self.places + self.judged, self.seed)
+        one, other = (arm.placed(around).base for arm in self.arms)
+        options = PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=self.seed)
+        searched = PairReach(
+            (self.arms[0].start, self.arms[1].start),
+            (one, other),
+            chosen[: self.places],
+            self.obstacles + around.bodies,
+            to_si(self.tolerance_mm, MM),
+            float(self.min_margin),
+            options,
+            self.points,
+            to_si(self.shift_mm, MM),
+            to_si(self.tilt_deg, DEG),
+        )
+        options = replace(options, seed=self.seed + OTHER)
+        return searched, replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
+
+    def run(self, progress: Progress | None = None) -> PairAnswer:
+        """The designs, and what they hold.
+
+        Raises:
+            SolveError: no designs meet all requirements, or those found do not keep them.
+        """
+        searched, judge = self.wanted()
+        first, second = (arm.task() for arm in self.arms)
+        found = search_pair(
+            (first, second),
+            searched,
+            seconds=float(self.seconds),
+            starts=self.starts,
+            seed=self.seed,
+            turns=self.turns,
+            progress=progress,
+        )
+        before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
+        after = judge.evaluate(*found.value, found.own)
+        short = replace(judge, options=replace(judge.options, time_limit=OF_A_PLAN))
+        proved, planned = short.plans_proved(*found.value, found.own, after, PLANNED)
+        one, other = (arm.placed(self._around).called for arm in self.arms)
+        return PairAnswer(found, before, after, proved, planned, (one, other), searched.plates(found.own))

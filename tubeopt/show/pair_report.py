@@ -1,0 +1,160 @@
+"""What is said and saved about two robots that were sized together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from ..bodies.frames import Frame, roll_of
+from ..design.optimize import DesignSolution
+from ..equilibrium.kinematics import forward_kinematics
+from ..files.csv_file import to_csv
+from ..files.files import write_text
+from ..files.units import TO_MM
+from ..planning import PairShare, ReachShare
+from ..robots.file import save_robot
+from ..runs.pair_study import PairAnswer
+from ..typing import Array
+from .design_report import CHECK, DIMENSION
+from .quantities import Quantity, line
+from .report import Drawing, Report, drawing, grid, two_columns
+
+
+@dataclass(frozen=True, eq=False)
+class _Arm:
+    """One of the two: its number, from 1, its design, where it stands, and what it reaches by itself."""
+
+    number: int
+    name: str
+    solution: DesignSolution
+    plate: Frame
+    before: ReachShare
+    after: ReachShare
+
+
+def _arms(a: PairAnswer) -> list[_Arm]:
+    each = zip(a.names, a.search.solutions, a.plates, a.before.reached, a.after.reached, strict=True)
+    return [_Arm(k + 1, *one) for k, one in enumerate(each)]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _alone(a: PairAnswer) -> str:
+    return "; ".join(
+        f"{arm.name} {_percent(arm.before.share)} before, {_percent(arm.after.share)} after" for arm in _arms(a)
+    )
+
+
+def _stands(a: PairAnswer) -> str:
+    told = []
+    for arm in _arms(a):
+        (x, y, z), (p, q, r) = arm.plate.origin * TO_MM, arm.plate.axes[:, 2]
+        told.append(f"{arm.name} at {x:.2f}, {y:.2f}, {z:.2f} mm along {p:.3f}, {q:.3f}, {r:.3f}")
+    return "; ".join(told)
+
+
+ARM: tuple[Quantity[_Arm], ...] = (
+    Quantity("number", "of the arm, from 1"),
+    Quantity("name", "of the arm"),
+    Quantity("position_mm", "of its plate in the frame that both share", lambda a: a.plate.origin),
+    Quantity("direction", "along which it leaves the plate", lambda a: a.plate.axes[:, 2]),
+    Quantity("roll_deg", "turn of its plate about that direction, as `base` has it", lambda a: roll_of(a.plate)),
+    Quantity("reached_before", "share of the places that it reaches by itself as given", lambda a: a.before.share),
+    Quantity("reached_after", "the same of the design", lambda a: a.after.share),
+    Quantity("certificate", "lower bound of its margin at all rotations", lambda a: a.solution.certificate),
+    Quantity("dimensions", "what was free", lambda a: list(a.solution.dimensions), of=DIMENSION),
+    Quantity("checks", "checked again by other code", lambda a: list(a.solution.verification.checks), of=CHECK),
+)
+
+PAIR: tuple[Quantity[PairAnswer], ...] = (
+    Quantity("wanted", "what was wanted", lambda a: a.search.wanted),
+    Quantity("searched_before", "share of the pairs of places of the search, as given", lambda a: a.search.before),
+    Quantity("searched_after", "the same of the designs", lambda a: a.search.after),
+    Quantity("tried", "pairs of robots that were looked at", lambda a: a.search.tried,
+             words="{tried}; no optimum is claimed"),
+    Quantity("places", "others, by which it is judged", lambda a: len(a.after.apart)),
+    Quantity("before", "share of the pairs of these that is held as given", lambda a: a.before.share),
+    Quantity("after", "the same of the designs", lambda a: a.after.share),
+    line("pairs of places held", lambda a: f"{_percent(a.before.share)} before, {_percent(a.after.share)} after, of "
+         f"{len(a.after.apart)} places not searched with"),
+    line("reached by itself", _alone),
+    Quantity("clearance_mm", "that the arms keep from each other", lambda a: a.after.clearance),
+    Quantity("planned", "pairs among them to which motions of both arms were planned"),
+    Quantity("proved", "of these motions", words="{proved} of {planned} motions of both arms to such pairs",
+             label="proved"),
+    line("plates", _stands),
+    Quantity("arms", "the two", _arms, of=ARM),
+    Quantity("remarks", "what holds the designs, tubes that they hardly need, a search that is too coarse",
+             lambda a: list(a.remarks)),
+    Quantity("seconds", "wall time of the search, s", lambda a: a.search.seconds, form=".1f"),
+)  # fmt: skip
+
+
+def pairs_of_places(share: PairShare, places: Sequence[Array]) -> str:
+    """A table of all pairs of places, mm in the frame that both share: how far the arms are apart at least, and whether
+    they hold the pair."""
+    columns = [f"{axis}{k}_mm" for k in (1, 2) for axis in "xyz"]
+    rows = []
+    for i, j in np.argwhere(~np.eye(len(share.apart), dtype=bool)):
+        apart = share.apart[i, j] * TO_MM
+        told = "" if np.isnan(apart) else float(np.floor(apart * 1e3) / 1e3)  # rounded down: a bound stays one
+        rows.append([*map(float, [*places[i], *places[j]]), told, int(share.held[i, j])])
+    return to_csv([*columns, "apart_at_least_mm", "held"], rows)
+
+
+class PairReport(Report[PairAnswer]):
+    """What is said and saved about two robots that were sized together."""
+
+    command = "design-pair"
+    quantities = PAIR
+    file = "design_pair.json"
+
+    def title(self) -> str:
+        """The names of both."""
+        return " and ".join(self.answer.names)
+
+    def table(self) -> Group:
+        """The answer as tables: summary, and of each arm its dimensions and what was checked again."""
+        parts: list[Text | Table] = [two_columns(self.title(), self.rows())]
+        for arm in _arms(self.answer):
+            rows = [
+                (f"{d.name} ({d.unit})" if d.unit else d.name, f"{d.before:.5g}", f"{d.after:.5g}",
+                 f"at its {d.bound} bound" if d.bound else "")
+                for d in arm.solution.dimensions
+            ]  # fmt: skip
+            parts.append(grid(("", "before", "after", ""), rows, title=f"dimensions of {arm.name}", key=True))
+            checks = [(c.what, c.found, "kept" if c.kept else "BROKEN") for c in arm.solution.verification.checks]
+            parts.append(grid(("", "found", ""), checks, title="checked again by other code", key=True))
+        return Group(*parts, *(Text(f"  {words}") for words in self.answer.remarks))
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write arm_1/robot.yaml and arm_2/robot.yaml, the pairs of places, and design_pair.json."""
+        a, paths = self.answer, list[Path]()
+        for arm in _arms(a):
+            paths.append(directory / f"arm_{arm.number}" / "robot.yaml")
+            save_robot(arm.solution.robot, paths[-1])
+        paths.append(directory / "pairs.csv")
+        places = a.plates[0].placed(a.after.reached[0].targets) * TO_MM
+        write_text(paths[-1], pairs_of_places(a.after, list(places)))
+        return [*paths, self.save_record(directory)]
+
+    def pictures(self) -> dict[str, Drawing]:
+        """What both hold before and after, and the shapes of each."""
+        from .plots import plot_shapes
+        from .plots.pair import plot_pair_shares
+
+        a = self.answer
+        found: dict[str, Drawing] = {"pairs": drawing(plot_pair_shares, (a.before, a.after), names=a.names)}
+        for arm in _arms(a):
+            robots = (arm.solution.task.robot, arm.solution.robot)
+            home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
+            found[f"arm_{arm.number}_shapes"] = drawing(plot_shapes, home, titles=("before", "after"))
+        return found
