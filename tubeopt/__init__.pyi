@@ -50,11 +50,8 @@ from .inverse import (
 from .planning import (
     ArmsPlan,
     ArmsProof,
-<<<<<<< HEAD
-    LeaderSolver,
-=======
     EntryRegion,
->>>>>>> w-d
+    LeaderSolver,
     PairReach,
     PlacedRobot,
     PlanOptions,
