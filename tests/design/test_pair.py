@@ -154,7 +154,7 @@ def test_a_pair_is_designed_saved_and_drawn(run: Run, tmp_path: Path) -> None:
     away = np.linalg.norm(rows[:, :6].reshape(-1, 3) - [0, 0, 60], axis=1)
     assert away.max() <= 6 + 1e-9
     first = tubeopt.load_robot(tmp_path / "arm_1" / "robot.yaml")
-    (factor,) = told["arms"][0]["dimensions"]
+    factor = told["arms"][0]["dimensions"][0]
     assert first.tubes[0].curvature == pytest.approx(factor["after"] / factor["before"] * 28, rel=1e-9)
     assert (tmp_path / "pairs.png").stat().st_size > 0
 
