@@ -83,7 +83,10 @@ def test_wrong_files_are_refused(run: Run, tmp_path: Path) -> None:
     assert "there is no such file" in refused(run("design", str(tmp_path / "none.yaml")))[0]
 
 
-@pytest.mark.parametrize("path", sorted(STUDIES.glob("design_*.yaml")), ids=lambda path: path.stem)
+DESIGNS = [path for path in sorted(STUDIES.glob("*.yaml")) if "\nkind: design\n" in path.read_text()]
+
+
+@pytest.mark.parametrize("path", DESIGNS, ids=lambda path: path.stem)
 def test_every_design_study_makes_a_task(path: Path) -> None:
     study = load_study(path)
     assert isinstance(study, DesignStudy)
