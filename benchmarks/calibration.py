@@ -130,9 +130,9 @@ def followed(setup: Setup, table: Array) -> Array:
         return solve_poses(robot, table[:, :n], table[:, n:], np.zeros(1)).position[:, 0]
     held = rubbing_start(robot, table[0], Friction(tuple(setup.friction.tolist()), refinement=FINE))
     found = sweep(robot, held, np.vstack([table[:1], table]), np.zeros(1))
-    if found is None or len(found[0].margin) < len(table):
+    if found is None or len(found.margin) < len(table):
         raise SystemExit("the truth cannot be followed: there is no compiled kernel, or the robot snaps on the way")
-    return found[0].stations[:, 0]
+    return found.stations[:, 0]
 
 
 def run(seed: int, rows: int, *, compared: bool, rubs: bool) -> Run:

@@ -9,7 +9,7 @@ from tests.examples import THESIS
 from tests.stability.test_friction import random_way
 from tests.validation.way import joints, robot
 from tubeopt import ConcentricRobot, Friction
-from tubeopt.equilibrium.rubbing_sweep import sweep
+from tubeopt.equilibrium.rubbing_sweep import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.stability.rubbing_following import rubbing_start
 from tubeopt.typing import Array
@@ -55,8 +55,8 @@ def test_laws_of_friction_hold_in_the_kernel() -> None:
     for k in range(1, len(rows)):
         found = sweep(robot(), held, rows[k - 1 : k + 1], np.zeros(1))
         assert found is not None
-        assert len(found[0].margin) == 1
-        there = found[1]
+        assert len(found.margin) == 1
+        there = swept(robot(), held, rows[k - 1 : k + 1], found, 1)
         slip, own = there.found.state.turned - held.found.state.turned, there.found
         stuck = own.signs == 0
         assert np.abs(slip[stuck]).max(initial=0) < 1e-9

@@ -187,6 +187,26 @@ def test_a_closed_loop_turns_work_into_heat() -> None:
     assert total == pytest.approx(heat, rel=1e-8)
 
 
+def test_waypoints_at_once_are_as_one_after_the_other() -> None:
+    """The states and the heat of a motion that the compiled kernel follows whole, and of its increments, one by one."""
+    friction, share = Friction((4e-3, 6e-3)), np.linspace(0, 1, 13)[:, None]
+    rotations = np.sin(3 * share * [1.0, 1.4, -1.2])
+    translations = -0.03 * share * [1.0, 0.9, 0.8]
+    whole = follow(THESIS, rotations, translations, friction=friction).equilibria
+    held = whole[0]
+    for k in range(1, len(share)):
+        there = follow(THESIS, rotations[k - 1 : k + 1], translations[k - 1 : k + 1], start=held, friction=friction)
+        held = there.equilibria[-1]
+        assert whole[k] is whole[k - len(whole)]
+        assert whole[k].friction is not None
+        assert held.friction is not None
+        assert whole[k].tip_position == pytest.approx(held.tip_position, abs=1e-9)
+        assert whole[k].friction.heat == pytest.approx(held.friction.heat, rel=1e-6)
+    assert whole[2:4] == (whole[2], whole[3])
+    with pytest.raises(IndexError):
+        whole[len(share)]
+
+
 def test_memory_goes_with_the_material() -> None:
     """A bundle that slides as a whole without turning rubs nothing, and comes back as it was."""
     inner = Tube(1.0 * MM, 0.75 * MM, 150 * MM, 90 * MM, 9.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -40,7 +41,7 @@ class Motion:
     """(W,) of the step, where the margins are."""
     margin: Array
     """(W,) on the way."""
-    equilibria: tuple[Equilibrium, ...]
+    equilibria: Sequence[Equilibrium]
     """(W,) on the way."""
     snap: float | None
     """Fraction of the step at which it snaps, None where it does not."""

@@ -12,28 +12,28 @@ from ..typing import Array
 from .friction import Held, contact_of
 
 
-def sweep(
-    robot: Robot, held: Held, joints: Array, behind: Array, *, margins: bool = True
-) -> tuple[Rubbed, Held] | None:
-    """States at rows of joint values (T, 2n), the first of which is that of `held`, and the last that was reached, from
-    where `rubbing_following` goes on: the next step is too long, or a snap. Its heat is not known.
+def sweep(robot: Robot, held: Held, joints: Array, behind: Array, *, margins: bool = True) -> Rubbed | None:
+    """States at rows of joint values (T, 2n), the first of which is that of `held`. Where they end sooner, the next
+    step is too long, or a snap, and `rubbing_following` goes on from the last.
 
     Args:
         behind: (S,) stations behind the tip that are told, m.   margins: whether they are told.
 
     None where there is no kernel for this robot and this friction.
     """
-    friction = held.contact.friction
     state = held.found.state.x, held.found.torque, held.found.signs
-    out = rub_compiled(robot, friction, joints, state, behind, margins=margins)
-    if out is None:
-        return None
-    count = len(out.margin)
-    if not count:
-        return out, held
-    rotations, translations = np.split(joints[count], 2)
-    contact = contact_of(robot, tuple(translations.tolist()), friction)
-    there = evaluate_contact(contact, rotations, out.unknowns[: contact.problem.size])
-    rows = len(contact.capacity)
-    found = Increment(there, out.torque[:rows], out.signs[:rows], np.nan, True, 0.0, HONEST)
-    return out, Held(contact, rotations, translations, found, np.nan)
+    return rub_compiled(robot, held.contact.friction, joints, state, behind, margins=margins)
+
+
+def swept(robot: Robot, held: Held, joints: Array, many: Rubbed, k: int) -> Held:
+    """The state after the k-th of many increments from `held`, along the rows (T, 2n) given for them; `held` itself
+    after the 0-th."""
+    if not k:
+        return held
+    rotations, translations = np.split(joints[k], 2)
+    contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction)
+    there = evaluate_contact(contact, rotations, many.unknowns[k - 1, : contact.problem.size])
+    rows, heat = len(contact.capacity), float(many.heat[k - 1])
+    torque, signs = many.torque[k - 1, :rows], many.signs[k - 1, :rows]
+    found = Increment(there, torque, signs, heat, True, 0.0, HONEST)
+    return Held(contact, rotations, translations, found, held.heat + heat)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..block.transcription.second_variation import softest
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
-from ..equilibrium.friction import to_held_equilibrium
+from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium, Statistics
 from ..equilibrium.solving import Solution, polish, to_equilibrium
@@ -94,11 +95,34 @@ class Snap(Displayed):
         return self.before.statistics
 
 
+class HeldEquilibria(Sequence[Equilibrium]):
+    """Equilibria with friction at T waypoints, each of which is put together when it is first asked for."""
+
+    def __init__(self, robot: Robot, states: Sequence[Callable[[], Held]]) -> None:
+        self._robot, self._states = robot, tuple(states)
+        self._made: dict[int, Equilibrium] = {}
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    @overload
+    def __getitem__(self, at: int) -> Equilibrium: ...
+    @overload
+    def __getitem__(self, at: slice) -> tuple[Equilibrium, ...]: ...
+    def __getitem__(self, at: int | slice) -> Equilibrium | tuple[Equilibrium, ...]:
+        if isinstance(at, slice):
+            return tuple(self[k] for k in range(*at.indices(len(self))))
+        k = range(len(self))[at]
+        if k not in self._made:
+            self._made[k] = to_held_equilibrium(self._robot, self._states[k](), "the increment before")
+        return self._made[k]
+
+
 @dataclass(frozen=True, eq=False)
 class Path(Displayed):
     """What a robot does along a path: one stable equilibrium per waypoint, and the snaps on the way."""
 
-    equilibria: tuple[Equilibrium, ...]
+    equilibria: Sequence[Equilibrium]
     """(T,) at the waypoints."""
     snaps: tuple[Snap, ...]
 
@@ -216,17 +240,17 @@ def _follow_rubbing(
     friction, load = acting
     if load is not None:
         raise InputError("friction and a load are given; a motion is followed with one of them")
-    equilibria, snaps = [], []
-    for k, (held, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
-        equilibria.append(to_held_equilibrium(robot, held, "the increment before"))
-        for each in found if k else ():
+    states, snaps = list[Callable[[], Held]](), []
+    for k, (state, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
+        states.append(state)
+        for each in found:
             ends = [
                 to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
             ]
             snaps.append(snap_between(k - 1, each.fraction, *ends))
         if progress is not None and k:
             progress(k)
-    return Path(tuple(equilibria), tuple(snaps))
+    return Path(HeldEquilibria(robot, states), tuple(snaps))
 
 
 def snap_of(found: LoadedSnap, index: int) -> Snap:

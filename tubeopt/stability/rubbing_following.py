@@ -6,8 +6,9 @@ downhill, friction taking its part on the way, to where it comes to rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ..equilibrium.continuation import LARGEST_RATIO, SHORTEST_STEP, JointPath, 
 from ..equilibrium.friction import Held, carried, check_rubbing, rest, step
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
+from ..equilibrium.rubbing_sweep import sweep, swept
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
@@ -34,6 +36,12 @@ HOP = 0.1
 NUDGE = 1e-2
 """Push (rad) in the softest direction, with which the flow begins."""
 
+AT_ONCE = 256
+"""Waypoints that are handed to the compiled kernel."""
+
+NOWHERE = np.zeros(0)
+"""No stations behind the tip."""
+
 
 @dataclass(frozen=True, eq=False)
 class RubbingSnap:
@@ -46,20 +54,33 @@ class RubbingSnap:
 
 def rubbing_legs(
     robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None
-) -> Iterator[tuple[Held, list[RubbingSnap]]]:
-    """The state at every waypoint (T, 2n), and the snaps on the way to it.
+) -> Iterator[tuple[Callable[[], Held], list[RubbingSnap]]]:
+    """What tells the state at every waypoint (T, 2n), and the snaps on the way to it.
 
     Raises:
         InputError: another friction, an eccentric robot, or an unstable start.
         SolveError: the motion was lost.
     """
     held = rubbing_start(robot, joints[0], friction, start)
-    own = np.concatenate([held.rotations, held.translations])
-    for k in range(len(joints)):
-        snaps: list[RubbingSnap] = []
-        if k or not np.allclose(own, joints[0], rtol=0, atol=1e-12):
+    if not np.allclose(np.concatenate([held.rotations, held.translations]), joints[0], rtol=0, atol=1e-12):
+        held, _ = rubbing_leg(robot, held, joints[0])
+    yield partial(_same, held), []
+    k = 1
+    while k < len(joints):
+        rows = joints[k - 1 : k + AT_ONCE]
+        many = sweep(robot, held, rows, NOWHERE, margins=False)
+        count = 0 if many is None else len(many.margin)
+        if many is not None and count:
+            yield from ((partial(swept, robot, held, rows, many, j), []) for j in range(1, count + 1))
+            held, k = swept(robot, held, rows, many, count), k + count
+        if count < len(rows) - 1:  # where the kernel gives up, a step with more care
             held, snaps = rubbing_leg(robot, held, joints[k])
-        yield held, snaps
+            yield partial(_same, held), snaps
+            k += 1
+
+
+def _same(held: Held) -> Held:
+    return held
 
 
 def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None) -> Held:

@@ -11,7 +11,7 @@ import scipy
 from ..block.transcription.arm import Arm
 from ..block.transcription.whole_arm import evaluate_arm
 from ..equilibrium.friction import Held, to_held_equilibrium
-from ..equilibrium.rubbing_sweep import sweep
+from ..equilibrium.rubbing_sweep import sweep, swept
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
@@ -57,9 +57,9 @@ def rubbed_poses(
             while done < len(run):
                 many = None if loose(robot) else sweep(robot, held, table[done - 1 :], stations, margins=margins)
                 if many is not None:
-                    count = len(many[0].margin)
-                    seen.put_many(run[done : done + count], shift, many[0])
-                    held, done = many[1], done + count
+                    count = len(many.margin)
+                    seen.put_many(run[done : done + count], shift, many)
+                    held, done = swept(robot, held, table[done - 1 :], many, count), done + count
                 if done < len(run):  # where the kernel gives up, a step with more care
                     held, _ = rubbing_leg(robot, held, table[done])
                     seen.put(run[done], held)

@@ -42,6 +42,7 @@ typedef struct {
     Room *room;
     int margins; /* whether they are wanted of all states, not only where steps are long */
     int now;     /* which of the two is the state */
+    double heat; /* J, that friction took since the first state */
 } Motion;
 
 /* --- where tubes rub ------------------------------------------------------------------------------------------------- */
@@ -322,6 +323,8 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
         memcpy(h->turn, turn, sizeof h->turn);
         h->tangent = 1;
     }
+    for (int r = 0; r < h->rows; r++)
+        if (h->sign[r]) m->heat += h->most[r] * fabs(h->turned[r] - w->before[r]);
     m->now = h - w->held;
     return h;
 }
@@ -394,17 +397,18 @@ static void station_at(const Answer *a, int tip, double behind, double *out) {
     out[2] += fmin(s, 0);
 }
 
-/* Rows 1 ... of joint values (count, N) from the state of row 0, unknowns `z`, `torque` and `sign` of its rows. Returns how
-   many there are, row 0 too, before it is lost or at an end; z, torque and sign are then those of the last of them. `out`
-   (count, 3 stations + 9 + N + 2) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes there,
-   margin (0 where `sizes` says that it is not wanted), length. -1 where the state is not one of these tubes. */
+/* Rows 1 ... of joint values (count, N) from the state of row 0. Returns how many there are, row 0 too, before it is lost or
+   at an end. A row of z, torque and sign (count, MOST_UNKNOWNS) holds the unknowns of a state, and its rows of friction;
+   `out` (count, 3 stations + 9 + N + 3) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes
+   there, margin (0 where `sizes` says that it is not wanted), length, and the heat since row 0. -1 where the state is not
+   one of these tubes. */
 CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, const double *friction, double pieces,
                                    long long count, const double *alpha, const double *shift, const long long *sizes,
                                    double *z, double *torque, signed char *sign, const double *behind, double *out,
                                    Room *w) {
-    Motion m = {tubes, method, {friction, pieces}, w, (int)sizes[3], 0};
+    Motion m = {tubes, method, {friction, pieces}, w, (int)sizes[3], 0, 0};
     Held *h = &w->held[0];
-    int stations = (int)sizes[2], width = 3 * stations + 9 + N + 2;
+    int stations = (int)sizes[2], width = 3 * stations + 9 + N + 3;
     if (!begin_held(&m, shift, h) || h->q.size != sizes[0] || h->rows != sizes[1]) return -1;
     memcpy(h->alpha, alpha, sizeof h->alpha);
     memcpy(h->state.z, z, h->q.size * sizeof(double));
@@ -427,9 +431,10 @@ CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, con
         memcpy(row + 9, a->rotation[tip], N * sizeof(double));
         row[9 + N] = h->margin;
         row[10 + N] = a->arc_length[tip];
-        memcpy(z, h->state.z, h->q.size * sizeof(double));
-        memcpy(torque, h->torque, h->rows * sizeof(double));
-        memcpy(sign, h->sign, h->rows);
+        row[11 + N] = m.heat;
+        memcpy(z + k * MOST_UNKNOWNS, h->state.z, h->q.size * sizeof(double));
+        memcpy(torque + k * MOST_UNKNOWNS, h->torque, h->rows * sizeof(double));
+        memcpy(sign + k * MOST_UNKNOWNS, h->sign, h->rows);
     }
     return count;
 }

@@ -23,12 +23,13 @@ from .text import HERE, with_included
 
 @dataclass(frozen=True, eq=False)
 class Rubbed:
-    """Where a motion is after K increments of rows, and the state of the last of them.
+    """Where a motion is after K increments of rows.
 
     Attributes:
         stations: (K, S, 3) m.   frame: (K, 3, 3) of the tip.   rotation: (K, n) of the tubes there, rad.
         margin: (K,) without friction, to 1e-5, NaN if not asked for.   length: (K,) of the arm, m.
-        unknowns, torque, signs: (U,), (R,) and (R,) of the last row; as given where K is 0.
+        heat: (K,) that friction took since the first row, J.
+        unknowns, torque, signs: (K, M) of the states and of their contacts' rows, filled up.
     """
 
     stations: Array
@@ -36,6 +37,7 @@ class Rubbed:
     rotation: Array
     margin: Array
     length: Array
+    heat: Array
     unknowns: Array
     torque: Array
     signs: Signs
@@ -107,25 +109,27 @@ def rub_compiled(
     alpha, shift = (np.ascontiguousarray(part) for part in (joints[:, :n], joints[:, n:]))
     capacity = np.array(friction.per_pair("torque", n - 1))
     sizes = np.array([len(unknowns), len(torque), len(behind), margins], dtype=np.int64)
-    last = np.zeros((2, MOST_UNKNOWNS))
-    last[0, : len(unknowns)], last[1, : len(torque)] = unknowns, torque
-    slips = np.zeros(MOST_UNKNOWNS, dtype=np.int8)
-    slips[: len(signs)] = signs
-    out, behind = np.zeros((len(joints), 3 * len(behind) + 11 + n)), np.ascontiguousarray(behind)
+    states = np.zeros((2, len(joints), MOST_UNKNOWNS))
+    states[0, 0, : len(unknowns)], states[1, 0, : len(torque)] = unknowns, torque
+    slips = np.zeros((len(joints), MOST_UNKNOWNS), dtype=np.int8)
+    slips[0, : len(signs)] = signs
+    out, behind = np.zeros((len(joints), 3 * len(behind) + 12 + n)), np.ascontiguousarray(behind)
     room = _room(kernel)
-    places = [array.ctypes.data for array in (alpha, shift, sizes, last[0], last[1], slips, behind, out, room)]
+    places = [array.ctypes.data for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out, room)]
     pieces = PIECES * 2.0**friction.refinement
     count = kernel.rub(plain[2], plain[0].method, capacity.ctypes.data, pieces, len(joints), *places)
     if count < 0:
         return None
-    at, frame, turned, margin, length = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1]), axis=1)
+    parts = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1, 1]), axis=1)
+    at, frame, turned, margin, length, heat = parts
     return Rubbed(
-        stations=at.reshape(-1, len(behind), 3),
+        stations=at.reshape(len(at), len(behind), 3),
         frame=frame.reshape(-1, 3, 3),
         rotation=turned,
         margin=margin[:, 0] if margins else np.full(len(margin), np.nan),
         length=length[:, 0],
-        unknowns=last[0],
-        torque=last[1],
-        signs=slips,
+        heat=heat[:, 0],
+        unknowns=states[0, 1:count],
+        torque=states[1, 1:count],
+        signs=slips[1:count],
     )
