@@ -15,9 +15,9 @@ from ..control.c_binding import servo_of
 from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..control.servo import OBJECTIVES, ServoOptions
+from ..equilibrium.readings import to_model
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.units import DEG, MM, to_si
-from ..robots.readings import to_model
 from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, metres, radians
 from ..runs.obstacle_file import Bodies
 from ..show.served_report import Served

@@ -54,10 +54,8 @@ UNITS = {
         ],
         Decimal(1),
     ),
-    **dict.fromkeys(
-        ["mm", "mm_per_s", "mm_per_s2", "mJ", "mohm", "g", "g_per_m", "mN", "mN_m", "mN_per_m", "mN_m_per_m"],
-        Decimal("1e-3"),
-    ),
+    **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mm_per_N", "mJ", "mohm", "g", "g_per_m"], Decimal("1e-3")),
+    **dict.fromkeys(["mN", "mN_m", "mN_per_m", "mN_m_per_m"], Decimal("1e-3")),
     **dict.fromkeys(["deg", "deg_per_s", "deg_per_s2"], DEG),
     **dict.fromkeys(["um", "us", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
     "mm_per_min": _CONTEXT.divide(MM, _MINUTE),
@@ -94,6 +92,7 @@ SIGNS = {
     "m_per_s2": "m/s²",
     "deg_per_s": "deg/s",
     "mm_per_s": "mm/s",
+    "mm_per_N": "mm/N",
 }
 """How a unit is written in a table, where that is not its suffix."""
 

@@ -25,13 +25,13 @@ LEFT_OUT = Absent(None)
 class Calibration:
     """Joint values of the model from the readings of the drives, tube by tube:
 
-        model = gain * reading + offset
+        model = gain * reading + offset - compliance * force
 
     The library works in the model's joint values throughout; the command line takes and gives readings.
 
     Raises:
         InputError: tables of different length, a number that is not finite, a gain that is not positive, or a play
-            below 0.
+            or compliance below 0.
     """
 
     rotation_offsets: Annotated[Numbers, unit("deg"), LEFT_OUT, "added to the rotations; 0 where not given"]
@@ -43,11 +43,17 @@ class Calibration:
 
     latency: Annotated[float, unit("s"), "by which measured tips come later than readings with the same time"] = 0.0
     found_by: Annotated[str, "the data that it was found by"] = ""
+    translation_play: Annotated[
+        Numbers, unit("mm"), LEFT_OUT, "half widths of the carriages' backlash; known, not applied"
+    ] = ()
+    translation_compliance: Annotated[Numbers, unit("mm_per_N"), LEFT_OUT, "by which carriages yield to the tubes"] = ()
+    """Of concentric robots. The force is that of the tubes at the equilibrium, so it takes the mechanics:
+    `tubeopt.equilibrium.readings` applies it, `to_model` of this class leaves it out."""
 
     def __post_init__(self) -> None:
         count = len(self.rotation_offsets)
         for name in TABLES:
-            values = getattr(self, name)
+            values = getattr(self, name) or ((0.0,) * count if name in LATER else ())
             if len(values) != count:
                 raise InputError(f"{name} are {len(values)} numbers; rotation_offsets are {count}, one per tube")
             object.__setattr__(self, name, tuple(_number(name, i, value) for i, value in enumerate(values)))
@@ -70,13 +76,13 @@ class Calibration:
         return replace(self, found_by="") == Calibration.none(self.n_tubes)
 
     def to_model(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
-        """Joint values (..., n) of the model, rad and m, at readings (..., n)."""
+        """Joint values (..., n) of the model, rad and m, at readings (..., n), where no carriage yields."""
         alpha = np.asarray(rotations, dtype=float) * self.rotation_gains + self.rotation_offsets
         shift = np.asarray(translations, dtype=float) * self.translation_gains + self.translation_offsets
         return alpha, shift
 
     def to_readings(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
-        """Readings (..., n) at which the model has these joint values (..., n), rad and m."""
+        """Readings (..., n) at which the model has these joint values (..., n), rad and m, where no carriage yields."""
         alpha = (np.asarray(rotations, dtype=float) - self.rotation_offsets) / self.rotation_gains
         shift = (np.asarray(translations, dtype=float) - self.translation_offsets) / self.translation_gains
         return alpha, shift
@@ -96,17 +102,25 @@ TABLES = tuple(field.name for field in fields(Calibration) if str(field.type).st
 """Names of what a calibration holds for every tube."""
 
 
+LATER = ("translation_play", "translation_compliance")
+"""Those that are 0 where they are not given."""
+
+
 def _number(name: str, tube: int, value: float) -> float:
     what = f"{name} of tube {tube + 1}"
     if name.endswith("_gains"):
         return positive(what, value)
-    return positive(what, value, zero=True) if name == "rotation_play" else finite(what, value)
+    return finite(what, value) if name.endswith("_offsets") else positive(what, value, zero=True)
 
 
-def check_calibration(calibration: Calibration | None, n_tubes: int) -> None:
-    """Raise InputError where a calibration is for another number of tubes."""
-    if calibration is not None and calibration.n_tubes != n_tubes:
+def check_calibration(calibration: Calibration | None, n_tubes: int, *, yields: bool = False) -> None:
+    """Raise InputError where a calibration is for another number of tubes, or for carriages that yield and do not."""
+    if calibration is None:
+        return
+    if calibration.n_tubes != n_tubes:
         raise InputError(f"calibration is for {calibration.n_tubes} tubes; the robot has {n_tubes}")
+    if any(calibration.translation_compliance) and not yields:
+        raise InputError("calibration has a translation_compliance; only carriages of concentric robots can have one")
 
 
 def limits_of(given: JointLimits | None, calibration: Calibration | None, tubes: Sequence[Tube]) -> JointLimits:

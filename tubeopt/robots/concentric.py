@@ -64,7 +64,7 @@ class ConcentricRobot(Displayed):
             raise InputError(
                 f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {len(tubes)}"
             )
-        check_calibration(self.calibration, len(tubes))
+        check_calibration(self.calibration, len(tubes), yields=True)
         check_friction(self.friction, len(tubes))
         if self.clearance is not None:
             object.__setattr__(self, "clearance", per_pair("clearance", self.clearance, len(tubes)))

@@ -16,7 +16,7 @@ from ..errors import InputError, finite, positive
 from ..files.marks import POSITIVE, REQUIRED
 from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
-from .series import Quantity, Series, expand, extremes, spline, times
+from .series import POINTS, Quantity, Series, expand, extremes, plus, spline, times
 
 Along = float | Series | Callable[[float], float]
 """What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""
@@ -136,11 +136,22 @@ class Piece(Displayed):
             torsional_stiffness=longer(self.torsional_stiffness),
         )
 
-    def stiffened(self, factor: float) -> Piece:
-        """The piece with what stiffnesses of its own it has `factor` times as large."""
+    def stiffened(self, factor: float, torsional_factor: float | None = None) -> Piece:
+        """The piece with what stiffnesses of its own it has `factor` times as large, in torsion by a factor of its own
+        where one is given."""
+        factors = factor, factor if torsional_factor is None else torsional_factor
         own = self.bending_stiffness, self.torsional_stiffness
-        bending, torsional = (None if value is None else times(value, factor) for value in own)
+        bending, torsional = (None if a is None else times(a, b) for a, b in zip(own, factors, strict=True))
         return replace(self, bending_stiffness=bending, torsional_stiffness=torsional)
+
+    def bent(self, change: float) -> Piece:
+        """The piece with `change` (1/m) added to its precurvature, about the axis that it is bent about on the whole;
+        about x where it is straight or bent to all sides alike."""
+        x, y, z = self.precurvature
+        s = np.linspace(0.0, self.length, POINTS)
+        mean = complex(*(float(np.mean(q(s))) if isinstance(q, Series) else q for q in (x, y)))
+        axis = mean / abs(mean) if abs(mean) > 1e-9 * self.largest_curvature else 1.0 + 0.0j
+        return replace(self, precurvature=(plus(x, change * axis.real), plus(y, change * axis.imag), z))
 
     def scaled(self, factor: float) -> Piece:
         """The piece bent `factor` times as much, with the same natural twist."""

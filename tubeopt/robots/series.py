@@ -131,10 +131,11 @@ def turned(x: Quantity, y: Quantity, angle: float) -> tuple[Quantity, Quantity]:
 
 
 def plus(a: Quantity, b: Quantity) -> Quantity:
-    """The sum of two quantities on the same panels, or of one and a number."""
+    """The sum of two quantities; of two series on the same panels."""
     if not isinstance(a, Series):
         a, b = b, a
-    assert isinstance(a, Series)
+    if not isinstance(a, Series):
+        return a + b  # type: ignore[operator]
     other = b.coefficients if isinstance(b, Series) else ((b,),) * len(a.coefficients)
     table = []
     for one, more in zip(a.coefficients, other, strict=True):

@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
-from ..robots.readings import to_model
 from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
 

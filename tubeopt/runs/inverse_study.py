@@ -11,12 +11,12 @@ from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
+from ..equilibrium.readings import to_model
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
 from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
-from ..robots.readings import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array

@@ -9,13 +9,13 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from ..display import Displayed
+from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.checked import Positive, Whole, in_file
 from ..files.units import UNITS, to_si
 from ..robots.concentric import friction_of
 from ..robots.path_file import Waypoints, load_waypoints
-from ..robots.readings import to_model
 from ..robots.robot import Robot
 from ..stability import (
     Finding,

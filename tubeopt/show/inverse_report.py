@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.text import Text
 
 from ..equilibrium.file import save_equilibrium
+from ..equilibrium.readings import to_readings
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..files.csv_file import to_csv
@@ -19,7 +20,6 @@ from ..files.files import write_text
 from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
 from ..inverse import InverseSolution, JointWay
 from ..robots.path_file import joint_columns
-from ..robots.readings import to_readings
 from ..runs.inverse_study import Postures, Row, TargetTable
 from ..runs.target_file import DIRECTION, POSITION
 from ..typing import Array

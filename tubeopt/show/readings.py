@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
+from ..equilibrium.readings import to_readings
 from ..equilibrium.result import Equilibrium
-from ..robots.readings import to_readings
 from ..typing import Array
 from .quantities import Quantity
 from .words import degrees, millimetres

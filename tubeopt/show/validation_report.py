@@ -180,7 +180,7 @@ def save_residuals(directory: Path, v: Validation, held_out: Array | None = None
     return path
 
 
-SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_m_per_m"}
+SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_m_per_m", "m/N": "mm_per_N"}
 """SI unit of a parameter -> the unit in which it is told."""
 
 

@@ -48,9 +48,10 @@ class Effect:
     """One kind of deviation from the drawing.
 
     Attributes:
-        meaning: in words, with I for the number.   unit: "", "1/m", "rad", "m" or "s".
+        meaning: in words, with I for the number.   unit: "", "1/m", "rad", "m", "s", "N" or "m/N".
         each: what its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
-            eccentric one), "carriage", "xyz", "xy", or "" for a single parameter.
+            eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot),
+            "pair" of tubes that rub, "xyz", "xy", or "" for a single parameter.
         span: range of the parameter with an index from 0 (None: common to all).
         change: sets the parameter of a setup: (setup, first setup, indices, value, whether common).
         common: whether a parameter for all at once, without a number, is known as well.
@@ -149,6 +150,13 @@ def _curvature_span(context: Context, index: int | None) -> Span:
     return Span(value, -edge, edge, max(abs(value), 1.0), 0.1 * abs(value) + 0.5)
 
 
+def _piece_span(context: Context, index: int | None) -> Span:
+    tube, piece = context.setup.pieces[index or 0]
+    made = members(context.robot)[tube]
+    value, room = made.pieces[piece].largest_curvature, 2 / made.outer_diameter
+    return Span(0.0, -room, room, max(value, 1.0), 0.1 * value + 0.5)
+
+
 def _ratio_span(context: Context, index: int | None) -> Span:
     value = float(context.setup.bending_stiffness[index or 0] / context.setup.bending_stiffness[0])
     return Span(value, value / 20, value * 20, value, 0.2 * value)
@@ -200,9 +208,14 @@ def _curved_span(context: Context, index: int | None) -> Span:
     return Span(0.0, -reach, reach, context.length / 10, 2e-3)
 
 
-def _play_span(context: Context, index: int | None) -> Span:
-    start = float(context.setup.rotation_play[index or 0])
-    return Span(start, 0.0, max(start, math.radians(20)), 0.1, math.radians(1))
+def _positive(name: str, most: float, scale: float, prior: float) -> Callable[[Context, int | None], Span]:
+    """Not below 0."""
+
+    def span(context: Context, index: int | None) -> Span:
+        start = float(getattr(context.setup, name)[index or 0])
+        return Span(start, 0.0, max(start, most), scale, prior)
+
+    return span
 
 
 def _friction_span(context: Context, index: int | None) -> Span:
@@ -245,7 +258,18 @@ EFFECTS: dict[str, Effect] = {
     ),
     "rotation_play": Effect(
         "half width of the backlash between drive and tube I", "rad", "tube",
-        _play_span, _put("rotation_play"), needs="way", history=True, drives=True,
+        _positive("rotation_play", 20 * DEGREE, 0.1, DEGREE), _put("rotation_play"),
+        needs="way", history=True, drives=True,
+    ),
+    "translation_play": Effect(
+        "half width of the backlash between drive and carriage I", "m", "carriage",
+        _positive("translation_play", 5e-3, 1e-3, 5e-4), _put("translation_play"),
+        needs="way", history=True, drives=True,
+    ),
+    "translation_compliance": Effect(
+        "by how much carriage I of a concentric robot yields to the force of its tubes", "m/N", "spring",
+        _positive("translation_compliance", 0.1, 0.01, 1e-3), _put("translation_compliance"),
+        compared="asked", drives=True,
     ),
     "friction": Effect(
         "torque per length that rubbing bears between tube I and the next one, N m per m", "N", "pair",
@@ -266,6 +290,10 @@ EFFECTS: dict[str, Effect] = {
     "curvature": Effect(
         "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",
         _curvature_span, _curvature, common=True, sets=("curvature",),
+    ),
+    "piece_curvature": Effect(
+        "added to the precurvature of piece J of tube I, about the axis that it is bent about", "1/m", "piece",
+        _piece_span, _put("piece_curvature"),
     ),
     "curved_length": Effect(
         "length added to the curved part of tube I", "m", "kind", _curved_span, _lengthen("curved_length")
@@ -305,9 +333,12 @@ comparison prefers the first: drives, whose readings nothing checks, then what a
 arm's shape depends on most (a shear modulus is seldom measured, and unlike Young's does not cancel between tubes of one
 material), then what it does."""
 
-KINDS = {
-    f"{kind}{suffix}": effect.meaning
-    for kind, effect in EFFECTS.items()
-    for suffix in ([""] if effect.common or not effect.each else []) + (["_I"] if effect.each else [])
-}
-"""Names of parameters, I being a number from 1, or x, y, z, and what they mean."""
+
+def _patterns(kind: str, effect: Effect) -> list[str]:
+    """Names of the parameters of a kind, without and with what stands for their numbers."""
+    alone = [kind] if effect.common or not effect.each else []
+    return alone + ([kind + ("_I_J" if effect.each == "piece" else "_I")] if effect.each else [])
+
+
+KINDS = {name: effect.meaning for kind, effect in EFFECTS.items() for name in _patterns(kind, effect)}
+"""Names of parameters, I and J being numbers from 1, or I one of x, y, z, and what they mean."""

@@ -81,7 +81,7 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted parameter with its confidence interval [low, high]; unit "", "1/m", "rad", "m", "s" or "N".
+    """A fitted parameter with its confidence interval [low, high]; unit "", "1/m", "rad", "m", "s", "N" or "m/N".
 
     The interval takes errors as independent; `block_error`, the standard error from blocks of rows drawn again, does
     not, and is the one to believe where it is larger. A parameter that the data cannot determine is held at its start:

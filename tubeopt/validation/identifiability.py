@@ -111,6 +111,8 @@ def shown(value: float, unit: str) -> str:
         return f"{math.degrees(value):.4g} deg"
     if unit == "m":
         return f"{1e3 * value:.4g} mm"
+    if unit == "m/N":
+        return f"{1e3 * value:.4g} mm/N"
     return f"{value:.4g} {unit}".strip()
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..equilibrium.readings import yielded
 from ..errors import InputError, SolveError
 from ..robots.concentric import friction_of
 from ..robots.robot import Robot
@@ -80,6 +81,7 @@ class ArmModel:
         self.stations = measurements.stations
         self.evaluations = 0
         self._solved: list[tuple[Setup, Array, Array, Poses]] = []
+        self._gave_way: list[tuple[Setup, Array, Array, Array]] = []
         poses = self.poses(self.first)
         self.failures = poses.failures
         if not poses.found.any():
@@ -144,7 +146,28 @@ class ArmModel:
         """(N, n) joint values of the model, rad and m."""
         rotations, translations = self.timeline.readings(setup.latency)
         alpha = self.timeline.with_play(rotations * setup.rotation_gain + setup.rotation, setup.rotation_play)
-        return alpha, translations * setup.translation_gain + setup.translation
+        shift = translations * setup.translation_gain + setup.translation
+        shift = self.timeline.with_play(shift, setup.translation_play)
+        if not setup.translation_compliance.any():
+            return alpha, shift
+        return alpha, self._yielded(setup, alpha, shift)
+
+    def _yielded(self, setup: Setup, alpha: Array, shift: Array) -> Array:
+        """(N, n) translations of carriages that yield, remembered for the last setups, of which the first is the start.
+
+        Tubes that rub carry the friction among themselves; to the carriages they are tubes that do not.
+        """
+        for told, *given, found in self._gave_way:
+            same = told.same_tubes(setup) and np.array_equal(told.translation_compliance, setup.translation_compliance)
+            if same and np.array_equal(given, [alpha, shift]):
+                return found
+        near = None
+        if self._gave_way:
+            _, _, before, there = self._gave_way[0]
+            near = there + shift - before
+        found = yielded(setup.robot(self.robot), alpha, shift, setup.translation_compliance, near)
+        self._gave_way[:] = [(setup.copy(), alpha, shift, found), *self._gave_way[:2]]
+        return found
 
     def poses(self, setup: Setup, joints: tuple[Array, Array] | None = None, *, margins: bool = False) -> Poses:
         """Equilibria of every row, at its own joint values or at others; the last few are remembered.

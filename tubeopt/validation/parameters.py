@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..errors import InputError, nearest
+from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
 from .effects import EFFECTS, KINDS, Context, Effect
@@ -16,6 +17,9 @@ from .setup import Setup, members
 
 AXES = "xyz"
 
+COUNTED = {"carriage": "carriages", "spring": "carriages that yield", "pair": "pairs of tubes that rub"}
+"""What the numbers of parameters count, where that is not tubes."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -23,7 +27,7 @@ class Parameter:
 
     Attributes:
         name, kind, index: as chosen ("curvature_2"), its kind ("curvature"), its number from 0 (None: all).
-        unit: "", "1/m", "rad", "m", "s" or "N".
+        unit: "", "1/m", "rad", "m", "s", "N" or "m/N".
         start, low, high: value of the robot as given, and the range that is searched.
         scale: a change of this size is a large one.
         prior: how far the drawing may be off, one standard deviation.
@@ -88,6 +92,8 @@ def numbers_of(context: Context, effect: Effect) -> list[str]:
     """What the parameters of an effect are numbered with."""
     if effect.each.startswith("x"):
         return list(effect.each)
+    if effect.each == "piece":
+        return [f"{tube + 1}_{piece + 1}" for tube, piece in context.setup.pieces]
     return [str(i + 1) for i in range(effect.first - 1, _count(context, effect))]
 
 
@@ -97,32 +103,50 @@ def _count(context: Context, effect: Effect) -> int:
         "pair": len(context.setup.friction),
         "tube": robot.n_tubes,
         "kind": len(members(robot)),
+        "piece": len(context.setup.pieces),
         "carriage": len(robot.moving_together),
+        "spring": len(robot.moving_together) if isinstance(robot, ConcentricRobot) else 0,
     }
     return counts.get(effect.each, len(effect.each))
 
 
 def _parameter(context: Context, name: str, registration: str) -> Parameter:
-    match = re.fullmatch(r"([a-z_]*[a-z])_(\d+|[xyz])", name)
+    match = re.fullmatch(r"([a-z_]*[a-z])_(\d+|\d+_\d+|[xyz])", name)
     kind, number = (match[1], match[2]) if match else (name, None)
-    pattern = kind if number is None else f"{kind}_I"
-    if pattern not in KINDS or (number is not None and number.isdigit() == EFFECTS[kind].each.startswith("x")):
+    if not _known(kind, number):
         known = [word for word in KINDS if "_I" not in word]
-        known += [f"{word[:-1]}{number or 1}" for word in KINDS if "_I" in word]
+        known += [word.replace("_I", f"_{number or 1}").replace("_J", "_1") for word in KINDS if "_I" in word]
         raise InputError(f"parameter {name!r} is not known{nearest(name, known)}; choose from {', '.join(KINDS)}")
     effect = EFFECTS[kind]
     _check_number(context, effect, name, number)
     _check_needs(context, effect, name, registration)
-    index = None if number is None else (AXES.index(number) if number in AXES else int(number) - 1)
+    index = None if number is None else _index(context, effect, number)
     span = effect.span(context, index)
     unit = "" if index is None and kind == "curvature" else effect.unit
     which = _places(context, effect, index)
     return Parameter(name, kind, index, unit, span.start, span.low, span.high, span.scale, span.prior, which)
 
 
+def _known(kind: str, number: str | None) -> bool:
+    """Whether there are parameters of a kind that are numbered like this."""
+    if kind not in EFFECTS:
+        return False
+    each = EFFECTS[kind].each
+    if number is None:
+        return kind in KINDS
+    return bool(each) and (number in AXES) == each.startswith("x") and ("_" in number) == (each == "piece")
+
+
+def _index(context: Context, effect: Effect, number: str) -> int:
+    """The place, from 0, of what has a number."""
+    if number in AXES:
+        return AXES.index(number)
+    return numbers_of(context, effect).index(number) + effect.first - 1
+
+
 def _places(context: Context, effect: Effect, index: int | None) -> tuple[int, ...]:
     """Places in the setup that a parameter sets."""
-    if effect.each == "carriage":
+    if effect.each in ("carriage", "spring"):
         together = context.robot.moving_together
         return tuple(range(context.robot.n_tubes)) if index is None else together[index]
     return tuple(range(_count(context, effect) if effect.each else 1)) if index is None else (index,)
@@ -132,14 +156,20 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
     if number is None:
         return
     count = _count(context, effect)
+    if effect.each == "piece":
+        known = numbers_of(context, effect)
+        if number not in known:
+            there = f"choose from {', '.join(known)}" if known else "the robot has no tube of two or more pieces"
+            raise InputError(f"parameter {name!r}: there is no such piece of a tube; {there}")
+        return
     if number in AXES:
         if AXES.index(number) >= count:
             raise InputError(f"parameter {name!r} is not known; it has the axes {' and '.join(effect.each)}")
         return
     if effect.first <= int(number) <= count:
         return
-    what = {"carriage": "carriages", "pair": "pairs of tubes that rub"}.get(effect.each, "tubes")
-    what = what if effect.each in ("carriage", "pair") or count == context.robot.n_tubes else "different tubes"
+    what = COUNTED.get(effect.each, "tubes")
+    what = what if effect.each in COUNTED or count == context.robot.n_tubes else "different tubes"
     least = effect.first
     allowed = f"the number must be {least} to {count}" if least <= count else "it has no such parameter"
     raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")

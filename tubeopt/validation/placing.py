@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 
 from ..display import Displayed
+from ..equilibrium.readings import to_readings
 from ..errors import InputError, SolveError, positive
 from ..inverse.joints import joint_space
-from ..robots.readings import to_readings
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability import follow

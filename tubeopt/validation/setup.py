@@ -26,11 +26,14 @@ class Setup:
 
     Attributes:
         latency: s by which the measured tips come later than the joint readings.
-        rotation, rotation_gain, rotation_play, translation, translation_gain: (n,) of the drives; see `Calibration`.
+        rotation, rotation_gain, rotation_play, translation, translation_gain, translation_play, translation_compliance:
+            (n,) of the drives; see `Calibration`.
         friction: (n - 1,) N m per m between neighbouring tubes of a concentric robot; (0,) of others.
         clearance: (n - 1,) m, radial, of every tube in the next one of a concentric robot; (0,) of others.
         curvature, straight_length, curved_length, bending_stiffness, torsional_stiffness: (m,) of the tubes that the
             robot is described by, one per segment of an eccentric one; straight_length with the transmission.
+        piece_curvature: (p,) 1/m added to the precurvature of `pieces`, all those of tubes that have two or more: the
+            tube and the piece, from 0.
         plate_shift, plate_tilt: (3,) m and (2,) rad about x and y, by which the plate stands off where the
             registration puts it.
         sensor_offset: (3,) m, of the tip's sensor from the tip, in the frame of the tube that ends last.
@@ -44,6 +47,8 @@ class Setup:
     rotation_play: Array
     translation: Array
     translation_gain: Array
+    translation_play: Array
+    translation_compliance: Array
     friction: Array
     clearance: Array
     curvature: Array
@@ -51,11 +56,13 @@ class Setup:
     curved_length: Array
     bending_stiffness: Array
     torsional_stiffness: Array
+    piece_curvature: Array
     plate_shift: Array
     plate_tilt: Array
     sensor_offset: Array
     sensor_tilt: Array
     transmission: float = 0.0
+    pieces: tuple[tuple[int, int], ...] = ()
 
     @classmethod
     def of(cls, robot: Robot) -> Setup:
@@ -63,6 +70,7 @@ class Setup:
         drives = robot.calibration or Calibration.none(robot.n_tubes)
         tubes = members(robot)
         extra = robot.transmission_length if isinstance(robot, EccentricRobot) else 0.0
+        pieces = tuple((k, j) for k, tube in enumerate(tubes) if len(tube.pieces) > 1 for j in range(len(tube.pieces)))
         return cls(
             latency=drives.latency,
             rotation=np.array(drives.rotation_offsets),
@@ -70,6 +78,8 @@ class Setup:
             rotation_play=np.array(drives.rotation_play),
             translation=np.array(drives.translation_offsets),
             translation_gain=np.array(drives.translation_gains),
+            translation_play=np.array(drives.translation_play),
+            translation_compliance=np.array(drives.translation_compliance),
             friction=_torques(robot),
             clearance=_clearance(robot),
             curvature=np.array([tube.curvature for tube in tubes]),
@@ -77,11 +87,13 @@ class Setup:
             curved_length=np.array([tube.curved_length for tube in tubes]),
             bending_stiffness=np.array([tube.bending_stiffness for tube in tubes]),
             torsional_stiffness=np.array([tube.torsional_stiffness for tube in tubes]),
+            piece_curvature=np.zeros(len(pieces)),
             plate_shift=np.zeros(3),
             plate_tilt=np.zeros(2),
             sensor_offset=np.zeros(3),
             sensor_tilt=np.zeros(2),
             transmission=extra,
+            pieces=pieces,
         )
 
     def copy(self) -> Setup:
@@ -102,6 +114,8 @@ class Setup:
             rotation_gains=tuple(self.rotation_gain.tolist()),
             translation_gains=tuple(self.translation_gain.tolist()),
             rotation_play=tuple(self.rotation_play.tolist()),
+            translation_play=tuple(self.translation_play.tolist()),
+            translation_compliance=tuple(self.translation_compliance.tolist()),
             latency=self.latency,
             found_by=found_by,
         )
@@ -130,17 +144,31 @@ class Setup:
         return _rebuild(given, tubes, extra, drives)
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
-        changed: dict[str, Any] = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
         lengthened = float(self.straight_length[k] - first.straight_length[k])
-        changed["straight_length"] = max(0.0, tube.straight_length + lengthened)
+        changed: dict[str, Any] = {"straight_length": max(0.0, tube.straight_length + lengthened)}
+        changed |= {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
         kb, kt = float(self.bending_stiffness[k]), float(self.torsional_stiffness[k])
-        if kb == first.bending_stiffness[k] and kt == first.torsional_stiffness[k]:
-            return replace(tube, **changed)
-        return replace(tube, **changed, **_stiffness(tube, kb, kt))
+        if kb != first.bending_stiffness[k] or kt != first.torsional_stiffness[k]:
+            changed |= _stiffness(tube, kb, kt)
+        return replace(tube, **changed | self._pieces(tube, k, first))
+
+    def _pieces(self, tube: Tube, k: int, first: Setup) -> dict[str, Any]:
+        """What is changed piece by piece of a tube of pieces: nothing of any other."""
+        if not tube.pieces:
+            return {}
+        bend, longer, kb, kt = (
+            float(getattr(self, name)[k] / getattr(first, name)[k]) if getattr(first, name)[k] else 1.0
+            for name in ("curvature", "curved_length", "bending_stiffness", "torsional_stiffness")
+        )
+        own = dict(zip(first.pieces, self.piece_curvature.tolist(), strict=True))
+        pieces = tuple(
+            piece.bent(own.get((k, j), 0.0)).stretched(longer).stiffened(kb, kt) for j, piece in enumerate(tube.pieces)
+        )
+        return {"pieces": pieces, "curvature": bend * max(piece.largest_curvature for piece in pieces)}
 
 
 DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
-TUBES = ("friction", "clearance", *DIMENSIONS)
+TUBES = ("friction", "clearance", "piece_curvature", *DIMENSIONS)
 """What describes the tubes, how they rub, and how loose they are."""
 
 

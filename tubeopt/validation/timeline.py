@@ -67,17 +67,17 @@ class Timeline:
                 joints[run == k] = _between(time, values, wanted[run == k])
         return joints[:, : m.n_tubes], joints[:, m.n_tubes :]
 
-    def with_play(self, rotations: Array, play: Array) -> Array:
-        """(N, n) rotations of the tubes behind drives at `rotations` with play of half width (n,), rad.
+    def with_play(self, joints: Array, play: Array) -> Array:
+        """(N, n) joint values of the tubes behind drives at `joints` with play of half width (n,), rad or m.
 
         A tube stands still until its drive has taken up the play. At the start of a run the play is taken up in the
         direction of the first motion.
         """
         if not play.any():
-            return rotations
-        followed = rotations.copy()
+            return joints
+        followed = joints.copy()
         for rows in self.runs:
-            drive = rotations[rows]
+            drive = joints[rows]
             moved = np.diff(drive, axis=0)
             begins = np.argmax(moved != 0, axis=0) if len(moved) else np.zeros(len(play), dtype=int)
             first = np.sign(moved[begins, np.arange(len(play))]) if len(moved) else np.zeros(len(play))
