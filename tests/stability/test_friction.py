@@ -114,16 +114,17 @@ def test_front_lies_where_slip_ends() -> None:
 @pytest.mark.parametrize(("c", "q", "held", "fold"), [(4, 0.3, 0.0, 204.19709649), (2, 0.4, 0.5, 222.65242158)])
 def test_friction_delays_a_snap(c: float, q: float, held: float, fold: float) -> None:
     robot = pair(c, 1.0, held)
-    path = follow(robot, np.radians([[0, 0], [0, 240]]), friction=friction(q))
-    (snap,) = path.snaps
-    assert np.degrees(snap.rotations[1]) == pytest.approx(fold, abs=1e-8)
+    for waypoints in (241, 2):
+        way = np.linspace([0, 0], [0, np.radians(240)], waypoints)
+        (snap,) = follow(robot, way, friction=friction(q)).snaps
+        assert np.degrees(snap.rotations[1]) == pytest.approx(fold, abs=1e-8)
     assert 0 <= snap.before.margin < 1e-4
     assert snap.after.stable
     assert snap.after.friction is not None
     assert snap.before.friction is not None
     # What the tubes lose is heat of friction, and the rest is what the robot swings with.
     assert snap.energy_released > snap.after.friction.heat - snap.before.friction.heat > 0
-    before = follow(robot, np.radians([[0, 0], [0, 240]])).snaps[0]
+    before = follow(robot, way).snaps[0]
     assert snap.rotations[1] > before.rotations[1]
 
 

@@ -52,11 +52,18 @@ class JointPath:
 
     def largest_step(self) -> float:
         """Largest fraction of the path in one step."""
+        turn, shift = self._changes()
+        return 1.0 / max(turn / LARGEST_TURN, shift / LARGEST_SHIFT, 1.0)
+
+    def span(self) -> float:
+        """How far the joints go: largest turn, rad, or shift over the longest tube."""
+        return max(self._changes())
+
+    def _changes(self) -> tuple[float, float]:
+        """Largest turn, rad, and shift over the longest tube."""
         change, n = np.abs(self.end - self.start), len(self.start) // 2
-        turn, shift = change[:n], change[n:]
         longest = max(tube.length for tube in self.robot.tubes)
-        steps = max(turn.max() / LARGEST_TURN, shift.max() / (LARGEST_SHIFT * longest), 1.0)
-        return 1.0 / float(steps)
+        return float(change[:n].max()), float(change[n:].max()) / longest
 
     def events(self) -> list[float]:
         """Fractions, 1 included, at which the order of breakpoints may change: two meet, or one meets the plate."""

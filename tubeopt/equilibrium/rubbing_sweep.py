@@ -7,7 +7,7 @@ import numpy as np
 from ..block.transcription.contact import evaluate_contact
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
-from ..solvers.rubbing import HONEST, Increment
+from ..solvers.rubbing import Increment
 from ..typing import Array
 from .friction import Held, contact_of
 
@@ -33,7 +33,7 @@ def swept(robot: Robot, held: Held, joints: Array, many: Rubbed, k: int) -> Held
     rotations, translations = np.split(joints[k], 2)
     contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction)
     there = evaluate_contact(contact, rotations, many.unknowns[k - 1, : contact.problem.size])
-    rows, heat = len(contact.capacity), float(many.heat[k - 1])
+    rows, heat, violation = len(contact.capacity), float(many.heat[k - 1]), float(many.violation[k - 1])
     torque, signs = many.torque[k - 1, :rows], many.signs[k - 1, :rows]
-    found = Increment(there, torque, signs, heat, True, 0.0, HONEST)
+    found = Increment(there, torque, signs, heat, True, 0.0, violation)
     return Held(contact, rotations, translations, found, held.heat + heat)

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from ..block.transcription.contact import evaluate_contact
-from ..equilibrium.continuation import LARGEST_RATIO, SHORTEST_STEP, JointPath, largest_twist
+from ..equilibrium.continuation import LARGEST_RATIO, JointPath, largest_twist
 from ..equilibrium.friction import Held, carried, check_rubbing, rest, step
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -23,12 +23,13 @@ from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
 from ..typing import Array
+from .rubbing_stride import Stride
 
 SMOOTH_TURN = 0.05
 """A loss of stability after which no point turns by more than this (rad) is no snap."""
 
-PAST = 1e-6
-"""Part of the longest step by which the joints are past the last state that was found when the robot flows from it."""
+PAST = 1e4
+"""Shortest steps by which the joints are past the last state that was found when the robot flows from it."""
 
 HOP = 0.1
 """Part of the longest step below which a state that only friction holds may hop."""
@@ -104,31 +105,31 @@ def rubbing_leg(robot: Robot, held: Held, goal: Array) -> tuple[Held, list[Rubbi
 
 def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
     """States along a straight path of joint values, and snaps; the last is at its end."""
-    t, longest, far = 0.0, path.largest_step(), -1.0
+    t, far, stride = 0.0, -1.0, Stride(path)
     for goal in path.events():
-        size = longest
         while t < goal:
-            at = goal if t + size >= goal - 1e-12 else t + size
+            at = goal if t + stride.size >= goal - 1e-12 else t + stride.size
             there = _near(path, held, at)
-            if there is None:
-                size /= 4
-                # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
-                # goes far, a snap lies before it.
-                if held.margin <= 0 and size < HOP * longest and t >= far:
-                    there = _hopped(path, held, at)
-                    far = at if there is None else far
-                if there is None and size >= SHORTEST_STEP:
-                    continue
-                if there is None:
-                    at, far = min(goal, t + PAST * longest), -1.0
-                    there = _landed(path, held, at)
-                    if _distance(held, there) > SMOOTH_TURN:
-                        yield RubbingSnap(t, held, there)
-            else:
-                size = min(2 * size, longest)
+            if there is not None:
                 yield there
+                stride.went(t, held, at, there)
+                t, held = at, there
+                continue
+            shorter = stride.failed(t, held, at)
+            # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
+            # goes far, a snap lies before it.
+            if held.margin <= 0 and stride.size < HOP * stride.longest and t >= far:
+                there = _hopped(path, held, at)
+                far = at if there is None else far
+            if there is None and shorter:
+                continue
+            if there is None:
+                at, far = min(goal, t + PAST * stride.shortest), -1.0
+                there = _landed(path, held, at)
+                if _distance(held, there) > SMOOTH_TURN:
+                    yield RubbingSnap(t, held, there)
             t, held = at, there
-            size = max(size, 1e-3 * longest)
+            stride.landed()
     yield held
 
 

@@ -21,6 +21,7 @@ typedef struct {
     double most[MOST_UNKNOWNS], torque[MOST_UNKNOWNS], turned[MOST_UNKNOWNS];
     signed char sign[MOST_UNKNOWNS];
     double alpha[N], shift[N], margin;       /* 0 where it is not known: a lower bound of it */
+    double violation;                        /* of the laws of friction, as a slip (rad) or a part of the capacity */
     int tangent;                             /* whether there is one: */
     double turn[N], along[MOST_UNKNOWNS];    /* how far the bases turned to here, and z changed */
 } Held;
@@ -180,11 +181,14 @@ static int again(const Held *h, Room *w) {
     return 1;
 }
 
-/* Whether the state keeps to the laws of friction, to HONEST. */
-static int honest(const Held *h, const double *before) {
+/* Whether the state keeps to the laws of friction, to HONEST: it is told to what. */
+static int honest(Held *h, const double *before) {
+    h->violation = 0;
     for (int r = 0; r < h->rows; r++) {
         double slip = h->turned[r] - before[r], wrong = h->sign[r] ? -slip * h->sign[r] : fabs(slip);
-        if (!(wrong <= HONEST) || !(fabs(h->torque[r]) <= h->most[r] * (1 + HONEST))) return 0;
+        double over = fabs(h->torque[r]) / h->most[r] - 1;
+        if (!(wrong <= HONEST) || !(over <= HONEST)) return 0;
+        h->violation = fmax(h->violation, fmax(wrong, over));
     }
     return 1;
 }
@@ -399,16 +403,16 @@ static void station_at(const Answer *a, int tip, double behind, double *out) {
 
 /* Rows 1 ... of joint values (count, N) from the state of row 0. Returns how many there are, row 0 too, before it is lost or
    at an end. A row of z, torque and sign (count, MOST_UNKNOWNS) holds the unknowns of a state, and its rows of friction;
-   `out` (count, 3 stations + 9 + N + 3) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes
-   there, margin (0 where `sizes` says that it is not wanted), length, and the heat since row 0. -1 where the state is not
-   one of these tubes. */
+   `out` (count, 3 stations + 9 + N + 4) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes
+   there, margin (0 where `sizes` says that it is not wanted), length, the heat since row 0, and the violation of the laws
+   of friction. -1 where the state is not one of these tubes. */
 CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, const double *friction, double pieces,
                                    long long count, const double *alpha, const double *shift, const long long *sizes,
                                    double *z, double *torque, signed char *sign, const double *behind, double *out,
                                    Room *w) {
     Motion m = {tubes, method, {friction, pieces}, w, (int)sizes[3], 0, 0};
     Held *h = &w->held[0];
-    int stations = (int)sizes[2], width = 3 * stations + 9 + N + 3;
+    int stations = (int)sizes[2], width = 3 * stations + 9 + N + 4;
     if (!begin_held(&m, shift, h) || h->q.size != sizes[0] || h->rows != sizes[1]) return -1;
     memcpy(h->alpha, alpha, sizeof h->alpha);
     memcpy(h->state.z, z, h->q.size * sizeof(double));
@@ -432,6 +436,7 @@ CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, con
         row[9 + N] = h->margin;
         row[10 + N] = a->arc_length[tip];
         row[11 + N] = m.heat;
+        row[12 + N] = h->violation;
         memcpy(z + k * MOST_UNKNOWNS, h->state.z, h->q.size * sizeof(double));
         memcpy(torque + k * MOST_UNKNOWNS, h->torque, h->rows * sizeof(double));
         memcpy(sign + k * MOST_UNKNOWNS, h->sign, h->rows);

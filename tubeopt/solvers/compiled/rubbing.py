@@ -29,6 +29,7 @@ class Rubbed:
         stations: (K, S, 3) m.   frame: (K, 3, 3) of the tip.   rotation: (K, n) of the tubes there, rad.
         margin: (K,) without friction, to 1e-5, NaN if not asked for.   length: (K,) of the arm, m.
         heat: (K,) that friction took since the first row, J.
+        violation: (K,) of what friction demands, as a slip (rad) or a part of the capacity.
         unknowns, torque, signs: (K, M) of the states and of their contacts' rows, filled up.
     """
 
@@ -38,6 +39,7 @@ class Rubbed:
     margin: Array
     length: Array
     heat: Array
+    violation: Array
     unknowns: Array
     torque: Array
     signs: Signs
@@ -113,15 +115,15 @@ def rub_compiled(
     states[0, 0, : len(unknowns)], states[1, 0, : len(torque)] = unknowns, torque
     slips = np.zeros((len(joints), MOST_UNKNOWNS), dtype=np.int8)
     slips[0, : len(signs)] = signs
-    out, behind = np.zeros((len(joints), 3 * len(behind) + 12 + n)), np.ascontiguousarray(behind)
+    out, behind = np.zeros((len(joints), 3 * len(behind) + 13 + n)), np.ascontiguousarray(behind)
     room = _room(kernel)
     places = [array.ctypes.data for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out, room)]
     pieces = PIECES * 2.0**friction.refinement
     count = kernel.rub(plain[2], plain[0].method, capacity.ctypes.data, pieces, len(joints), *places)
     if count < 0:
         return None
-    parts = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1, 1]), axis=1)
-    at, frame, turned, margin, length, heat = parts
+    parts = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1, 1, 1]), axis=1)
+    at, frame, turned, margin, length, heat, violation = parts
     return Rubbed(
         stations=at.reshape(len(at), len(behind), 3),
         frame=frame.reshape(-1, 3, 3),
@@ -129,6 +131,7 @@ def rub_compiled(
         margin=margin[:, 0] if margins else np.full(len(margin), np.nan),
         length=length[:, 0],
         heat=heat[:, 0],
+        violation=violation[:, 0],
         unknowns=states[0, 1:count],
         torque=states[1, 1:count],
         signs=slips[1:count],
