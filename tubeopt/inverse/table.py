@@ -11,6 +11,7 @@ import io
 import math
 import os
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
@@ -218,25 +219,25 @@ def nearest_starts(
     return space.clip(turned[np.argsort(np.round(cost, 9), kind="stable")])
 
 
-def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Array:
+def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Iterator[Array]:
     """At most `count` of joint values (k, m) sorted by promise: the `first` of them, then such as differ most from all
-    chosen before, among the most promising ones."""
+    chosen before, among the most promising ones; each is looked for when it is asked for."""
     if len(q) <= first:
-        return q
+        yield from q
+        return
     pool = q[: max(POOL, first + 1)]
+    yield from pool[: max(first, 1)]
     n = space.robot.n_tubes
     relative = pool[:, :n] - pool[:, n - 1 : n]
     # Rotations against the outermost tube, as points of circles; the turn of the whole robot follows from the target.
     features = np.hstack([np.cos(relative), np.sin(relative), pool[:, n:] / space.scale[n:]])
-    chosen = list(range(max(first, 1)))
-    gap = np.min([np.linalg.norm(features - features[k], axis=1) for k in chosen], axis=0)
-    while len(chosen) < min(count, len(pool)):
+    gap = np.min([np.linalg.norm(features - own, axis=1) for own in features[: max(first, 1)]], axis=0)
+    for _ in range(min(count, len(pool)) - max(first, 1)):
         farthest = int(np.argmax(np.round(gap, 9)))
         if gap[farthest] <= 0:
-            break
-        chosen.append(farthest)
+            return
+        yield pool[farthest]
         gap = np.minimum(gap, np.linalg.norm(features - features[farthest], axis=1))
-    return np.asarray(pool[chosen])
 
 
 def _any_shift(space: JointSpace) -> Array:
