@@ -13,10 +13,12 @@ from tubeopt import Rig
 from tubeopt.physics.heat import Resolution
 from tubeopt.physics.heat_functions import instant_functions
 from tubeopt.robots.materials import ThermalData
-from tubeopt.shaping.heating.rates import State, current, rates, stored
+from tubeopt.shaping.heating.rates import State, current, march, rates, step_by_step, stored, warming_span
 from tubeopt.shaping.heating.rig import gap_conductance
+from tubeopt.shaping.heating.simulation import advance
 from tubeopt.shaping.heating.thermal import gap_of, leak_resistance, stack, thermal_model
 from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
+from tubeopt.solvers.compiled.heating import Windows, heating_kernel
 from tubeopt.typing import Array
 
 from .heating_reference import TUBE, ideal_tube, section, thesis_rig, with_mold
@@ -195,3 +197,28 @@ def test_one_member_in_many_states_is_each_state_alone() -> None:
         alone = rates(model, cells[k : k + 1], lumped[k : k + 1], DUTY)
         np.testing.assert_array_equal(alone[0][0], together[0][k])
         np.testing.assert_array_equal(alone[1][0], together[1][k])
+
+
+@pytest.mark.skipif(heating_kernel() is None, reason="no compiled kernel")
+@pytest.mark.parametrize("material", [CALCIUM_SILICATE, STEEL])
+def test_the_kernel_makes_the_steps_of_the_expressions(material: Any) -> None:
+    """Of two rigs at once, in windows of unlike spans; also of one rig alone, whose factors are kept between calls."""
+    rigs = [rig_of(material), replace(rig_of(material), loss_factor=0.9, ambient=290.0)]
+    model = stack([thermal_model(TUBE, rig, GRID) for rig in rigs])
+    cells, lumped = states(2, model.ambient)
+    duty = np.random.default_rng(1).random((4, 2)) * [[0.1], [0.1], [0.0], [1.0]]
+    windows = Windows(np.array([0.05, 1.0, 0.2, 0.05]), np.array([1, 4, 1, 1]), duty, np.array([0, 2, 1, 3, 4]))
+    here, there = (State(np.empty((5, *cells.shape)), np.empty((5, *lumped.shape))) for _ in range(2))
+    for course, follow in ((here, march), (there, step_by_step)):
+        course.cells[0], course.lumped[0] = cells, lumped
+        follow(model, course, windows)
+    np.testing.assert_allclose(here.cells, there.cells, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(here.lumped, there.lumped, rtol=1e-12)
+    alone, one = thermal_model(TUBE, rigs[1], GRID), State(cells[1:], lumped[1:])
+    for k, place in enumerate(windows.place[1:]):
+        one = advance(alone, one, duty[k, 1], windows.span[k])
+        np.testing.assert_allclose(one.cells[0], there.cells[place, 1], rtol=0, atol=1e-9)
+    idle, full, ampere = warming_span(alone, one.cells, one.lumped)
+    for rate, level in ((idle, 0.0), (full, 1.0)):
+        np.testing.assert_allclose(rate, rates(alone, one.cells, one.lumped, level)[0][:, :, 0], rtol=1e-10, atol=1e-10)
+    assert ampere == pytest.approx(current(alone, one.cells[:, :, 0], one.lumped).total, rel=1e-13)

@@ -11,7 +11,7 @@ import scipy.sparse
 from tubeopt import HeatingSpec
 from tubeopt.shaping.heating.haste import soonest
 from tubeopt.shaping.heating.ideal import solve_ideal
-from tubeopt.shaping.heating.instant import physics
+from tubeopt.shaping.heating.instant import VENTS, physics
 from tubeopt.shaping.heating.program import WISHES, Structure, program
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
 from tubeopt.typing import Array
@@ -23,11 +23,13 @@ STEP = 1e-5
 
 def test_derivatives_are_those_of_the_program() -> None:
     generator = np.random.default_rng(5)
-    made = program(Structure(PROGRAM, clear=True))
+    structure = Structure(PROGRAM, clear=True, chosen=("lead", "vents"))
+    made = program(structure)
     answer = solve_ideal(TUBE, thesis_rig(), HeatingSpec(hold_time=10))
     wishes = generator.uniform(0.5, 2.0, len(WISHES))
     p = np.concatenate([physics(TUBE, thesis_rig(), PROGRAM), wishes])
-    x = answer.x + 0.05 * generator.standard_normal(answer.x.size)
+    x = np.concatenate([answer.x, structure.copies_of(answer.x[-2 - VENTS :])])
+    x += 0.05 * generator.standard_normal(x.size)
     way, multipliers = generator.standard_normal(x.size), generator.standard_normal(sum(made.sizes.values()))
     gradient, jacobian, hessian = (made.exact.get_function(name) for name in ("nlp_grad_f", "nlp_jac_g", "nlp_hess_l"))
 

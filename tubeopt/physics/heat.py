@@ -243,26 +243,55 @@ class Flows:
 def heat_flows(at: Temperatures, load: Load, v: Volumes, g: Properties) -> Flows:
     """The balance of half the tube, half the mold and one clamp."""
     first, ambient = at.tube.numel() - at.mold.size1(), g["ambient"]
-    share, ohm = tube_share(load.half, g), resistances(at.tube, v, g)
-    # What a contact of the clamps makes goes half into the tube's end, half into the clamp.
-    contact = 0.25 * load.drive * g["contact"]
-    into_clamp = v.to_clamp * (at.tube - at.clamp)
-    air = v.to_air * (at.tube - ambient) + v.radiating * (at.tube**4 - ambient**4)
     into_mold = v.to_mold * (at.tube[first:] - at.mold[:, 0])
-    slope = 1 + g["conduction_slope"] * (0.5 * (at.tube[1:] + at.tube[:-1]) - g["reference"])
-    along = _gain(v.conduction * slope * (at.tube[1:] - at.tube[:-1]))
-    tube = load.drive * share**2 * ohm + along - into_clamp - air + contact * v.grip_share
-    stray = load.drive * (1 - share) * share * load.half * v.cover_share
+    gain, into_clamp, air = cell_gains(at.tube, at.clamp, load, v, g)
+    along = _gain(heat_along(at.tube[:-1], at.tube[1:], v.conduction, g))
     outward = v.radial * (at.mold[:, :-1] - at.mold[:, 1:])
     outside = v.outer * (at.mold[:, -1] - ambient)
     sideways = _gain(v.axial * (at.mold[1:, :] - at.mold[:-1, :]))
-    cooling = g["clamp_loss"] * (at.clamp - ambient)
+    clamp, surroundings = lump_gains(at.clamp, ca.sum1(into_clamp), ca.sum1(air) + ca.sum1(outside), load, g)
     return Flows(
-        tube=tube - ca.vertcat(ca.DM(first, 1), into_mold),
-        mold=ca.horzcat(into_mold + stray, outward) - ca.horzcat(outward, outside) + sideways,
-        clamp=ca.sum1(into_clamp) + contact - cooling,
-        surroundings=ca.sum1(air) + ca.sum1(outside) + cooling,
+        tube=gain + along - ca.vertcat(ca.DM(first, 1), into_mold),
+        mold=ca.horzcat(into_mold + stray_heat(load, v.cover_share, g), outward)
+        - ca.horzcat(outward, outside)
+        + sideways,
+        clamp=clamp,
+        surroundings=surroundings,
     )
+
+
+def cell_gains(tube: Any, clamp: Any, load: Load, v: Volumes, g: Properties) -> tuple[Any, Any, Any]:
+    """What cells gain but for what passes to the next ones and into the mold, and of that, what goes into the clamp and
+    to the air, W."""
+    ambient = g["ambient"]
+    into_clamp = v.to_clamp * (tube - clamp)
+    air = v.to_air * (tube - ambient) + v.radiating * (tube**4 - ambient**4)
+    joule = load.drive * tube_share(load.half, g) ** 2 * resistances(tube, v, g)
+    return joule - into_clamp - air + contact_heat(load, g) * v.grip_share, into_clamp, air
+
+
+def heat_along(left: Any, right: Any, conduction: Any, g: Properties) -> Any:
+    """What passes along the tube from a cell at `right` to the one before at `left`, W."""
+    slope = 1 + g["conduction_slope"] * (0.5 * (right + left) - g["reference"])
+    return conduction * slope * (right - left)
+
+
+def contact_heat(load: Load, g: Properties) -> Any:
+    """What a contact of the clamps makes, W: half into the tube's end, half into the clamp."""
+    return 0.25 * load.drive * g["contact"]
+
+
+def stray_heat(load: Load, cover_share: Any, g: Properties) -> Any:
+    """What the current beside the tube makes in parts of the mold, W."""
+    share = tube_share(load.half, g)
+    return load.drive * (1 - share) * share * load.half * cover_share
+
+
+def lump_gains(clamp: Any, into_clamp: Any, off: Any, load: Load, g: Properties) -> tuple[Any, Any]:
+    """What one clamp and the surroundings of half the rig gain, W, where the tube gives so much into the clamp, and
+    tube and mold so much `off`."""
+    cooling = g["clamp_loss"] * (clamp - g["ambient"])
+    return into_clamp + contact_heat(load, g) - cooling, off + cooling
 
 
 def _gain(flow: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
@@ -22,6 +23,10 @@ GAMMA = 1 - 1 / math.sqrt(2)
 """Of ROS2, which is of order 2 for any approximation of the Jacobian and L-stable with the exact one (Verwer, Spee,
 Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999)): the root with the small error, which asks for a Jacobian that is
 at most a sixth too small."""
+
+
+OF_A_CELL = ("heat", "resistance", "to_clamp", "to_air", "radiating", "grip_share")
+"""Entries of `Volumes` that belong to one cell of the tube."""
 
 
 @lru_cache(maxsize=16)
@@ -53,29 +58,15 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     g, v = named(p), heat.Volumes.of(q, resolution)
     at = heat.Temperatures(cells[0, :].T, cells[1:, n - resolution.covered :].T, lumped[CLAMP])
 
-    def circuit(tube: ca.SX) -> tuple[ca.SX, ca.SX]:
-        half = ca.sum1(heat.resistances(tube, v, g))
-        return half, (heat.source_voltage(lumped[CHARGE], g) - lumped[SAG]) / heat.loop_resistance(half, g)
-
-    half, total = circuit(at.tube)
-    on = heat.conducting(duty, g)
-    load = heat.Load(half, on * total, on * total**2)
+    load, total = _loaded(ca.sum1(heat.resistances(at.tube, v, g)), lumped, duty, g)
     flows = heat.heat_flows(at, load, v, g)
-    discharge, sagging = heat.battery_rates(load, lumped[SAG], g)
     capacity = heat.by_cell(heat.tube_capacity(at.tube, v, g), v.shell_heat, bare=1.0)
-    outside_tube = g["internal"] + g["series"] - g["contact"]
-    slow = ca.vertcat(
-        flows.clamp / g["clamp_heat"],
-        discharge,
-        sagging,
-        load.mean * heat.source_voltage(lumped[CHARGE], g),
-        load.mean * (lumped[SAG] + total * outside_tube),
-        2 * flows.surroundings,
-    )
+    slow = _slow(flows.clamp, flows.surroundings, load, total, lumped, g)
     cell_rates = heat.by_cell(flows.tube, flows.mold) / capacity
-    half, total = circuit(tube)
-    terminal = heat.source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * total
-    seen = ca.vertcat(total, total * heat.tube_share(half, g), terminal, half)
+    half = ca.sum1(heat.resistances(tube, v, g))
+    now = _loaded(half, lumped, duty, g)[1]
+    terminal = heat.source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * now
+    seen = ca.vertcat(now, now * heat.tube_share(half, g), terminal, half)
     found = {
         "rates": ([cells, lumped, duty, p, q], [cell_rates, slow]),
         "warming": ([cells, lumped, duty, p, q], [cell_rates[:2, :]]),
@@ -85,11 +76,68 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     }
     warming = ca.Function("warming", *found["warming"])
     ends = [warming(cells, lumped, level, p, q)[0, :].T for level in (0.0, 1.0)]
-    found["span"] = [cells, lumped, p, q], [*ends, circuit(at.tube)[1]]
+    found["span"] = [cells, lumped, p, q], [*ends, total]
     return {
         name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
         for name, (inputs, outputs) in found.items()
     }
+
+
+def _loaded(half: ca.SX, lumped: ca.SX, duty: ca.SX, g: heat.Properties) -> tuple[heat.Load, ca.SX]:
+    """The load of a duty where half the tube has `half` ohm, and the current while the MOSFET conducts."""
+    total = (heat.source_voltage(lumped[CHARGE], g) - lumped[SAG]) / heat.loop_resistance(half, g)
+    on = heat.conducting(duty, g)
+    return heat.Load(half, on * total, on * total**2), total
+
+
+def _slow(clamp: ca.SX, surroundings: ca.SX, load: heat.Load, total: ca.SX, lumped: ca.SX, g: heat.Properties) -> ca.SX:
+    """Rates of the lumped state, where a clamp and the surroundings of half the rig gain so much, W."""
+    discharge, sagging = heat.battery_rates(load, lumped[SAG], g)
+    outside_tube = g["internal"] + g["series"] - g["contact"]
+    return ca.vertcat(
+        clamp / g["clamp_heat"],
+        discharge,
+        sagging,
+        load.mean * heat.source_voltage(lumped[CHARGE], g),
+        load.mean * (lumped[SAG] + total * outside_tube),
+        2 * surroundings,
+    )
+
+
+@lru_cache(maxsize=1)
+def cell_functions() -> tuple[ca.Function, ...]:
+    """The laws of one cell, of which the compiled kernel makes the same step as `step_function` on grids of any size.
+
+    ohm: of a cell. load: of a duty, with the current while the MOSFET conducts. cell: what a cell gains by itself, what
+    of that goes into the clamp and to the air, its heat capacity, and how fast what leaves grows with its temperature.
+    link: what passes to a cell from the next one, and its slopes in both temperatures. stray: heat of the current
+    beside the tube in a part of the mold. lumps: rates of the lumped state.
+    """
+    scalars = ("tube", "other", "clamp", "into_clamp", "off", "half", "duty", "coefficient")
+    tube, other, clamp, into_clamp, off, half, duty, coefficient = (ca.SX.sym(name) for name in scalars)
+    lumped, seen, p = ca.SX.sym("lumped", LUMPED), ca.SX.sym("load", 4), ca.SX.sym("p", len(PROPERTIES))
+    g, load = named(p), heat.Load(seen[0], seen[1], seen[2])
+    own = {name: ca.SX.sym(name) for name in OF_A_CELL}
+    v = heat.Volumes(**{item.name: own.get(item.name) for item in fields(heat.Volumes)})
+    gain, given, air = heat.cell_gains(tube, clamp, load, v, g)
+    begun, total = _loaded(half, lumped, duty, g)
+    link = heat.heat_along(tube, other, coefficient, g)
+    gains = heat.lump_gains(clamp, into_clamp, off, load, g)
+    laws = {
+        "ohm": ([tube, own["resistance"], p], [heat.resistances(tube, v, g)]),
+        "load": ([half, lumped, duty, p], [ca.vertcat(begun.half, begun.mean, begun.drive, total)]),
+        "cell": (
+            [tube, clamp, seen, *own.values(), p],
+            [gain, given, air, heat.tube_capacity(tube, v, g), ca.jacobian(given + air, tube)],
+        ),
+        "link": ([tube, other, coefficient, p], [link, ca.jacobian(link, tube), ca.jacobian(link, other)]),
+        "stray": ([seen, coefficient, p], [heat.stray_heat(load, coefficient, g)]),
+        "lumps": ([clamp, into_clamp, off, seen, lumped, p], [_slow(*gains, load, seen[3], lumped, g)]),
+    }
+    return tuple(
+        ca.Function(f"law_{name}", inputs, [ca.densify(value) for value in outputs], {"cse": True})
+        for name, (inputs, outputs) in laws.items()
+    )
 
 
 @lru_cache(maxsize=16)

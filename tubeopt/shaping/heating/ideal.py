@@ -58,7 +58,8 @@ class Ideal:
         rig: with clearance, lead and vents as chosen.
         time: (N,) collocation points, s. tube: (N, n) temperatures there, K.
         held: (H, 1 + c) at the points of the hold, where the curved part begins and at its cells, K.
-        iterations: of IPOPT. x, multipliers: scaled unknowns and multipliers, for a later guess.
+        iterations: of IPOPT. x, multipliers: scaled unknowns and multipliers, for a later guess; without the copies of
+            what is chosen of the rig.
     """
 
     heating: float
@@ -149,7 +150,7 @@ def solve_ideal(
     Raises:
         SolveError: IPOPT did not converge; the message says at what the worst constraint is.
     """
-    structure = Structure(PROGRAM, clear=below and spec.objective == "margin")
+    structure = Structure(PROGRAM, clear=below and spec.objective == "margin", chosen=spec.free)
     made = program(structure)
     x = guess.x if guess is not None else _start(made, tube, rig, spec)
     lower, upper = _unknown_bounds(made, tube, rig, spec)
@@ -158,15 +159,16 @@ def solve_ideal(
         tubes = upper[: structure.points * structure.states].reshape(structure.points, -1)[:, : PROGRAM.cells]
         tubes[:] = (spec.limit - reserve[1] + ZERO_CELSIUS - rig.ambient - (0 if shift is None else shift.tube)) / RISE
     p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, tube, rig, reserve, room)])
-    x = np.clip(x, lower, upper)
+    x = np.clip(np.concatenate([x, structure.copies_of(x[-2 - VENTS :])]), lower, upper)
     bounds = {"p": p, "lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     found, stats = _solved(made, spec, x, bounds, guess)
     g = found["g"].full().ravel()
     violation = np.maximum(lbg - g, g - ubg)
     if not stats["success"] and violation.max() > 1e-5:
         raise SolveError(f"IPOPT found no heating schedule ({stats['return_status'].replace('_', ' ').lower()}): "
-                         f"{_worst(made, violation)}")  # fmt: skip
-    multipliers = found["lam_x"].full().ravel(), found["lam_g"].full().ravel()
+                         f"{made.worst(violation)}")  # fmt: skip
+    kept = [len(given) - structure.copies for given in (lower, lbg)]
+    multipliers = found["lam_x"].full().ravel()[: kept[0]], found["lam_g"].full().ravel()[: kept[1]]
     answer = _read(made, tube, rig, spec, found["x"].full().ravel(), int(stats["iter_count"]))
     if spec.objective == "margin" and below and answer.miss > 0:
         asked: dict[str, Any] = {"reserve": reserve, "room": room, "shift": shift}
@@ -237,11 +239,11 @@ def _unknown_bounds(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> t
     drives[0] = spec.ramp / (COUNTS * count_rate(tube, rig)) * now**2 / DRIVE
     lower = [
         cold.ravel(), np.zeros(2 * s.points), np.zeros(n_u), np.full(intervals, 0.5 / DURATION),
-        np.full(s.points, least_miss), tail[0], vent_low,
+        np.full(s.points, least_miss), tail[0], vent_low, np.full(s.copies, -np.inf),
     ]  # fmt: skip
     upper = [
         hot.ravel(), np.full(2 * s.points, np.inf), drives, np.full(intervals, longest / DURATION),
-        np.full(s.points, MOST_MISS), tail[1], vent_high,
+        np.full(s.points, MOST_MISS), tail[1], vent_high, np.full(s.copies, np.inf),
     ]  # fmt: skip
     return np.concatenate(lower), np.concatenate(upper)
 
@@ -250,6 +252,7 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
     limits: dict[str, tuple[Any, Any]] = {
         "equations": (0.0, 0.0), "same": (0.0, 0.0), "low": (0.0, np.inf), "high": (-np.inf, 0.0),
         "limit": (-np.inf, 0.0), "ramp": (-np.inf, 1.0), "current": (-np.inf, 1.0), "duty": (-np.inf, 0.0),
+        "chosen": (0.0, 0.0),
     }  # fmt: skip
     if shift is not None:
         # The constraints of the window are written in units of WINDOW, that of the limit in units of RISE.
@@ -262,15 +265,6 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
         for side in (0, 1)
     )
     return lower, upper
-
-
-def _worst(made: Program, violation: Array) -> str:
-    at = int(np.argmax(violation))
-    for name, size in made.sizes.items():
-        if at < size:
-            return f"the worst constraint is {name}, entry {at + 1} of {size}, violated by {violation.max():.1e}"
-        at -= size
-    raise AssertionError
 
 
 # --- the guess ----------------------------------------------------------------------------------------------------
@@ -381,7 +375,7 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
         tube=rig.ambient + RISE * Z[: made.structure.resolution.cells].T,
         held=_held(made, tube, chosen, rig.ambient + RISE * Z[: made.structure.resolution.cells].T),
         iterations=iterations,
-        x=x,
+        x=x[: len(x) - made.structure.copies],
     )
 
 

@@ -92,11 +92,28 @@ class Structure:
     Attributes:
         clear: the limit gives way by the miss as the window's ends do; otherwise it is a bound of the unknowns, and no
             constraint is spent on it.
+        chosen: what of the rig may be chosen: every interval has a copy of it.
     """
 
     resolution: Resolution
     mesh: TimeMesh = MESH
     clear: bool = False
+    chosen: tuple[str, ...] = ()
+
+    @property
+    def copied(self) -> list[int]:
+        """Rows of the design that are chosen."""
+        rows = {"clearance": [0], "lead": [1], "vents": list(range(2, 2 + VENTS))}
+        return [row for name, own in rows.items() if name in self.chosen for row in own]
+
+    @property
+    def copies(self) -> int:
+        """Unknowns, the last ones, that are copies: of what is chosen in all intervals but the first."""
+        return len(self.copied) * (self.mesh.heating + self.mesh.hold - 1)
+
+    def copies_of(self, design: Array) -> Array:
+        """The copies of a design (2 + VENTS,)."""
+        return np.resize(design[self.copied], self.copies)
 
     @property
     def states(self) -> int:
@@ -129,6 +146,15 @@ class Program:
     split: Any
     sizes: dict[str, int]
 
+    def worst(self, violation: Array) -> str:
+        """In words, the constraint that is violated most."""
+        at = int(np.argmax(violation))
+        for name, size in self.sizes.items():
+            if at < size:
+                return f"the worst constraint is {name}, entry {at + 1} of {size}, violated by {violation.max():.1e}"
+            at -= size
+        raise AssertionError
+
 
 def differentiation(mesh: TimeMesh) -> Array:
     """(1+N, N): values at start and points, times this, are rates at the points times the interval's length."""
@@ -155,10 +181,11 @@ def interpolation(mesh: TimeMesh) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Unknowns:
-    """The symbols: states (S, N), circuit (2, N), drive (1, 1+K), duration and miss in copies, design.
+    """The symbols: states (S, N), circuit (2, N), drive (1, 1+K), duration and miss in copies, design, and copies of
+    what of it is chosen.
 
     A copy of the duration in every interval and of the miss at every point: a single one would be a dense column, which
-    fills the factors.
+    fills the factors. So it is with what is chosen of the design.
     """
 
     z: Any
@@ -167,6 +194,7 @@ class _Unknowns:
     durations: Any
     misses: Any
     design: Any
+    copies: Any
 
     @classmethod
     def of(cls, s: Structure) -> _Unknowns:
@@ -179,13 +207,23 @@ class _Unknowns:
             "durations": (1, mesh.heating),
             "misses": (1, s.points),
             "design": (2 + VENTS, 1),
+            "copies": (len(s.copied), mesh.heating + mesh.hold - 1),
         }
         return cls(**{name: ca.MX.sym(name, *shape) for name, shape in sizes.items()})
 
     @property
     def column(self) -> Any:
         """All unknowns."""
-        return ca.veccat(self.z, self.circuit, self.drive, self.durations, self.misses, self.design)
+        parts = self.z, self.circuit, self.drive, self.durations, self.misses, self.design, self.copies
+        return ca.veccat(*parts)
+
+    def designs(self, s: Structure) -> Any:
+        """(2 + VENTS, N) design at every point: that of its interval."""
+        count = s.mesh.heating + s.mesh.hold
+        rows = [ca.repmat(row, 1, count) for row in ca.vertsplit(self.design)]
+        for place, row in enumerate(s.copied):
+            rows[row] = ca.horzcat(self.design[row], self.copies[place, :])
+        return ca.kron(ca.vertcat(*rows), ca.DM.ones(1, s.mesh.degree))
 
 
 def _widths(mesh: TimeMesh, durations: Any, hold: Any) -> Any:
@@ -195,12 +233,13 @@ def _widths(mesh: TimeMesh, durations: Any, hold: Any) -> Any:
     return ca.horzcat(ca.vec(heating).T, hold * ca.DM(np.repeat(second, mesh.degree)).T)
 
 
-def _held(s: Structure, x: _Unknowns, numbers: Numbers) -> Any:
+def _held(s: Structure, x: _Unknowns, numbers: Numbers, designs: Any) -> Any:
     """(1+c, H) temperatures (K) where the curved part begins, and at its cells, at the points of the hold."""
     first = s.resolution.cells - s.resolution.curved
     rows = x.z[first - 1 : s.resolution.cells, s.points - s.holding_points :] * RISE
-    width = numbers.widths(s.resolution, x.design)
-    before, after = width[first - 1], width[first]
+    columns = ca.horzsplit(designs[:, s.points - s.holding_points :])
+    widths = [numbers.widths(s.resolution, design)[first - 1 : first + 1] for design in columns]
+    before, after = ca.vertsplit(ca.horzcat(*widths))
     joint = (after * rows[0, :] + before * rows[1, :]) / (before + after)
     return ca.vertcat(joint, rows[1:, :]) + numbers.scalar["ambient"]
 
@@ -216,9 +255,10 @@ def program(s: Structure) -> Program:
     values = ca.horzcat(ca.DM.zeros(s.states, 1), x.z)
     rate = ca.mtimes(values, ca.sparsify(ca.DM(differentiation(mesh)))) / ca.repmat(width, s.states, 1)
     drive = ca.mtimes(x.drive, ca.sparsify(ca.DM(interpolation(mesh))))
-    everywhere = instant(s.resolution).map("instants", "serial", s.points, [4, 5], [])
-    equations, power = everywhere(x.z, rate, x.circuit, drive, x.design, p)
-    held = _held(s, x, numbers)
+    designs = x.designs(s)
+    everywhere = instant(s.resolution).map("instants", "serial", s.points, [5], [])
+    equations, power = everywhere(x.z, rate, x.circuit, drive, designs, p)
+    held = _held(s, x, numbers, designs)
     misses = ca.repmat(x.misses[s.points - s.holding_points :], held.size1(), 1)
     limit = (w["limit"] - numbers.scalar["ambient"] + x.misses) / RISE
     blocks = {
@@ -230,6 +270,7 @@ def program(s: Structure) -> Program:
         "ramp": rate[s.resolution.grip : s.resolution.cells, :] * RISE / w["ramp"],
         "current": drive * DRIVE / (x.circuit[0, :] * AMPERE) / w["current"],
         "duty": drive * DRIVE / AMPERE**2 - x.circuit[0, :] ** 2,
+        "chosen": ca.diff(ca.horzcat(x.design[s.copied], x.copies), 1, 1) if s.copied else ca.MX(0, 1),
     }
     weights = np.tile(tableau("radau", mesh.degree).weights, mesh.heating + mesh.hold)
     energy = w["w_energy"] / ENERGY * ca.DM(weights).T
@@ -254,7 +295,7 @@ def program(s: Structure) -> Program:
         x=x.column,
         p=problem["p"],
         numbers=p,
-        own=ca.vertcat(x.z, x.circuit, drive, ca.repmat(x.design, 1, s.points), width),
+        own=ca.vertcat(x.z, x.circuit, drive, designs, width),
         objective=smooth + linear,
         constraints=ca.vertcat(*(ca.vec(block) for block in blocks.values())),
         weights=energy,

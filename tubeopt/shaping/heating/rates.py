@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ...block.transcription.buffered import mapped
 from ...physics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_functions, step_function
+from ...solvers.compiled.heating import Marcher, Windows, heating_kernel
 from ...typing import Array
 from .thermal import ThermalModel
 
@@ -71,15 +74,49 @@ def warming(model: ThermalModel, cells: Array, lumped: Array, duty: Array | floa
 
 def warming_span(model: ThermalModel, cells: Array, lumped: Array) -> tuple[Array, Array, Array]:
     """(B, n) rates of the tube at no duty and at full duty, K/s, and (B,) the current while the MOSFET conducts, A."""
+    marcher = marcher_of(model) if len(cells) == model.members == 1 else None
+    if marcher is not None:
+        n = model.resolution.cells
+        found = marcher.spread(cells, lumped)
+        return found[None, :n], found[None, n:-1], found[-1:]
     idle, full, ampere = _evaluated("span", model, cells, lumped)
     return idle, full, ampere[:, 0]
 
 
-def stepped(model: ThermalModel, cells: Array, lumped: Array, duty: Array, span: float) -> tuple[Array, Array]:
-    """(cells, lumped) after one step of the integrator over `span`, s, at a duty (1, 1) or (B, 1)."""
-    function = mapped(step_function(model.resolution), len(cells))
-    after, slow = function(cells.reshape(function.inputs[0].shape), lumped, duty, span, model.properties, model.volumes)
-    return after.reshape(cells.shape).copy(), slow.copy()
+_marchers = threading.local()
+
+
+def marcher_of(model: ThermalModel) -> Marcher | None:
+    """A model bound to the compiled kernel, of this thread; None where there is no kernel."""
+    kernel = heating_kernel()
+    if kernel is None:
+        return None
+    known: WeakKeyDictionary[ThermalModel, Marcher] = _marchers.__dict__.setdefault("known", WeakKeyDictionary())
+    if (found := known.get(model)) is None:
+        found = known[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
+    return found
+
+
+def march(model: ThermalModel, course: State, windows: Windows) -> None:
+    """Write the states after windows of time at constant duties into a course (T, B, ...) whose first one in place is
+    given: in the compiled kernel, or where there is none by steps one by one, to the same states."""
+    marcher = marcher_of(model)
+    if marcher is None:
+        step_by_step(model, course, windows)
+    else:
+        marcher.march(windows, course.cells, course.lumped)
+
+
+def step_by_step(model: ThermalModel, course: State, windows: Windows) -> None:
+    """`march` without a compiler."""
+    function = mapped(step_function(model.resolution), course.cells.shape[1])
+    shape, spans = function.inputs[0].shape, windows.span / windows.steps
+    cells, lumped = (row[windows.place[0]] for row in (course.cells, course.lumped))
+    for place, span, count, duty in zip(windows.place[1:], spans, windows.steps, windows.duty, strict=True):
+        for _ in range(count):
+            numbers = model.properties, model.volumes
+            cells, lumped = function(cells.reshape(shape), lumped, duty[:, None], span, *numbers)
+        course.cells[place], course.lumped[place] = cells.reshape(course.cells.shape[1:]), lumped
 
 
 def stored(model: ThermalModel, state: State) -> Array:

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CLAMP
+from ...solvers.compiled.heating import Windows
 from ...typing import Array
-from .rates import State, at_rest, current, imbalance, stepped, warming
+from .rates import State, at_rest, current, imbalance, march, marcher_of, step_by_step, warming
 from .thermal import ThermalModel
 
-STEP, TOGETHER, LOOK = 0.25, 0.2, 0.1
-"""Greatest step, s, of a simulation, of one in which slots are stepped over together, and of one that looks for
-extremes."""
-
-FORGOTTEN = 0.03 / 255
-"""Duty times s by which the duties of slots that are stepped over together may run away from their mean: what half a
-count does in the shortest of slots."""
+STEP, LOOK = 0.25, 0.1
+"""Greatest step, s, of a simulation, and of one that looks for extremes."""
 
 BATCH = 60
 """States of one member that are looked at together; each holds the model's numbers once."""
@@ -106,11 +102,20 @@ def history_of(model: ThermalModel, slot: float, course: State) -> History:
 def advance(model: ThermalModel, state: State, duty: Array | float, span: float, steps: int | None = None) -> State:
     """The state after `span` seconds at constant duty, one number or (B,): equal steps of ROS2, as many as `STEP` asks
     for unless told."""
-    count = steps_of(span) if steps is None else steps
-    cells, lumped, level = state.cells, state.lumped, np.reshape(duty, (-1, 1))
-    for _ in range(count):
-        cells, lumped = stepped(model, cells, lumped, level, span / count)
-    return State(cells, lumped)
+    count, marcher = steps_of(span) if steps is None else steps, marcher_of(model)
+    if marcher is not None:
+        return State(*marcher.advance(state.cells, state.lumped, duty, span, count))
+    course, level = _begun(state, 2), np.empty((1, len(state.cells)))
+    level[0] = duty
+    step_by_step(model, course, Windows(np.array([span]), np.array([count]), level, np.arange(2)))
+    return State(course.cells[1], course.lumped[1])
+
+
+def _begun(start: State, rows: int) -> State:
+    """A course (rows, B, ...) that begins with a state."""
+    course = State(*(np.empty((rows, *row.shape)) for row in (start.cells, start.lumped)))
+    course.cells[0], course.lumped[0] = start.cells, start.lumped
+    return course
 
 
 def steps_of(span: float) -> int:
@@ -126,86 +131,18 @@ def simulate(
     The times of the history are the slots' ends, with the start.
 
     Args:
-        steps: in every slot; by default as many as `STEP` asks for. Without it, slots far shorter than that are stepped
-            over together where their duties hardly differ.
+        steps: in every slot; by default as many as `STEP` asks for.
     """
     return history_of(model, slot, _trace(model, slot, np.asarray(duty, dtype=float), start or at_rest(model), steps))
 
 
 def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps: int | None = None) -> State:
     """The states (T + 1, B, ...) at the slots' ends, with the start."""
-    course = State(*(np.empty((len(levels) + 1, *row.shape)) for row in (start.cells, start.lumped)))
-    course.cells[0], course.lumped[0] = start.cells, start.lumped
-    together = max(int(TOGETHER / slot + 1e-9), 1) if steps is None else 1
-    state, windows = start, list(_windows(levels, slot, together))
-    means = [levels[first:last].mean(0) for first, last in windows]
-    for (first, last), mean in zip(windows, means, strict=True):
-        state = advance(model, state, mean, slot * (last - first), steps)
-        course.cells[last], course.lumped[last] = state.cells, state.lumped
-    ends, mean = np.array(windows).reshape(-1, 2), np.array(means)
-    for count in range(2, together + 1):
-        some = np.flatnonzero(ends[:, 1] - ends[:, 0] == count)
-        # One member is asked in many states at once.
-        for batch in range(0, len(some), size := BATCH if model.members == 1 else 1):
-            which = some[batch : batch + size]
-            _fill(model, course, (slot, levels), mean[which], ends[which, 0][:, None] + np.arange(count + 1))
+    course, slots = _begun(start, len(levels) + 1), len(levels)
+    duties = np.broadcast_to(levels.reshape(slots, -1), (slots, len(start.cells)))
+    each = np.full(slots, steps_of(slot) if steps is None else steps)
+    march(model, course, Windows(np.full(slots, slot), each, duties, np.arange(slots + 1)))
     return course
-
-
-def _windows(levels: Array, slot: float, most: int) -> Iterator[tuple[int, int]]:
-    """First and last slot + 1 of those that are stepped over together: at most so many, and of nearly the same duty."""
-    given = slot * np.concatenate([0 * levels[:1], np.cumsum(levels, 0)])
-    alike = {count: _alike(given, count) for count in range(2, most + 1)}
-    first = 0
-    while first < len(levels):
-        count = next((n for n in range(min(most, len(levels) - first), 1, -1) if alike[n][first]), 1)
-        yield first, first + count
-        first += count
-
-
-def _alike(given: Array, count: int) -> NDArray[np.bool_]:
-    """(T + 1 - count,) whether what was given (T + 1, ...) until the ends of `count` slots from each on hardly differs
-    from what their mean duty would have given."""
-    size = max(len(given) - count, 0)
-    whole = given[count:] - given[:size]
-    away = np.zeros(size)
-    for k, part in enumerate(np.linspace(0.0, 1.0, count + 1)):
-        off = np.abs(given[k : k + size] - given[:size] - part * whole)
-        away = np.maximum(away, off.max(axis=tuple(range(1, off.ndim))))
-    return np.asarray(away <= FORGOTTEN)
-
-
-def _fill(model: ThermalModel, course: State, given: tuple[float, Array], mean: Array, at: NDArray[np.intp]) -> None:
-    """Write the states at the ends of slots within windows into a course that has those at the windows' ends: linear in
-    time, and what duty was given ahead of the mean has warmed and not yet left.
-
-    Args:
-        given: the slot and the duties (T, ...). mean: (W, ...) in the windows. at: (W, 1 + slots) their slots' ends.
-    """
-    slot, levels = given
-    duty = levels[at[:, :-1]]
-    ahead = slot * np.cumsum(duty - mean[:, None], 1)
-    before, after = (State(course.cells[at[:, k]], course.lumped[at[:, k]]) for k in (0, -1))
-    low, high = duty.min(1), duty.max(1)
-    response = _response(model, before, low, high) if (high > low).any() else None
-    for k in range(1, at.shape[1] - 1):
-        part = k / (at.shape[1] - 1)
-        cells = before.cells + part * (after.cells - before.cells)
-        if response is not None:
-            cells[..., :2] += response * np.reshape(ahead[:, k - 1], (len(at), -1, 1, 1))
-        course.cells[at[:, k]] = cells
-        course.lumped[at[:, k]] = before.lumped + part * (after.lumped - before.lumped)
-
-
-def _response(model: ThermalModel, state: State, low: Array, high: Array) -> Array:
-    """(W, B, n, 2) by how much faster, K/s, what a current heats warms per duty between two in states (W, B, ...)."""
-    cells, lumped = np.concatenate(state.cells), np.concatenate(state.lumped)
-    slow, fast = (
-        warming(model, cells, lumped, np.broadcast_to(duty.reshape(len(duty), -1), state.cells.shape[:2]).reshape(-1))
-        for duty in (low, high)
-    )
-    rise = np.maximum(np.reshape(high - low, (len(low), -1, 1, 1)), 1e-12)
-    return np.asarray((fast - slow).reshape(*state.cells.shape[:3], 2) / rise)
 
 
 def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:

@@ -313,14 +313,18 @@ def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
     return path
 
 
-def load_library(path: Path) -> Any:
-    """A shared library with the sizes of its structures; None in a folder from which nothing may be executed, or where
-    the file is broken."""
+def open_library(path: Path) -> Any:
+    """A shared library; None in a folder from which nothing may be executed, or where the file is broken."""
     try:
-        loaded = ctypes.CDLL(str(path))
+        return ctypes.CDLL(str(path))
     except OSError:
         return None
-    for size in ("workspace_size", "answer_size"):
+
+
+def load_library(path: Path) -> Any:
+    """A shared library with the sizes of its structures; None where it cannot be opened."""
+    loaded = open_library(path)
+    for size in ("workspace_size", "answer_size") if loaded is not None else ():
         getattr(loaded, size).restype = ctypes.c_size_t
     return loaded
 
