@@ -239,6 +239,19 @@ def test_sliding_turns_friction_away() -> None:
     assert off(1e-9, sliding=True) == pytest.approx(off(1e-9, sliding=False), rel=1e-4)
 
 
+def test_sliding_by_round_off_is_none() -> None:
+    """There and back by a hair, with sections that come and go at the plate: torques that balance, and no heat."""
+    robot = ConcentricRobot(tuple(Tube(d * MM, (d - 0.2) * MM, 60 * MM, 50 * MM, 8.0) for d in (1.0, 1.5, 2.0)))
+    way = np.array([[0, 0, 0], [-1.1, -0.6, 5.9], *[[-1.1, -0.6, 5.9]] * 3])
+    slides = np.array([[0, 0, 0], [0, 0, 0], [7e-11, -2e-10, 4e-11], [0, 0, 0], [-4e-10, -9e-10, 2e-9]])
+    states = follow(robot, way, slides, friction=Friction((1e-3, 1e-2), jumps=1e-4, sliding=True)).equilibria
+    for state in states:
+        assert state.residual < 1e-10
+        assert state.friction is not None
+        assert state.friction.violation < 1e-9
+    assert states[-1].friction.heat == pytest.approx(states[1].friction.heat, rel=1e-4)  # type: ignore[union-attr]
+
+
 def random_way(seed: int) -> tuple[ConcentricRobot, Array, Array, Friction]:
     random = np.random.default_rng(seed)
     lengths = np.sort(random.uniform(60, 220, 3))[::-1] * MM

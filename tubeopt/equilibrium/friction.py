@@ -24,7 +24,7 @@ from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
-from ..solvers.rubbing import ONWARD, Increment, held_margin, imbalance, increment, least
+from ..solvers.rubbing import HONEST, ONWARD, Increment, held_margin, imbalance, increment, least
 from ..typing import Array, Index
 from .result import Equilibrium, FrictionState, Status
 from .solving import Solution, sample_rotation, to_equilibrium
@@ -167,9 +167,10 @@ def _ahead(held: Held, turned: Array) -> Array | float:
 
 
 def _slid(robot: Robot, contact: Contact, moved: Array) -> Array:
-    """(R,) sliding of the tubes along each other, over the radius at which they rub, rad."""
+    """(R,) sliding of the tubes along each other, over the radius at which they rub, rad; 0 where it is round-off."""
     radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
-    return np.asarray(np.abs(moved[contact.pair + 1] - moved[contact.pair]) / radius[contact.pair])
+    slid = np.abs(moved[contact.pair + 1] - moved[contact.pair]) / radius[contact.pair]
+    return np.where(slid > HONEST, slid, 0.0)
 
 
 def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> tuple[Contact, Array, Array]:

@@ -131,7 +131,7 @@ class _Turned:
         all_torque, all_signs = np.zeros(len(slip)), np.zeros(len(slip), dtype=np.int8)
         size = np.hypot(slip[self.smooth], self.zeta)
         all_torque[self.sharp], all_signs[self.sharp] = torque, signs
-        all_torque[self.smooth] = self.most * slip[self.smooth] / size
+        all_torque[self.smooth] = self.torque  # that of the slip would be its round-off over zeta
         heat = float(self.capacity @ np.abs(slip[self.sharp] * signs)) + float(self.most @ size)
         return all_torque, all_signs, heat
 
@@ -171,7 +171,9 @@ def increment(
         turned.advance(step)
         if size <= NEWTON.last_step:
             whole = turned.whole(torque, now, state.turned - before)
-            if size <= NEWTON.round_off or imbalance(contact, state, whole[0]) <= NEWTON.round_off:
+            # A step of round-off may still change much of the torque of what slides by little.
+            tiny = size <= NEWTON.round_off and not turned.any
+            if tiny or imbalance(contact, state, whole[0]) <= NEWTON.round_off:
                 return _told(contact, state, whole, (before, slid), contraction)
         elif not turned.any and kept is not None and np.array_equal(now, kept):
             contraction = max(contraction, size / last)
@@ -190,7 +192,8 @@ def _told(
     slip = state.turned - before
     wrong = np.where(signs == 0, np.abs(slip), np.maximum(0.0, -slip * signs))
     if slid is not None:
-        wrong[slid != 0] = 0.0  # their torque is that of their slip by construction
+        turns = np.abs(torque / contact.capacity * np.hypot(slip, slid) - slip)
+        wrong = np.where(slid != 0, turns, wrong)
     wrong = np.maximum(wrong, np.maximum(0.0, np.abs(torque) / contact.capacity - 1))
     violation = float(wrong.max(initial=0.0))
     return Increment(state, torque, signs, heat, violation <= HONEST, contraction, violation)
@@ -270,12 +273,11 @@ def slide(
             if last is not None and last.converged and turn_of(contact, last.state.x - state.x) < NEAR:
                 return last, heat + last.heat
         model = model_of(contact.rows, state.gradient, state.hessian + np.eye(len(x)) / delay)
-        convex = model is not None and not model.negative
-        found = (
-            choose(model, state.turned - before + contact.rows @ model.step, contact.capacity, None)
-            if model and convex
-            else None
-        )
+        found = None
+        # Where friction holds what the energy alone would not, from what stuck in the step before.
+        if model is not None and (not model.negative or signs is not None):
+            free = state.turned - before + contact.rows @ model.step
+            found = choose(model, free, contact.capacity, signs if model.negative else None)
         if model is None or found is None:
             delay *= 0.25
             continue

@@ -160,7 +160,7 @@ static void loads(tubeopt_memory *robot) {
         check(tubeopt_solve(robot, &joints, &free) == TUBEOPT_DONE, "a known configuration is solved");
         check(tubeopt_bear(robot, &load, &pose) == TUBEOPT_DONE, "it bears its load");
         check(distance(pose.position, row + 2 * N + 6) < 1e-9, "the loaded tip is within 1 nm");
-        check(fabs(pose.margin - row[2 * N + 9]) < (row[2 * N + 9] > 0.999 ? 1e-4 : 1e-6), "the loaded margin is known");
+        check(fabs(pose.margin - row[2 * N + 9]) < (row[2 * N + 9] > 0.99 ? 1e-3 : 1e-5), "the loaded margin is known");
         check(tubeopt_slopes_at(robot, &slopes) == TUBEOPT_DONE, "there are derivatives under load");
         load.force[0] += 1e-6;
         check(tubeopt_bear(robot, &load, &more) == TUBEOPT_DONE, "it bears a little more");
