@@ -37,6 +37,9 @@ def test_places_lie_in_the_region_and_point_into_the_cone() -> None:
     two = EntryRegion(places=np.array([[0, 0, 1e-3], [0, 0, 2e-3]]), cone=0.2).frames(8)
     assert {f.origin[2] for f in two} == {1e-3, 2e-3}
     assert [f.axes[2, 2] for f in two[:2]] == [1.0, 1.0]
+    assert len(EntryRegion(places=np.eye(3)).frames(2)) == 3, "each of them, however few are asked for"
+    with pytest.raises(InputError, match="1000000 places to be looked at; it must have 16384"):
+        region.frames(10**6)
 
 
 def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> None:
@@ -67,6 +70,8 @@ def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> N
         ({"radius": 1e-3, "box": (1e-3, 0.0, 0.0)}, "several regions"),
         ({"cone": 2.0}, "cone of the entry is 114.592 deg"),
         ({"radius": -1.0}, "radius of the entry is -1"),
+        ({"box": (1e-3, 0.0)}, "must be three numbers"),
+        ({"places": np.zeros((0, 3))}, "places of the entry"),
     ],
 )
 def test_what_is_no_region_is_refused(given: dict[str, Any], message: str) -> None:

@@ -15,8 +15,8 @@ from ..design import DesignTask, Objective, SearchedPair, search_pair
 from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..files.units import DEG, MM, to_si
-from ..planning import PairReach, PairShare, PlanOptions
+from ..files.units import MM, to_si
+from ..planning import PairReach, PairShare
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array
 from .anatomy_file import AnatomyKey, BasePart
@@ -24,7 +24,7 @@ from .arms_study import PlacedPart, shared
 from .base import Count, Progress, Study
 from .design_parts import FreeEntry, Requirements
 from .obstacle_file import Place, point
-from .region_part import HARDLY, OF_ONE, OTHER, SearchPart
+from .region_part import HARDLY, SearchPart
 
 PLANNED = 4
 """Pairs of places of those that are held to which motions of both arms are planned and proved."""
@@ -143,21 +143,10 @@ class PairStudy(Study, SearchPart):
         else:
             chosen = self.region.places(self.places + self.judged, self.seed)
         one, other = (arm.placed(around).base for arm in self.arms)
-        options = PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=self.seed)
-        searched = PairReach(
-            (self.arms[0].start, self.arms[1].start),
-            (one, other),
-            chosen[: self.places],
-            self.obstacles + around.bodies,
-            to_si(self.tolerance_mm, MM),
-            float(self.min_margin),
-            options,
-            self.points,
-            to_si(self.shift_mm, MM),
-            to_si(self.tilt_deg, DEG),
-        )
-        options = replace(options, seed=self.seed + OTHER)
-        return searched, replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
+        starts = self.arms[0].start, self.arms[1].start
+        bodies = around.bodies + self.obstacles
+        searched = PairReach(starts, (one, other), chosen[: self.places], bodies, *self.numbers(self.seed))
+        return searched, self.judge(searched, chosen)
 
     def run(self, progress: Progress | None = None) -> PairAnswer:
         """The designs, and what they hold.

@@ -40,7 +40,7 @@ class EntryPart(Entry):
         None, description="landmarks of the anatomy, one of which is the entry point"
     )
     cone_deg: NotNegative = Field(Decimal(0), lt=90, description="half angle of the cone of directions")
-    places: Annotated[Whole, Field(ge=1)] = Field(64, description="of the plate that are looked at")
+    places: Annotated[Whole, Field(ge=1, le=16384)] = Field(64, description="of the plate that are looked at")
 
     def region(self, anatomy: Anatomy | None) -> EntryRegion:
         """The region in SI; raises InputError for several, none, or landmarks that there are not."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,7 +14,7 @@ from ..design import DesignTask, SearchedDesign, search_design
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
 from ..files.units import DEG, MM, to_si
-from ..planning import PlanOptions, ReachShare, RegionReach
+from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array
 from .anatomy_file import AnatomyKey
@@ -30,6 +30,8 @@ PLANNED = 6
 OTHER = 100
 """By how much seed, and by what part roadmaps differ with which other places are judged."""
 
+
+Searched = TypeVar("Searched", RegionReach, PairReach)
 
 HARDLY = 0.05
 """Share of a region below which the roadmap may be what is missing, and not the robot."""
@@ -97,6 +99,22 @@ class SearchPart(Entry):
             )
         return np.asarray(np.random.default_rng(seed).permutation(target)[:wanted])
 
+    def numbers(self, seed: int) -> tuple[float, float, PlanOptions, int, float, float]:
+        """What `RegionReach` and `PairReach` take after their bodies, in SI."""
+        return (
+            to_si(self.tolerance_mm, MM),
+            float(self.min_margin),
+            PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=seed),
+            self.points,
+            to_si(self.shift_mm, MM),
+            to_si(self.tilt_deg, DEG),
+        )
+
+    def judge(self, searched: Searched, chosen: Array) -> Searched:
+        """What tells the share of the other places: over roadmaps twice as large, with other random numbers."""
+        options = replace(searched.options, seed=searched.options.seed + OTHER)
+        return replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
+
 
 class RegionEntry(SearchPart):
     """The share of the anatomy's target that the tip reaches by ways that keep margin and clearance, from a start."""
@@ -119,22 +137,10 @@ class RegionEntry(SearchPart):
             if row is not None and len(row) != n:
                 raise ValueError(f"objective.{name} has {len(row)} numbers; it must be {n} (one per tube)")
         chosen = self.chosen(self.anatomy.target, seed)
-        options = PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=seed)
-        wanted = RegionReach(
-            (radians(self.start_deg, np.zeros(n)), metres(self.start_mm, np.zeros(n))),
-            chosen[: self.places],
-            self.anatomy.bodies + self.obstacles,
-            to_si(self.tolerance_mm, MM),
-            float(self.min_margin),
-            options,
-            self.points,
-            to_si(self.shift_mm, MM),
-            to_si(self.tilt_deg, DEG),
-        )
-        other = replace(
-            wanted, targets=chosen[self.places :], options=replace(options, seed=seed + OTHER), count=2 * self.points
-        )
-        return wanted, other
+        start = radians(self.start_deg, np.zeros(n)), metres(self.start_mm, np.zeros(n))
+        bodies = self.anatomy.bodies + self.obstacles
+        wanted = RegionReach(start, chosen[: self.places], bodies, *self.numbers(seed))
+        return wanted, self.judge(wanted, chosen)
 
     def run(self, task: DesignTask, starts: int, seed: Whole, turns: int, progress: Progress | None) -> RegionAnswer:
         """The design, and what it reaches; raises as `search_design`."""
