@@ -87,6 +87,7 @@ def test_a_study_saves_where_the_plate_stands(run: Run, tmp_path: Path) -> None:
         "tip_mm": (GOAL * 1e3).tolist(),
         "obstacles": [{"centre_mm": [0, 0, 4], "radius_mm": 4}],
         "entry": {"radius_mm": 10, "cone_deg": 10, "places": 16},
+        "cut": {"at_mm": [0, 0, 30], "normal": [1, 1, 0.2]},
         "clearance_mm": 0.5,
         "objective": "none",
         "time_limit_s": 600,
@@ -98,7 +99,11 @@ def test_a_study_saves_where_the_plate_stands(run: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(frame.origin * 1e3, told["entry"]["patient_position_mm"], atol=1e-9)
     np.testing.assert_allclose(frame.placed(np.array(told["tip_position_mm"]) * 1e-3), GOAL, atol=1e-6)
     assert told["entry"]["looked_at"] == 16 >= told["entry"]["clear"] >= told["entry"]["tried"] >= 1
+    assert (tmp_path / "section.png").stat().st_size > 0
     for change, message in (
+        ({"cut": {"at_mm": [0, 0, 30]}}, "cut must give at_mm and normal, or through"),
+        ({"cut": {"at_mm": [0, 0, 30], "normal": [0, 0, 0]}}, "normal of the plane is 0, 0, 0"),
+        ({"cut": {"through": ["carina", "mouth"]}}, "'carina' is no landmark"),
         ({"leader": True}, "entry is given with leader"),
         ({"entry": {"at": ["carina"]}}, "'carina' is no landmark"),
         ({"entry": {}}, "leaves nothing free"),
