@@ -79,7 +79,7 @@ def anatomy_seen(
         room = nearest_distance(bodies, places)
         if not (room > 0).any():
             raise InputError(
-                f"no voxel of the target is free for certain: at the freest the distance from bodies is only known to be "
+                f"no voxel of the target is free for certain: at the freest the distance from bodies is known to be "
                 f"{room.max() * 1e3:.3g} mm or more; it lies in one, or in a way of one voxel"
             )
         places = places[np.argsort(-room, kind="stable")][: int((room > 0).sum())]
