@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Literal, Self
 
@@ -24,13 +24,10 @@ from .arms_study import PlacedPart, shared
 from .base import Count, Progress, Study
 from .design_parts import FreeEntry, Requirements
 from .obstacle_file import Place, point
-from .region_part import HARDLY, SearchPart
+from .region_part import HARDLY, SearchPart, hurried
 
 PLANNED = 4
 """Pairs of places of those that are held to which motions of both arms are planned and proved."""
-
-OF_A_PLAN = 20.0
-"""Seconds on the clock for each of these motions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +164,6 @@ class PairStudy(Study, SearchPart):
         )
         before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
         after = judge.evaluate(*found.value, found.own)
-        short = replace(judge, options=replace(judge.options, time_limit=OF_A_PLAN))
-        proved, planned = short.plans_proved(*found.value, found.own, after, PLANNED)
+        proved, planned = hurried(judge).plans_proved(*found.value, found.own, after, PLANNED)
         one, other = (arm.placed(self._around).called for arm in self.arms)
         return PairAnswer(found, before, after, proved, planned, (one, other), searched.plates(found.own))

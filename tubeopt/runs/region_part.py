@@ -27,6 +27,9 @@ OF_ONE = 120.0
 PLANNED = 6
 """Places of those that are reached to which plans are made and proved."""
 
+OF_A_PLAN = 20.0
+"""Seconds on the clock for each of these plans."""
+
 OTHER = 100
 """By how much seed, and by what part roadmaps differ with which other places are judged."""
 
@@ -116,6 +119,11 @@ class SearchPart(Entry):
         return replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
 
 
+def hurried(judge: Searched) -> Searched:
+    """The same with the time that a plan has, not that of a whole region."""
+    return replace(judge, options=replace(judge.options, time_limit=OF_A_PLAN))
+
+
 class RegionEntry(SearchPart):
     """The share of the anatomy's target that the tip reaches by ways that keep margin and clearance, from a start."""
 
@@ -152,5 +160,5 @@ class RegionEntry(SearchPart):
         assert isinstance(robot, ConcentricRobot)
         before = other.evaluate(robot, np.zeros(len(other.ranges)))
         after = other.evaluate(found.value, found.own)
-        proved, planned = other.plans_proved(found.value, found.own, after, PLANNED)
+        proved, planned = hurried(other).plans_proved(found.value, found.own, after, PLANNED)
         return RegionAnswer(found, before, after, proved, planned, wanted.base(found.own))
