@@ -39,6 +39,12 @@ Searched = TypeVar("Searched", RegionReach, PairReach)
 HARDLY = 0.05
 """Share of a region below which the roadmap may be what is missing, and not the robot."""
 
+FEW = "it lies out of reach, or the roadmap is too small to tell"
+"""What may be the reason."""
+
+MOST = 1000
+"""Places of a region that can be asked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class RegionAnswer(Displayed):
@@ -68,9 +74,7 @@ class RegionAnswer(Displayed):
         """That the roadmap may be too small, where it leads to next to nothing."""
         if self.after.share > HARDLY:
             return ()
-        return (
-            "next to nothing of the region was reached; the roadmap may be too small to tell: raise objective.points",
-        )
+        return (f"next to nothing of the region was reached; {FEW}: raise objective.points",)
 
 
 class SearchPart(Entry):
@@ -82,8 +86,10 @@ class SearchPart(Entry):
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
     tolerance_mm: Positive = Field(Decimal("0.5"), description="distance of the tip from a place that is reached")
-    places: Count = Field(12, description="of the region, with which is searched")
-    judged: Count = Field(48, description="other places of it, by which what comes of it is judged")
+    places: Annotated[Count, Field(le=MOST)] = Field(12, description="of the region, with which is searched")
+    judged: Annotated[Count, Field(le=MOST)] = Field(
+        48, description="other places of it, by which what comes of it is judged"
+    )
     points: Count = Field(200, description="of the roadmap of every robot that is looked at")
     shift_mm: NotNegative = Field(Decimal(0), description="how far a plate may be moved along each of its axes")
     tilt_deg: NotNegative = Field(Decimal(0), le=45, description="by how much it may be turned about its x and its y")
