@@ -78,6 +78,11 @@ class LabelImage:
         a, b, c = np.shape(self.values)
         return a, b, c
 
+    def holds(self, place: Array) -> bool:
+        """Whether a place (3,) in the patient lies in one of the voxels, m."""
+        index = self.frame.seen(place) / self.spacing
+        return bool(((index >= -0.5) & (index <= np.array(self.shape) - 0.5)).all())
+
     @cached_property
     def labels(self) -> tuple[int, ...]:
         """The labels there are, but 0.
