@@ -39,18 +39,24 @@ def write_nifti(path: Path, data: np.ndarray = LABELS, where: np.ndarray | None 
     return path
 
 
+LONG = "NRRD0004\ntype: int64\ndimension: 3\nsizes: 1000 1000 300\nencoding: raw\nendian: little\ndata file: a.raw\n\n"
+
+
 def write_nrrd(path: Path) -> Path:
+    """With "sequence" in its name as a sequence of one volume."""
     back = np.diag([-1.0, -1.0, 1.0])
     header = {
         "space": "left-posterior-superior",
         "space directions": (back @ affine()[:3, :3]).T,
         "space origin": back @ affine()[:3, 3],
     }
-    nrrd.write(str(path), LABELS, header)
+    if "sequence" in path.name:
+        header["space directions"] = np.vstack([np.full(3, np.nan), header["space directions"]])
+    nrrd.write(str(path), LABELS[None] if "sequence" in path.name else LABELS, header)
     return path
 
 
-@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.mgz", "a.nrrd"])
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.mgz", "a.nrrd", "sequence.nrrd"])
 def test_voxels_lie_where_they_were_written(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     image = read_image(write_nrrd(path) if name.endswith("nrrd") else write_nifti(path))
@@ -100,8 +106,9 @@ BROKEN: list[tuple[str, Callable[[Path], object], str]] = [
     ("a.nii", lambda path: write_nifti(path, where=np.diag([1e-3, 1e-3, 1e-3, 1])), "is the unit of its header wrong"),
     ("a.nii", lambda path: None, "there is no such file"),
     ("a.dcm", lambda path: path.write_bytes(b""), "is no image that is known; it must be .nii"),
-    ("a.nrrd", lambda path: nrrd.write(str(path), LABELS), "its header gives voxels no size"),
+    ("a.nrrd", lambda path: nrrd.write(str(path), LABELS), "its header does not say how large voxels are"),
     ("a.nrrd", lambda path: nrrd.write(str(path), np.zeros((3, 4, 4, 4), np.uint8)), "has 3 x 4 x 4 x 4 voxels"),
+    ("a.nhdr", lambda path: path.write_text(LONG), "has 1000 x 1000 x 300 voxels, 2.4 GB; it must have 1.2 GB at most"),
     ("a.nrrd", lambda path: path.write_text("NRRD0004\ntype: uchar\n\n1"), "no image can be read from it: "),
 ]
 

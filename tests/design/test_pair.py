@@ -166,6 +166,10 @@ def test_a_pair_is_designed_saved_and_drawn(run: Run, tmp_path: Path) -> None:
         ({"region": None}, "neither a region nor an anatomy with a target"),
         ({"region": {"centre_mm": [0, 0, 60], "radius_mm": -1}}, "region.radius_mm is -1"),
         ({"places": 1}, "places is 1; it must be at least 2"),
+        ({"judged": 1001}, "judged is 1001; it must be at most 1000"),
+        ({"obstacles": [{"centre_mm": [0, 0, 60], "radius_mm": 9}]}, "a region that lies in a body"),
+        ({"arms": [ARMS[0], ARMS[0]]}, "plates 0 mm apart, which may not be moved"),
+        ({"arms": [ARMS[0], ARMS[1] | {"free": [{"tubes": [9], "curvature_factor": [0.5, 1.2]}]}]}, "arms[1]: free"),
         ({"arms": [ARM, ARM]}, "arms[0].base is missing"),
     ],
 )

@@ -161,7 +161,7 @@ def write_case(directory: Path) -> tuple[Anatomy, Frame]:
     return anatomy_seen([field], base, target=centres(placed, placed.chosen([2])), landmarks=marks), base
 
 
-def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path) -> None:
+def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     expected, base = write_case(tmp_path)
     found = load_anatomy(tmp_path / "anatomy.yaml")
     assert found.registration_error < 1e-8
@@ -184,6 +184,11 @@ def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path) -> None:
     assert len(load_obstacles(tmp_path / "bodies.yaml")) == 1
     with pytest.raises(InputError, match=r"'carna' is no landmark of the anatomy; .*; did you mean 'carina'?"):
         check(PlanStudy, plan | {"tip_at": "carna"}, tmp_path / "plan.yaml")
+    text = (tmp_path / "anatomy.yaml").read_text()
+    (tmp_path / "anatomy.yaml").write_text(text.replace("LPS", "RAS"))
+    assert "no landmark lies in" not in caplog.text
+    load_anatomy(tmp_path / "anatomy.yaml")
+    assert "no landmark lies in" in caplog.text
 
 
 def goal_of(study: PlanStudy) -> Array:

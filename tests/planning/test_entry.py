@@ -37,6 +37,9 @@ def test_places_lie_in_the_region_and_point_into_the_cone() -> None:
     two = EntryRegion(places=np.array([[0, 0, 1e-3], [0, 0, 2e-3]]), cone=0.2).frames(8)
     assert {f.origin[2] for f in two} == {1e-3, 2e-3}
     assert [f.axes[2, 2] for f in two[:2]] == [1.0, 1.0]
+    assert len(EntryRegion(places=np.eye(3)).frames(2)) == 3, "each of them, however few are asked for"
+    with pytest.raises(InputError, match="1000000 places to be looked at; it must have 16384"):
+        region.frames(10**6)
 
 
 def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> None:
@@ -67,6 +70,8 @@ def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> N
         ({"radius": 1e-3, "box": (1e-3, 0.0, 0.0)}, "several regions"),
         ({"cone": 2.0}, "cone of the entry is 114.592 deg"),
         ({"radius": -1.0}, "radius of the entry is -1"),
+        ({"box": (1e-3, 0.0)}, "must be three numbers"),
+        ({"places": np.zeros((0, 3))}, "places of the entry"),
     ],
 )
 def test_what_is_no_region_is_refused(given: dict[str, Any], message: str) -> None:
@@ -82,6 +87,7 @@ def test_a_study_saves_where_the_plate_stands(run: Run, tmp_path: Path) -> None:
         "tip_mm": (GOAL * 1e3).tolist(),
         "obstacles": [{"centre_mm": [0, 0, 4], "radius_mm": 4}],
         "entry": {"radius_mm": 10, "cone_deg": 10, "places": 16},
+        "cut": {"at_mm": [0, 0, 30], "normal": [1, 1, 0.2]},
         "clearance_mm": 0.5,
         "objective": "none",
         "time_limit_s": 600,
@@ -93,7 +99,11 @@ def test_a_study_saves_where_the_plate_stands(run: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(frame.origin * 1e3, told["entry"]["patient_position_mm"], atol=1e-9)
     np.testing.assert_allclose(frame.placed(np.array(told["tip_position_mm"]) * 1e-3), GOAL, atol=1e-6)
     assert told["entry"]["looked_at"] == 16 >= told["entry"]["clear"] >= told["entry"]["tried"] >= 1
+    assert (tmp_path / "section.png").stat().st_size > 0
     for change, message in (
+        ({"cut": {"at_mm": [0, 0, 30]}}, "cut must give at_mm and normal, or through"),
+        ({"cut": {"at_mm": [0, 0, 30], "normal": [0, 0, 0]}}, "normal of the plane is 0, 0, 0"),
+        ({"cut": {"through": ["carina", "mouth"]}}, "'carina' is no landmark"),
         ({"leader": True}, "entry is given with leader"),
         ({"entry": {"at": ["carina"]}}, "'carina' is no landmark"),
         ({"entry": {}}, "leaves nothing free"),

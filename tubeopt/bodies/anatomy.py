@@ -78,7 +78,10 @@ def anatomy_seen(
         places = base.seen(target)
         room = nearest_distance(bodies, places)
         if not (room > 0).any():
-            raise InputError(f"no voxel of the target is free; the freest lies {-room.max() * 1e3:.3g} mm in a body")
+            raise InputError(
+                f"no voxel of the target is free for certain: at the freest the distance from bodies is known to be "
+                f"{room.max() * 1e3:.3g} mm or more; it lies in one, or in a way of one voxel"
+            )
         places = places[np.argsort(-room, kind="stable")][: int((room > 0).sum())]
     known = {name: base.seen(place) for name, place in (landmarks or {}).items()}
     if places is not None and "target" in known:

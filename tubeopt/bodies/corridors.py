@@ -22,7 +22,7 @@ from .frames import Frame, ras
 from .obstacles import Capsule, Point3, as_points, greater, triple
 from .round_cones import RoundCone
 from .scene import Scene
-from .triangles import Triangles
+from .triangles import Triangles, oriented
 
 CELLS = 24
 """Cells along the longest side of the grid on which the smooth distance from a mesh is interpolated."""
@@ -140,7 +140,8 @@ class MeshObstacle:
         except ImportError:
             raise InputError("meshes need trimesh: pip install 'tubeopt[planning]'") from None
         mesh = trimesh.Trimesh(np.array(self.vertices), np.array(self.faces))
-        mesh.fix_normals()
+        if mesh.is_watertight:
+            mesh.faces = oriented(np.asarray(mesh.vertices), np.asarray(mesh.faces))
         return mesh
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:

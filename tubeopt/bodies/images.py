@@ -34,6 +34,9 @@ AGREE = 0.1
 MOST_LABELS = 4096
 """Distinct values beyond which an image is not one of labels."""
 
+BYTES = {("64", "long", "double"): 8, ("16", "short"): 2, ("8", "char"): 1, ("32", "int", "float"): 4}
+"""Of a voxel, by what is in the names that NRRD has for its kinds of numbers; the first that fits."""
+
 UNITS = {"mm": 1e-3, "meter": 1.0, "micron": 1e-6, "m": 1.0, "um": 1e-6, "unknown": 1e-3}
 """Names of units in headers, in m; where none is given it is mm."""
 
@@ -74,6 +77,11 @@ class LabelImage:
         """Voxels along each axis."""
         a, b, c = np.shape(self.values)
         return a, b, c
+
+    def holds(self, place: Array) -> bool:
+        """Whether a place (3,) in the patient lies in one of the voxels, m."""
+        index = self.frame.seen(place) / self.spacing
+        return bool(((index >= -0.5) & (index <= np.array(self.shape) - 0.5)).all())
 
     @cached_property
     def labels(self) -> tuple[int, ...]:
@@ -244,18 +252,24 @@ def _check_place(header: Any, path: Path) -> None:
 def _nrrd(path: Path) -> tuple[Any, Array, float]:
     nrrd = extra("nrrd", "anatomy", "NRRD files")
     about = nrrd.read_header(str(path))
-    each = 8 if about["type"] in ("double", "f8") else 4 if about["type"] in ("float", "int", "uint") else 2
-    _check_size([int(size) for size in about["sizes"]], each, path)
+    each = next((size for words, size in BYTES.items() if any(word in about["type"] for word in words)), 1)
+    sizes = [int(size) for size in about["sizes"]]
+    # A sequence of one volume has an axis that lies nowhere.
+    lost = tuple(k for k, size in enumerate(sizes) if size == 1)[: max(len(sizes) - 3, 0)]
+    _check_size([size for k, size in enumerate(sizes) if k not in lost], each, path)
     values, header = nrrd.read(str(path), index_order="F")
-    directions = header.get("space directions")
+    values, directions = values.squeeze(lost), header.get("space directions")
     space = str(header.get("space", "")).lower()
-    if directions is None:
-        directions = np.diag(np.asarray(header.get("spacings", np.full(3, np.nan)), dtype=float))
-        if not np.isfinite(directions).all():
-            raise InputError(f"{path}: its header gives voxels no size")
+    if directions is None or not space:
         _no_orientation(path)
+    if directions is None:
+        directions = np.diag(np.asarray(header.get("spacings", np.full(len(sizes), np.nan)), dtype=float))
+        directions = np.delete(directions, lost, axis=1)
+    rows = np.delete(np.asarray(directions, dtype=float), lost, axis=0)  # one per axis of the image
+    if not np.isfinite(rows).all():
+        raise InputError(f"{path}: its header does not say how large voxels are, or where")
     affine = np.eye(4)
-    affine[:3, :3] = np.asarray(directions, dtype=float).T  # one row per axis of the image
+    affine[:3, :3] = rows.T
     affine[:3, 3] = np.asarray(header.get("space origin", np.zeros(3)), dtype=float)
     signs = {"left": -1, "l": -1, "right": 1, "r": 1, "posterior": -1, "p": -1, "anterior": 1, "a": 1}
     words = space.split("-") if "-" in space else list(space)

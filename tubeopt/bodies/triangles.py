@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..typing import Array
+from ..errors import InputError
+from ..typing import Array, Index
 
 FINEST = 6
 """Edges are cut to the longest side of the body over this, so that triangles are of similar size."""
@@ -45,6 +46,47 @@ def bisected(corners: Array, longest: float) -> Array:
         middle = (a + b) / 2
         corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
     return np.concatenate([corners, *done])
+
+
+def oriented(vertices: Array, faces: Index) -> Index:
+    """Faces (f, 3) of closed surfaces, each edge that of two, turned so that normals point out of what they bound.
+
+    Neighbours are made to agree, as most of them in their body lie. The largest body is not a cavity, and of the others
+    those that were turned against it are, where their box lies within that of another.
+
+    Raises:
+        InputError: a surface with one side, as a Moebius strip's.
+    """
+    count, faces = len(faces), np.array(faces)
+    edges = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    pairs = np.lexsort(np.sort(edges, axis=1).T).reshape(-1, 2)
+    one, other = pairs.T // 3
+    forward = (edges[:, 0] < edges[:, 1])[pairs]
+    differ = count * (forward[:, 0] == forward[:, 1])  # of neighbours that agree the one runs there, the other back
+    # Every face stands for itself and, `count` further, for itself turned over.
+    rows, columns = np.concatenate([one, one + count]), np.concatenate([other + differ, other + count - differ])
+    graph = scipy.sparse.coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(2 * count, 2 * count))
+    _, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    if (part[:count] == part[count:]).any():
+        raise InputError("the mesh has a surface with one side; inside and outside must be told apart")
+    _, body = np.unique(np.minimum(part[:count], part[count:]), return_inverse=True)
+    turned = part[:count] > part[count:]
+    turned ^= (np.bincount(body, turned) > np.bincount(body) / 2)[body]
+    faces[turned] = faces[turned, ::-1]
+    a, b, c = np.moveaxis(vertices[faces] - vertices[faces[:, 0]].mean(0), 1, 0)
+    volume = np.bincount(body, (a * np.cross(b, c)).sum(1))
+    against = volume * np.sign(volume[np.abs(volume).argmax()]) < 0
+    low, high = np.full((len(volume), 3), np.inf), np.full((len(volume), 3), -np.inf)
+    for corner in (a, b, c):
+        np.minimum.at(low, body, corner)
+        np.maximum.at(high, body, corner)
+    around, beyond = low[~against], high[~against]
+    cavity = against.copy()
+    for k in np.flatnonzero(against):
+        cavity[k] = ((around < low[k]) & (beyond > high[k])).all(1).any()
+    inwards = ((volume > 0) == cavity)[body]
+    faces[inwards] = faces[inwards, ::-1]
+    return faces
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import scipy
@@ -18,20 +18,27 @@ from ..bodies.obstacles import Obstacle, nearest_distance
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, positive, whole
+from ..errors import InputError, SolveError, numbers, positive, whole
+from ..inverse.arguments import kind_of
+from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..inverse.task import Task
+from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
 from .goals import TipGoal, of_the_tip, start_equilibrium
-from .motion import DEFAULT_RATES, RateLimits
+from .motion import RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
 from .question import asked
+from .reach_share import checked_places
 from .trajectory import Entry, Trajectory
 
 ARMS = 1024
 """Random arms by which places of the plate are compared."""
+
+MOST = 16384
+"""Places of the plate that can be looked at."""
 
 NEAREST, ALONG = 12, 48
 """Of these, those that are looked at for each place of the goal, and points along each."""
@@ -59,8 +66,12 @@ class EntryRegion(Displayed):
 
     def __post_init__(self) -> None:
         positive("radius of the entry", self.radius, zero=True)
+        if len(numbers("box of the entry", self.box)) != 3:
+            raise InputError(f"box of the entry is {self.box!r}; it must be three numbers, along x, y and z")
         for size in self.box:
             positive("box of the entry", size, zero=True)
+        if self.places is not None:
+            object.__setattr__(self, "places", checked_places(self.places, "places of the entry"))
         positive("cone of the entry", self.cone, zero=True)
         if self.cone >= np.pi / 2:
             raise InputError(f"cone of the entry is {np.degrees(self.cone):g} deg; it must be less than 90 deg")
@@ -71,11 +82,14 @@ class EntryRegion(Displayed):
 
     def frames(self, count: int, seed: int = 0) -> list[Frame]:
         """Places of the plate, spread evenly, the first as it is given: without a tilt, and in the middle of a disc
-        or box."""
+        or box. Of places that are given there is each, however small the count."""
+        count = max(whole("count", count, 1), 0 if self.places is None else len(self.places))
+        if count > MOST:
+            raise InputError(f"the entry has {count} places to be looked at; it must have {MOST} at most")
         unit = scipy.stats.qmc.Sobol(5, rng=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
         unit[0] = 0.5, 0.5, 0.5, 0.0, 0.0
         if self.places is not None:
-            points = np.asarray(self.places, dtype=float)[np.arange(count) % len(self.places)]
+            points = self.places[np.arange(count) % len(self.places)]
             unit[: len(self.places), 3] = 0.0
         elif self.radius:
             far, turn = self.radius * np.sqrt(unit[:, 0]), 2 * np.pi * unit[:, 1]
@@ -90,26 +104,34 @@ class EntryRegion(Displayed):
         return [Frame(*each) for each in zip(axes, points, strict=True)]
 
 
-def plan_from_region(  # noqa: PLR0913
+class PlanGiven(TypedDict, total=False):
+    """What `plan_trajectory` takes that says nothing of where the plate stands."""
+
+    min_margin: float
+    rate_limits: RateLimits
+    limits: JointLimits | None
+
+
+def plan_from_region(
     robot: Robot,
     start: Any,
     goal: Any,
     region: EntryRegion,
     *,
     obstacles: Sequence[Obstacle] = (),
-    min_margin: float = 0.05,
-    rate_limits: RateLimits = DEFAULT_RATES,
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 64,
     progress: Callable[[int, int], object] | None = None,
+    **given: Unpack[PlanGiven],
 ) -> Trajectory:
     """A motion as of `plan_trajectory`, from a plate that is placed within a region so that it can be made.
 
     Args:
-        start, goal, obstacles, min_margin, rate_limits, options: as of `plan_trajectory`; bodies, and places for the
-            tip, in the frame of the plate as it is given. The time limit holds for all of it.
+        start, goal, obstacles, options: as of `plan_trajectory`; bodies, and places for the tip, in the frame of the
+            plate as it is given. The time limit holds for all of it.
         region: where the plate may stand.   count: places that are looked at.
         progress: called with how many places plans were tried from, and how many there are.
+        given: min_margin, rate_limits and limits, as of `plan_trajectory`.
 
     Returns:
         The trajectory in the frame of the plate that was chosen, which its `entry` tells. Nothing is said of it but
@@ -128,49 +150,48 @@ def plan_from_region(  # noqa: PLR0913
         >>> plan.proved
         True
     """
-    whole("count", count, 1)
-    task, clock = asked(robot, obstacles, min_margin, rate_limits, None, options)
+    kind_of("region", region, EntryRegion)
+    task, clock = asked(robot, obstacles, options=options, **given)
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:
-        progress(0, count)
-    score = _scores(task, first, goal, frames)
+        progress(0, len(frames))
+    score = _scores(task, first, goal, frames, clock)
     order = [k for k in np.argsort(score, kind="stable").tolist() if np.isfinite(score[k])]
     if not order:
         raise SolveError(
-            f"no plan exists from the {count} places of the plate that were looked at: in each the arm at the start "
-            f"does not keep its clearance of {options.clearance * 1e3:g} mm"
+            f"no plan exists from the {len(score)} places of the plate that were looked at: in each the arm at the "
+            f"start does not keep its clearance of {options.clearance * 1e3:g} mm"
         )
-    why, unproved = "", None
-    for tried, k in enumerate(order):
+    why, unproved, tried = "", None, 0
+    for k in order:
         if clock.over:
             break
-        frame = frames[k]
-        limit = max(clock.left / min(len(order) - tried, SHARE), 1e-3)
+        frame, tried = frames[k], tried + 1
+        limit = max(clock.left / min(len(order) - tried + 1, SHARE), 1e-3)
         try:
             plan = plan_trajectory(
                 robot,
                 start,
                 _goal_seen(goal, frame),
                 obstacles=seen_from(frame, obstacles),
-                min_margin=min_margin,
-                rate_limits=rate_limits,
                 options=replace(options, time_limit=limit),
+                **given,
             )
         except SolveError as error:
             why = why or str(error)
         else:
-            plan = replace(plan, entry=Entry(frame, frame, count, len(order), tried + 1))
+            plan = replace(plan, entry=Entry(frame, frame, len(score), len(order), tried))
             if plan.proved:
                 return plan
             unproved = unproved or plan
         if progress is not None:
-            progress(tried + 1, len(order))
+            progress(tried, len(order))
     if unproved is not None:
         return unproved
     raise SolveError(
-        f"no plan was found from {count} places of the plate; in {len(order)} of them the arm is clear at the start, "
-        f"plans were tried from {tried + 1 - clock.over}; from the most promising one: {why or 'time ran out'}"
+        f"no plan was found from {len(score)} places of the plate; in {len(order)} of them the arm is clear at the "
+        f"start, plans were tried from {tried}; from the most promising one: {why or 'time ran out'}"
     )
 
 
@@ -183,18 +204,22 @@ def _goal_seen(goal: Any, frame: Frame) -> Any:
     return TipGoal(frame.seen(known.position), towards)
 
 
-def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
+def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], clock: Clock) -> Array:
     """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
-    infinite where the start does not keep its clearance."""
-    at_start = _Line.of([first])
-    start_room = np.array([_room(task, at_start.placed(frame))[0] for frame in frames])
-    if of_the_tip(goal):
-        arms = _Line.random(task)
-        miss = [_missed(task, arms, _goal_seen(goal, frame), frame) for frame in frames]
-    else:
-        end = _Line.of([start_equilibrium(task.chart.space, goal)])
-        miss = [max(task.clearance - _room(task, end.placed(frame))[0], 0.0) for frame in frames]
-    return np.where(start_room >= task.clearance, np.array(miss), np.inf)
+    infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
+    at_start, of_tip = _Line.of([first]), of_the_tip(goal)
+    arms = _Line.random(task) if of_tip else _Line.of([start_equilibrium(task.chart.space, goal, name="goal")])
+    half, found = clock.part(0.5), list[float]()
+    for frame in frames:
+        if found and half.over:
+            break
+        if _room(task, at_start.placed(frame))[0] < task.clearance:
+            found.append(np.inf)
+        elif of_tip:
+            found.append(_missed(task, arms, _goal_seen(goal, frame), frame))
+        else:
+            found.append(max(task.clearance - _room(task, arms.placed(frame))[0], 0.0))
+    return np.array(found)
 
 
 @dataclass(frozen=True, eq=False)

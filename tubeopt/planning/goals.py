@@ -96,14 +96,14 @@ class End:
     turns: tuple[int, ...]
 
 
-def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None) -> Equilibrium:
+def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, name: str = "start") -> Equilibrium:
     """The equilibrium that a plan begins with, under the load; raises InputError and SolveError where there is none."""
     known = start.equilibrium if isinstance(start, InverseSolution) else start
     if isinstance(known, Equilibrium):
         if known.robot != space.robot:
-            raise InputError("start is an equilibrium of another robot")
+            raise InputError(f"{name} is an equilibrium of another robot")
         return known if load is None or known.load == load else bearing(known, load)
-    q = configuration(space, "start", start)
+    q = configuration(space, name, start)
     rotations, shift = space.split(q)
     return forward_kinematics(space.robot, rotations, shift, load=load)
 

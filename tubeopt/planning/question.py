@@ -23,8 +23,8 @@ from ..stability.deflection import under_any_force
 from ..typing import Array
 from .loaded_chart import LoadedChart
 from .loaded_sections import uncovered
-from .motion import RateLimits
-from .options import PlanOptions
+from .motion import DEFAULT_RATES, RateLimits
+from .options import DEFAULT_PLAN, PlanOptions
 from .smooth import path_cost
 
 
@@ -40,10 +40,10 @@ def in_time(clock: Clock) -> Iterator[None]:
 def asked(
     robot: Robot,
     obstacles: Sequence[Obstacle],
-    min_margin: float,
-    rate_limits: RateLimits,
-    limits: JointLimits | None,
-    options: PlanOptions,
+    min_margin: float = 0.05,
+    rate_limits: RateLimits = DEFAULT_RATES,
+    limits: JointLimits | None = None,
+    options: PlanOptions = DEFAULT_PLAN,
     load: Load | None = None,
 ) -> tuple[Task, Clock]:
     """What must hold, and the clock of the time limit, which runs from here.

@@ -150,14 +150,14 @@ def evaluate_reach(
     return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], tips, examined)
 
 
-def checked_places(targets: ArrayLike) -> Array:
+def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
     """(N, 3) places, m; raises InputError for a table of another shape, or of what is no number."""
     try:
         places = np.array(targets, dtype=float)
     except (TypeError, ValueError):
-        raise InputError("targets is no table of numbers; it must be rows of x, y, z in m") from None
+        raise InputError(f"{name} is no table of numbers; it must be rows of x, y, z in m") from None
     if places.ndim != 2 or not len(places) or places.shape[1] != 3 or not np.isfinite(places).all():
-        raise InputError(f"targets has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
+        raise InputError(f"{name} has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
     return places
 
 

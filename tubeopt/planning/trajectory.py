@@ -10,6 +10,7 @@ import numpy as np
 
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
+from ..bodies.plane import Plane
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
@@ -77,6 +78,7 @@ class Trajectory(Displayed):
         deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
             from the path of its tip, m; None for other plans.
         entry: where the plate stands that was chosen, see `plan_from_region`; None where it stands as it is given.
+        cut: a plane along which pictures cut bodies open, in the frame of the plate; None for none.
     """
 
     _brief = ("robot", "status", "time")
@@ -100,6 +102,7 @@ class Trajectory(Displayed):
     statistics: PlanStatistics
     deviation: Array | None = None
     entry: Entry | None = None
+    cut: Plane | None = None
 
     @cached_property
     def clearance(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from decimal import Decimal
@@ -25,6 +26,8 @@ from ..files.files import read_text
 from ..files.units import DEG, MM, to_si
 from ..files.yaml_file import load_yaml
 from ..typing import Array, Mask
+
+LOGGER = logging.getLogger(__name__)
 
 Axes = Literal["RAS", "LPS"]
 
@@ -249,6 +252,8 @@ class AnatomyPart(Entry):
             InputError: files that cannot be read, labels that no voxel has, a registration that does not fit.
         """
         landmarks = {} if self.landmarks is None else self.landmarks.build()
+        if self.image is not None and landmarks and not any(self.image.holds(each) for each in landmarks.values()):
+            LOGGER.warning(f"no landmark lies in {self.image.name}; are the axes or the unit of their file others?")
         base, error = Frame(), 0.0
         if self.base is not None:
             base = self.base.frame(landmarks)

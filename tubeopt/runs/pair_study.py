@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Literal, Self
 
@@ -11,12 +11,13 @@ from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
+from ..bodies.obstacles import nearest_distance
 from ..design import DesignTask, Objective, SearchedPair, search_pair
 from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..files.units import DEG, MM, to_si
-from ..planning import PairReach, PairShare, PlanOptions
+from ..files.units import MM, TO_MM, to_si
+from ..planning import PairReach, PairShare
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array
 from .anatomy_file import AnatomyKey, BasePart
@@ -24,13 +25,10 @@ from .arms_study import PlacedPart, shared
 from .base import Count, Progress, Study
 from .design_parts import FreeEntry, Requirements
 from .obstacle_file import Place, point
-from .region_part import HARDLY, OF_ONE, OTHER, SearchPart
+from .region_part import FEW, HARDLY, MOST, SearchPart, hurried
 
 PLANNED = 4
 """Pairs of places of those that are held to which motions of both arms are planned and proved."""
-
-OF_A_PLAN = 20.0
-"""Seconds on the clock for each of these motions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class PairAnswer(Displayed):
             for words in solution.remarks
         ]
         if min(one.share for one in self.after.reached) <= HARDLY:
-            told.append("an arm reached next to nothing by itself; the roadmap may be too small to tell: raise points")
+            told.append(f"an arm reached next to nothing by itself; {FEW}: raise points")
         return tuple(told)
 
 
@@ -111,8 +109,8 @@ class PairStudy(Study, SearchPart):
     clearance_mm: NotNegative = Field(
         Decimal("0.5"), description="least distance of both arms from bodies, and from each other"
     )
-    places: Annotated[Whole, Field(ge=2)] = Field(8, description="of the region, with which is searched")
-    judged: Annotated[Whole, Field(ge=2)] = Field(
+    places: Annotated[Whole, Field(ge=2, le=MOST)] = Field(8, description="of the region, with which is searched")
+    judged: Annotated[Whole, Field(ge=2, le=MOST)] = Field(
         16, description="other places of it, by which what comes of it is judged"
     )
     points: Count = Field(80, description="of the roadmap of every robot that is looked at")
@@ -126,9 +124,22 @@ class PairStudy(Study, SearchPart):
     def _a_pair(self) -> Self:
         if self.region is None and self.anatomy is None:
             raise ValueError("has neither a region nor an anatomy with a target; one of them says where both tips work")
-        self.wanted()
-        for arm in self.arms:
-            arm.task()
+        for k, arm in enumerate(self.arms):
+            try:
+                arm.task()
+            except InputError as error:
+                raise ValueError(f"arms[{k}]: {error}") from None
+        searched, judge = self.wanted()
+        places = np.concatenate([searched.targets, judge.targets])
+        if searched.obstacles and not (nearest_distance(searched.obstacles, places) > 0).any():
+            raise ValueError("has a region that lies in a body, all the places that were picked of it")
+        apart = float(np.linalg.norm(searched.bases[0].origin - searched.bases[1].origin))
+        thick = sum(max(tube.outer_diameter for tube in arm.robot.tubes) / 2 for arm in self.arms)
+        if not self.shift_mm and apart < thick + searched.options.clearance:
+            raise ValueError(
+                f"has plates {apart * TO_MM:.3g} mm apart, which may not be moved; what leaves them and the clearance "
+                f"need {(thick + searched.options.clearance) * TO_MM:.3g} mm"
+            )
         return self
 
     @property
@@ -143,21 +154,10 @@ class PairStudy(Study, SearchPart):
         else:
             chosen = self.region.places(self.places + self.judged, self.seed)
         one, other = (arm.placed(around).base for arm in self.arms)
-        options = PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=self.seed)
-        searched = PairReach(
-            (self.arms[0].start, self.arms[1].start),
-            (one, other),
-            chosen[: self.places],
-            self.obstacles + around.bodies,
-            to_si(self.tolerance_mm, MM),
-            float(self.min_margin),
-            options,
-            self.points,
-            to_si(self.shift_mm, MM),
-            to_si(self.tilt_deg, DEG),
-        )
-        options = replace(options, seed=self.seed + OTHER)
-        return searched, replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
+        starts = self.arms[0].start, self.arms[1].start
+        bodies = around.bodies + self.obstacles
+        searched = PairReach(starts, (one, other), chosen[: self.places], bodies, *self.numbers(self.seed))
+        return searched, self.judge(searched, chosen)
 
     def run(self, progress: Progress | None = None) -> PairAnswer:
         """The designs, and what they hold.
@@ -178,7 +178,6 @@ class PairStudy(Study, SearchPart):
         )
         before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
         after = judge.evaluate(*found.value, found.own)
-        short = replace(judge, options=replace(judge.options, time_limit=OF_A_PLAN))
-        proved, planned = short.plans_proved(*found.value, found.own, after, PLANNED)
+        proved, planned = hurried(judge).plans_proved(*found.value, found.own, after, PLANNED)
         one, other = (arm.placed(self._around).called for arm in self.arms)
         return PairAnswer(found, before, after, proved, planned, (one, other), searched.plates(found.own))

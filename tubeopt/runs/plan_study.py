@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
+from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
 from ..files.fields import Part, entry_of
 from ..files.units import DEG, MM, UNITS, to_si
@@ -40,7 +41,7 @@ class EntryPart(Entry):
         None, description="landmarks of the anatomy, one of which is the entry point"
     )
     cone_deg: NotNegative = Field(Decimal(0), lt=90, description="half angle of the cone of directions")
-    places: Annotated[Whole, Field(ge=1)] = Field(64, description="of the plate that are looked at")
+    places: Annotated[Whole, Field(ge=1, le=16384)] = Field(64, description="of the plate that are looked at")
 
     def region(self, anatomy: Anatomy | None) -> EntryRegion:
         """The region in SI; raises InputError for several, none, or landmarks that there are not."""
@@ -51,6 +52,31 @@ class EntryPart(Entry):
             None if self.at is None else np.array([around.landmark(name) for name in self.at]),
             to_si(self.cone_deg, DEG),
         )
+
+
+class CutPart(Entry):
+    """A plane along which a picture cuts the bodies open: by a place and what it is square to, or by landmarks."""
+
+    at_mm: Place | None = Field(None, description="a place in it, in the frame of the plate as it is given")
+    normal: Triple | None = Field(None, description="what it is square to, of any length")
+    through: Annotated[list[str], Field(min_length=2, max_length=3)] | None = Field(
+        None, description="in place of both: three landmarks of the anatomy, or two beside the plate's own place"
+    )
+
+    @model_validator(mode="after")
+    def _one_plane(self) -> Self:
+        given = self.at_mm is not None, self.normal is not None
+        if any(given) != all(given) or any(given) == (self.through is not None):
+            raise ValueError("must give at_mm and normal, or through")
+        return self
+
+    def plane(self, anatomy: Anatomy | None) -> Plane:
+        """In the frame of the plate; raises InputError for landmarks that there are not, or that tell no plane."""
+        if self.at_mm is not None and self.normal is not None:
+            return Plane(np.array(point(self.at_mm)), np.array([float(x) for x in self.normal]))
+        around = Anatomy() if anatomy is None else anatomy
+        a, b, *more = (around.landmark(name) for name in self.through or ())
+        return Plane.through(a, b, *(more or [np.zeros(3)]))
 
 
 class PlanStudy(LoadedStudy):
@@ -95,6 +121,7 @@ class PlanStudy(LoadedStudy):
         examples=["F"],
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
+    cut: CutPart | None = Field(None, description="a plane along which a picture cuts the bodies open")
     rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
     search: Literal["auto", "rrt_connect", "optimal"] = Field("auto", description="auto, rrt_connect or optimal")
     objective: Literal["length", "time", "effort", "margin", "none"] = Field(
@@ -119,6 +146,8 @@ class PlanStudy(LoadedStudy):
             raise ValueError("leader needs a goal, not a curve for the tip")
         if self.pushing() is not None and (self.leader or self.tip_path_mm is not None):
             raise ValueError("a load is given with leader or tip_path_mm; under a load there are plans to a goal only")
+        if self.cut is not None:
+            self.cut.plane(self.anatomy)
         if self.entry is not None:
             self.entry.region(self.anatomy)
             if self.leader or self.tip_path_mm is not None or self.pushing() is not None:
@@ -148,6 +177,13 @@ class PlanStudy(LoadedStudy):
         """The trajectory; raises SolveError where there is none, or none was found in time."""
         if progress is not None:
             progress(0, 0)
+        plan = self._found(progress)
+        if self.cut is None:
+            return plan
+        plane = self.cut.plane(self.anatomy)
+        return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
+
+    def _found(self, progress: Progress | None) -> Trajectory:
         options = PlanOptions(
             search=self.search,
             objective=self.objective,

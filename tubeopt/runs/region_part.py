@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,7 +14,7 @@ from ..design import DesignTask, SearchedDesign, search_design
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
 from ..files.units import DEG, MM, to_si
-from ..planning import PlanOptions, ReachShare, RegionReach
+from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array
 from .anatomy_file import AnatomyKey
@@ -27,12 +27,23 @@ OF_ONE = 120.0
 PLANNED = 6
 """Places of those that are reached to which plans are made and proved."""
 
+OF_A_PLAN = 20.0
+"""Seconds on the clock for each of these plans."""
+
 OTHER = 100
 """By how much seed, and by what part roadmaps differ with which other places are judged."""
 
 
+Searched = TypeVar("Searched", RegionReach, PairReach)
+
 HARDLY = 0.05
 """Share of a region below which the roadmap may be what is missing, and not the robot."""
+
+FEW = "it lies out of reach, or the roadmap is too small to tell"
+"""What may be the reason."""
+
+MOST = 1000
+"""Places of a region that can be asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +74,7 @@ class RegionAnswer(Displayed):
         """That the roadmap may be too small, where it leads to next to nothing."""
         if self.after.share > HARDLY:
             return ()
-        return (
-            "next to nothing of the region was reached; the roadmap may be too small to tell: raise objective.points",
-        )
+        return (f"next to nothing of the region was reached; {FEW}: raise objective.points",)
 
 
 class SearchPart(Entry):
@@ -77,8 +86,10 @@ class SearchPart(Entry):
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
     tolerance_mm: Positive = Field(Decimal("0.5"), description="distance of the tip from a place that is reached")
-    places: Count = Field(12, description="of the region, with which is searched")
-    judged: Count = Field(48, description="other places of it, by which what comes of it is judged")
+    places: Annotated[Count, Field(le=MOST)] = Field(12, description="of the region, with which is searched")
+    judged: Annotated[Count, Field(le=MOST)] = Field(
+        48, description="other places of it, by which what comes of it is judged"
+    )
     points: Count = Field(200, description="of the roadmap of every robot that is looked at")
     shift_mm: NotNegative = Field(Decimal(0), description="how far a plate may be moved along each of its axes")
     tilt_deg: NotNegative = Field(Decimal(0), le=45, description="by how much it may be turned about its x and its y")
@@ -96,6 +107,27 @@ class SearchPart(Entry):
                 "together"
             )
         return np.asarray(np.random.default_rng(seed).permutation(target)[:wanted])
+
+    def numbers(self, seed: int) -> tuple[float, float, PlanOptions, int, float, float]:
+        """What `RegionReach` and `PairReach` take after their bodies, in SI."""
+        return (
+            to_si(self.tolerance_mm, MM),
+            float(self.min_margin),
+            PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=seed),
+            self.points,
+            to_si(self.shift_mm, MM),
+            to_si(self.tilt_deg, DEG),
+        )
+
+    def judge(self, searched: Searched, chosen: Array) -> Searched:
+        """What tells the share of the other places: over roadmaps twice as large, with other random numbers."""
+        options = replace(searched.options, seed=searched.options.seed + OTHER)
+        return replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
+
+
+def hurried(judge: Searched) -> Searched:
+    """The same with the time that a plan has, not that of a whole region."""
+    return replace(judge, options=replace(judge.options, time_limit=OF_A_PLAN))
 
 
 class RegionEntry(SearchPart):
@@ -119,22 +151,10 @@ class RegionEntry(SearchPart):
             if row is not None and len(row) != n:
                 raise ValueError(f"objective.{name} has {len(row)} numbers; it must be {n} (one per tube)")
         chosen = self.chosen(self.anatomy.target, seed)
-        options = PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=seed)
-        wanted = RegionReach(
-            (radians(self.start_deg, np.zeros(n)), metres(self.start_mm, np.zeros(n))),
-            chosen[: self.places],
-            self.anatomy.bodies + self.obstacles,
-            to_si(self.tolerance_mm, MM),
-            float(self.min_margin),
-            options,
-            self.points,
-            to_si(self.shift_mm, MM),
-            to_si(self.tilt_deg, DEG),
-        )
-        other = replace(
-            wanted, targets=chosen[self.places :], options=replace(options, seed=seed + OTHER), count=2 * self.points
-        )
-        return wanted, other
+        start = radians(self.start_deg, np.zeros(n)), metres(self.start_mm, np.zeros(n))
+        bodies = self.anatomy.bodies + self.obstacles
+        wanted = RegionReach(start, chosen[: self.places], bodies, *self.numbers(seed))
+        return wanted, self.judge(wanted, chosen)
 
     def run(self, task: DesignTask, starts: int, seed: Whole, turns: int, progress: Progress | None) -> RegionAnswer:
         """The design, and what it reaches; raises as `search_design`."""
@@ -146,5 +166,5 @@ class RegionEntry(SearchPart):
         assert isinstance(robot, ConcentricRobot)
         before = other.evaluate(robot, np.zeros(len(other.ranges)))
         after = other.evaluate(found.value, found.own)
-        proved, planned = other.plans_proved(found.value, found.own, after, PLANNED)
+        proved, planned = hurried(other).plans_proved(found.value, found.own, after, PLANNED)
         return RegionAnswer(found, before, after, proved, planned, wanted.base(found.own))

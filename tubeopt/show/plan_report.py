@@ -236,13 +236,15 @@ class TrajectoryReport(Report[Trajectory]):
         return {"trajectory": self.answer}
 
     def pictures(self) -> dict[str, Drawing]:
-        """The motion, still and moving."""
+        """The motion, still and moving, and in the plane that was asked for."""
+        from .plots.section import plot_section
         from .plots.trajectory import animate_trajectory, plot_trajectory
 
-        return {
+        found: dict[str, Drawing] = {
             "trajectory": drawing(plot_trajectory, self.answer),
             "trajectory.gif": drawing(animate_trajectory, self.answer),
         }
+        return found if self.answer.cut is None else found | {"section": drawing(plot_section, self.answer)}
 
     def conclude(self) -> None:
         """Raise NotProvedError where the proof was not finished."""

@@ -12,11 +12,12 @@ from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE
 from tubeopt import ConcentricRobot, InputError, forward_kinematics, load_robot, save_robot, stability_map, trace_branch
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
+from tubeopt.bodies.plane import Plane
 from tubeopt.planning.file import load_trajectory
 from tubeopt.show.plots.mesh import Centreline
 from tubeopt.show.surfaces import Surface, obstacle_surface
 from tubeopt.show.viewer import export, plots, words
-from tubeopt.show.viewer.cut import Plane, cut_parts, cut_words
+from tubeopt.show.viewer.cut import cut_parts, cut_words
 from tubeopt.show.viewer.playback import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
 from tubeopt.show.viewer.surfaces import between, margin_colour, plate_part, robot_parts
@@ -58,11 +59,14 @@ def test_parts_keep_their_number_of_vertices_while_the_robot_moves() -> None:
     assert shapes[0] == shapes[1] == shapes[2]
 
 
-def test_a_cut_leaves_what_lies_before_the_plane_and_fills_what_it_cuts() -> None:
-    ball, plane = Sphere((0.1, 0.01, 0.02), 0.02), Plane(0, 0.105)
+@pytest.mark.parametrize("normal", [(1, 0, 0), (0, 0, -1), (0.5, -0.3, 0.7)])
+def test_a_cut_leaves_what_lies_before_the_plane_and_fills_what_it_cuts(normal: tuple[float, float, float]) -> None:
+    ball = Sphere((0.1, 0.01, 0.02), 0.02)
+    along = np.array(normal) / np.linalg.norm(normal)
+    plane, other, before = (Plane(ball.centre + far * along, along) for far in (0.005, 0.1, -0.05))
     rest, filled = cut_parts([ball], 1.0, plane)
     for part in (rest, filled):
-        assert part.surface.vertices[:, 0].max() <= 0.105 + 1e-12
+        assert plane.height(part.surface.vertices).max() <= 1e-9
     together = Surface(
         np.concatenate([rest.surface.vertices, filled.surface.vertices]),
         np.concatenate([rest.surface.faces, filled.surface.faces + np.uint32(len(rest.surface.vertices))]),
@@ -70,10 +74,10 @@ def test_a_cut_leaves_what_lies_before_the_plane_and_fills_what_it_cuts() -> Non
     height = 0.02 + 0.005
     assert enclosed(together) == pytest.approx(np.pi * height**2 * (0.06 - height) / 3, rel=0.02)
     area = np.pi * (0.02**2 - 0.005**2) * 1e4
-    assert float(cut_words([rest, filled], plane).split()[6]) == pytest.approx(area, rel=0.01)
-    (whole,) = cut_parts([ball], 1.0, Plane(0, 0.2))
+    assert float(cut_words([rest, filled], plane).split()[-4]) == pytest.approx(area, rel=0.01)
+    (whole,) = cut_parts([ball], 1.0, other)
     assert enclosed(whole.surface) == pytest.approx(enclosed(obstacle_surface(ball, 1.0)))
-    assert cut_parts([ball], 1.0, Plane(0, 0.05)) == []
+    assert cut_parts([ball], 1.0, before) == []
 
 
 def test_bodies_enclose_their_volume() -> None:

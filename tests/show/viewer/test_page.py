@@ -84,6 +84,9 @@ def test_bodies_are_cut_by_a_plane(tab: Tab) -> None:
     tab.wait_for("message", "cut across x at 0 mm: 0.00 cm2 of bodies")
     tab.type("cut at (mm)", 60)
     tab.wait_for("message", "cut across x at 60 mm: 12.5")
+    tab.page.get_by_label("cut bodies across").click()
+    tab.page.get_by_role("option", name="a direction").click()
+    tab.wait_for("message", "cut across 0.707, 0.707, 0 at 60 mm: ")
 
 
 def test_exact_values_and_what_is_refused(tab: Tab) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...bodies.obstacles import Obstacle, nearest_distance
+from ...bodies.plane import Plane
 from ...files.units import TO_MM
 from ...typing import Array
 from ..surfaces import Faces, Surface
@@ -17,19 +18,12 @@ from .surfaces import Part
 CELLS = 200
 """Cells of the filled section along the longer side of what is cut."""
 
-AXES = ("x", "y", "z")
+ACROSS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+"""Normals of planes across the axes of the plate."""
 
 SECTION = "section"
 
 SECTION_COLOUR = (205, 150, 120)
-
-
-@dataclass(frozen=True)
-class Plane:
-    """All points whose coordinate along an axis of the plate (0, 1, 2) is `at`, m."""
-
-    axis: int
-    at: float
 
 
 def cut_parts(obstacles: Sequence[Obstacle], reach: float, plane: Plane | None) -> list[Part]:
@@ -49,12 +43,14 @@ def cut_words(parts: Sequence[Part], plane: Plane | None) -> str:
         return ""
     corners = [part.surface.vertices[part.surface.faces] for part in parts if part.name == SECTION]
     twice = sum(np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum() for c in corners)
-    return f"cut across {AXES[plane.axis]} at {plane.at * TO_MM:g} mm: {twice / 2 * 1e4:.2f} cm2 of bodies"
+    told = ", ".join(f"{x:.3g}" for x in plane.normal + 0.0)
+    across = next((name for name, axis in ACROSS.items() if (plane.normal == axis).all()), told)
+    return f"cut across {across} at {plane.point @ plane.normal * TO_MM:.4g} mm: {twice / 2 * 1e4:.2f} cm2 of bodies"
 
 
 def cut_surface(surface: Surface, plane: Plane) -> Surface:
     """The part of a surface up to a plane: triangles across it are cut there."""
-    side = surface.vertices[:, plane.axis] - plane.at
+    side = plane.height(surface.vertices)
     beyond = side[surface.faces] > 0
     count = beyond.sum(1)
     kept = [surface.vertices[surface.faces[count == 0]]]
@@ -85,15 +81,16 @@ def _of_corners(corners: Array) -> Surface:
 
 def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array) -> Surface:
     """What a plane cuts of bodies within a box: squares whose middles lie in one of them, facing beyond the plane."""
-    if not low[plane.axis] <= plane.at <= high[plane.axis]:
+    corners = np.array([[(low, high)[k][i] for i, k in enumerate(each)] for each in np.ndindex(2, 2, 2)])
+    side, frame = plane.height(corners), plane.frame
+    if not side.min() <= 0 <= side.max():
         return _of_corners(np.zeros((0, 3, 3)))
-    one, other = (plane.axis + 1) % 3, (plane.axis + 2) % 3  # right-handed with the axis
-    size = max(float((high - low)[[one, other]].max()) / CELLS, 1e-6)
-    u, v = (np.arange(low[k] + size / 2, high[k], size) for k in (one, other))
-    middle = np.full((len(u), len(v), 3), plane.at)
-    middle[..., one], middle[..., other] = u[:, None], v[None]
-    inside = middle[nearest_distance(obstacles, middle) < 0]
-    square = np.zeros((4, 3))
-    square[:, [one, other]] = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2
+    along = frame.seen(corners)[:, :2]
+    size = max(float(np.ptp(along, axis=0).max()) / CELLS, 1e-6)
+    u, v = (np.arange(a + size / 2, b, size) for a, b in zip(along.min(0), along.max(0), strict=True))
+    middle = frame.placed(np.stack(np.broadcast_arrays(u[:, None], v[None], 0.0), axis=-1))
+    within = ((middle >= low) & (middle <= high)).all(-1)
+    inside = middle[within & (nearest_distance(obstacles, middle) < 0)]
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2 @ frame.axes[:, :2].T
     corners = inside[:, None] + square
     return _of_corners(np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]]))

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ...bodies.plane import Plane
 from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
-from .cut import AXES
+from .cut import ACROSS
 from .designs import Knob, knobs
 from .given import BODIES
 from .hand import KEYS
@@ -28,6 +29,9 @@ EXACT = 6
 
 LONGEST_TURN = 720.0
 """Sliders reach no farther (deg) where limits do."""
+
+OBLIQUE = "a direction"
+"""Of planes that are not across an axis."""
 
 PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>'
 
@@ -360,14 +364,18 @@ class Panel:
     def _cut_controls(self) -> None:
         """A plane that cuts the bodies, and where it stands."""
         reach = round(1.5 * TO_MM * max(tube.length for tube in self._view.robot.tubes))
-        across = self._gui.add_dropdown("cut bodies across", ("nothing", *AXES))
+        across = self._gui.add_dropdown("cut bodies across", ("nothing", *ACROSS, OBLIQUE))
+        oblique = self._gui.add_vector3(OBLIQUE, (1.0, 1.0, 0.0), step=0.05, visible=False)
         at = self._gui.add_slider("cut at (mm)", -reach, reach, 0.5, 0.0, marks=())
 
         async def changed(_: Any) -> None:
-            axis = AXES.index(across.value) if across.value in AXES else None
-            self._tab.cut(axis, float(at.value) / TO_MM)
+            oblique.visible = across.value == OBLIQUE
+            normal = np.array(ACROSS.get(across.value, oblique.value if oblique.visible else (0, 0, 0)), dtype=float)
+            length = float(np.linalg.norm(normal))
+            self._tab.cut(Plane(float(at.value) / TO_MM * normal / length, normal) if length else None)
 
         across.on_update(changed)
+        oblique.on_update(changed)
         at.on_update(changed)
 
     def _dark(self, on: bool) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...bodies.plane import Plane
 from ...errors import InputError, SolveError
 from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
@@ -18,7 +19,7 @@ from ...robots.load import Load
 from ...workspaces import workspace
 from .arrow import ForceArrow
 from .beside import Beside, session_beside
-from .cut import Plane, cut_parts, cut_words
+from .cut import cut_parts, cut_words
 from .designs import Knob, with_knob
 from .export import saved
 from .given import Given, load_bodies
@@ -168,9 +169,9 @@ class Tab(Wishes):
     def show(self, layer: str, on: bool) -> None:
         self._do(lambda: self._show(layer, on))
 
-    def cut(self, axis: int | None, at: float) -> None:
+    def cut(self, plane: Plane | None) -> None:
         def go() -> None:
-            self._plane = None if axis is None else Plane(axis, at)
+            self._plane = plane
             if "obstacles" in self.scene.contents:  # which may be none before the plane
                 self._show("obstacles", True)
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ...bodies.plane import Plane
 from .designs import Knob
 
 MIRROR = -1
@@ -52,8 +53,8 @@ class Wishes(Protocol):
     def show(self, layer: str, on: bool) -> None:
         """Show or hide a layer: trail, workspace, obstacles, swept, target, hand, force, map, beside."""
 
-    def cut(self, axis: int | None, at: float) -> None:
-        """Show bodies up to a plane across an axis of the plate, m from it, with what it cuts; None: all of them."""
+    def cut(self, plane: Plane | None) -> None:
+        """Show bodies up to a plane, with what it cuts; None: all of them."""
 
     def forget_trail(self) -> None:
         """Begin the trail anew."""

@@ -1,0 +1,54 @@
+"""On which side of closed surfaces points lie, however their triangles are turned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tubeopt import InputError
+from tubeopt.bodies.corridors import MeshObstacle
+from tubeopt.bodies.triangles import oriented
+from tubeopt.typing import Array, Index
+
+trimesh = pytest.importorskip("trimesh")
+
+RNG = np.random.default_rng(0)
+POINTS = RNG.uniform(-0.07, 0.07, (2000, 3))
+
+
+def ball(radius: float, turned: float = 0.0) -> tuple[Array, Index]:
+    """Corners and faces of a ball, a share of which are turned inwards."""
+    mesh = trimesh.creation.icosphere(2, radius)
+    faces = np.array(mesh.faces)
+    some = RNG.random(len(faces)) < turned
+    faces[some] = faces[some, ::-1]
+    return np.array(mesh.vertices), faces
+
+
+def joined(*parts: tuple[Array, Index]) -> MeshObstacle:
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    faces = np.concatenate([part + k for (_, part), k in zip(parts, first, strict=False)])
+    vertices = np.concatenate([part for part, _ in parts])
+    return MeshObstacle(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, faces.tolist())))
+
+
+@pytest.mark.parametrize("turned", [(0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.2, 0.7, 0.3)])
+def test_cavities_are_turned_against_what_is_around_them(turned: tuple[float, float, float]) -> None:
+    """A ball, a cavity in it, and an island in that, of triangles that are turned as they should, all the other way, or
+    now so, now so."""
+    body = joined(*(ball(radius, share) for radius, share in zip((0.05, 0.03, 0.01), turned, strict=True)))
+    far = np.linalg.norm(POINTS, axis=1)
+    true = np.minimum(np.maximum(far - 0.05, 0.03 - far), far - 0.01)
+    clear = np.abs(true) > 2e-3
+    told = body.surface.signed_distance(POINTS[clear])
+    assert np.abs(told - true[clear]).max() < 1.5e-3
+
+
+def test_a_surface_with_one_side_is_refused() -> None:
+    """Klein's bottle: a strip whose ends are joined after it was turned over."""
+    n = 8
+    corner = [[((i + a) % n) * n + (j + b if i + a < n else -j - b) % n for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))]
+              for i in range(n) for j in range(n)]  # fmt: skip
+    quads = np.array(corner)
+    with pytest.raises(InputError, match="one side"):
+        oriented(RNG.normal(size=(n * n, 3)), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))

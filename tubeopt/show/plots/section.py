@@ -1,0 +1,91 @@
+"""Picture of a motion in a plane that cuts the bodies open."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...bodies.obstacles import nearest_distance
+from ...errors import InputError
+from ...files.units import TO_MM
+from ...inverse.outline import Outline
+from .style import FAINT, INK, headed, new_figure, number, picture
+from .trajectory import SHOWN, arms_at
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...bodies.plane import Plane
+    from ...equilibrium.result import Equilibrium
+    from ...planning import Trajectory
+
+CELLS = 300
+"""Places along a side of the picture at which it is told whether a body is there."""
+
+AROUND = 0.012
+"""Length (m) by which more is shown than the arm."""
+
+ALONG = 400
+"""Points along an arm."""
+
+BODY, ARM, BESIDE = "#DDD3CE", "#0072B2", "#9CC3DE"
+
+
+@picture
+def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: str = "") -> Figure:
+    """Picture of a motion in a plane: the bodies as it cuts them, the arm at the end as wide as it is, where the plane
+    cuts it darker than where it lies before or behind, and centrelines on the way there.
+
+    Args:
+        plane: in the frame of the plate; by default `trajectory.cut`.
+        title: heading; by default the robot's name.
+
+    Raises:
+        InputError: neither a plane nor `trajectory.cut`.
+    """
+    t, plane = trajectory, plane or trajectory.cut
+    if plane is None:
+        raise InputError("there is no plane to cut along; give one, or a trajectory with a cut")
+    arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
+    lines = [Outline(arm).at(np.linspace(0.0, arm.arc_length[-1], ALONG))[0] for arm in arms]
+    frame = plane.frame
+    seen = frame.seen(np.concatenate([*lines, t.tip_position]))[:, :2]
+    low, high = seen.min(0) - AROUND, seen.max(0) + AROUND
+    figure = new_figure(4.6, 4.4)
+    axes = figure.add_subplot()
+    if t.obstacles:
+        u, v = (np.linspace(a, b, CELLS) for a, b in zip(low, high, strict=True))
+        places = frame.placed(np.stack(np.broadcast_arrays(u[None], v[:, None], 0.0), axis=-1))
+        away = nearest_distance(t.obstacles, places)
+        axes.contourf(u * TO_MM, v * TO_MM, away, levels=[-np.inf, 0.0], colors=[BODY])
+        axes.contour(u * TO_MM, v * TO_MM, away, levels=[0.0], colors=[FAINT], linewidths=0.7)
+    for line in lines[:-1]:
+        axes.plot(*(frame.seen(line)[:, :2].T * TO_MM), color=ARM, lw=0.6, alpha=0.5, label="on the way")
+    _draw_arm(axes, arms[-1], plane)
+    axes.plot(*(frame.seen(t.tip_position[-1])[:2, None] * TO_MM), "o", color=INK, ms=3, zorder=4, label="tip")
+    axes.set(xlim=TO_MM * np.array([low[0], high[0]]), ylim=TO_MM * np.array([low[1], high[1]]), aspect="equal")
+    axes.set(xlabel="to the right in the plane (mm)", ylabel="upwards in the plane (mm)")
+    for colour, what in ((ARM, "arm, cut"), (BESIDE, "arm, beside"), (BODY, "body, cut")):
+        axes.fill([], [], color=colour, label=what)
+    signs = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    axes.legend(signs.values(), signs.keys(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    place, across = (
+        ", ".join(number(float(x), digits) for x in row)
+        for row, digits in ((plane.point * TO_MM, 1), (plane.normal, 2))
+    )
+    headed(figure, f"{title or t.robot.name or 'robot'}\nplane through {place} mm, square to {across}")
+    return figure
+
+
+def _draw_arm(axes: Axes, arm: Equilibrium, plane: Plane) -> None:
+    """An arm as the balls about its centreline: all of them as they are seen, and what the plane cuts of them."""
+    from matplotlib.collections import EllipseCollection
+
+    line, radius = Outline(arm).at(np.linspace(0.0, arm.arc_length[-1], ALONG))
+    at, height = plane.frame.seen(line)[:, :2] * TO_MM, plane.height(line)
+    for half, colour in ((radius, BESIDE), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
+        wide = 2 * TO_MM * half[half > 0]
+        where: dict[str, Any] = {"units": "xy", "offsets": at[half > 0], "offset_transform": axes.transData}
+        axes.add_collection(EllipseCollection(wide, wide, 0 * wide, color=colour, lw=0, zorder=3, **where))
