@@ -102,13 +102,14 @@ def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
     assert "objective | share of the region" in page
     assert "change" not in page
     assert told["objectives"] == {"reach_share": region["after"]}
-    assert any("roadmap may be too small" in words for words in told["remarks"]) == (region["after"] <= 0.05)
+    assert any("roadmap is too small to tell" in words for words in told["remarks"]) == (region["after"] <= 0.05)
 
 
 def test_regions_that_make_no_study_are_refused(run: Run, tmp_path: Path) -> None:
     for wrong, words in (
-        ({"judged": 10**6}, "as many as places and judged together"),
+        ({"judged": 10**6}, "objective.judged is 1000000; it must be at most 1000"),
+        ({"judged": 1000}, "as many as places and judged together"),
         ({"start_mm": [1, 2]}, "start_mm has 2 numbers; it must be 3"),
-        ({"depth_mm": 3}, "depth_mm"),
+        ({"depth_mm": 3}, "objective.depth_mm is not a known key"),
     ):
         assert any(words in line for line in refused(run("design", str(study(tmp_path, **wrong)))))

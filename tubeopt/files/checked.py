@@ -158,7 +158,8 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
         case "missing":
             return [f"{path} is missing"]
         case "extra_forbidden":
-            known, key = _known_keys(model, loc[:-1]), str(loc[-1])
+            key = str(loc[-1])
+            known = [one for one in _known_keys(model, loc[:-1]) if one != key]  # another alternative may have it
             return [f"{path} is not a known key{meant(key, known)}"]
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]
