@@ -289,7 +289,7 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
     place_for_the_tip(task, position)
     long_enough(task, position)
-    miss = 0.0 if task.chart.load is not None else least_miss(task.chart, position, clock)
+    miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
     if miss > 0:
         raise SolveError(
             "no plan was found: the goal is out of reach as far as searches tell, in which the tip comes no closer to "
