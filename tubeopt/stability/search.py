@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..block.transcription.reduced import ReducedProblem, evaluate
@@ -17,24 +16,17 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_prob
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult
+from ..solvers.sampling import sobol
 from ..typing import Array, Index, Mask
 from .folds import Fold
 from .following import Event, Snap, to_snap
 from .landing import land
 from .pair import PairFold, pair_fold
 from .pair_certificate import farthest_fold, pair_of
+from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
 from .snapping import find_snap
 from .turning import clipped, inside, placed, relaxed_rotations
-
-RANDOM_WAYS_LOG2 = 5
-"""Base-2 logarithm of the number of random directions in which a snap is looked for in the end."""
-
-FOLDS = 12
-"""Folds at which the sheet of stable equilibria ends to which ways are tried."""
-
-OVERSHOOT = 0.3
-"""How far (rad) a way goes on beyond a fold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +50,7 @@ class Search:
 
     robot: Robot
     translations: Array
+    effort: SnapSearch
     progress: Callable[[int, int], object] | None
     ways: int = 0
     failed: int = 0
@@ -71,7 +64,7 @@ class Search:
     def follow(self, start: Array, end: Array) -> Found | None:
         """The first snap on a straight way, which is turned into the joint limits as a whole where it fits."""
         if self.progress is not None:
-            self.progress(self.ways, max(self.ways + 1, 2 ** (RANDOM_WAYS_LOG2 + 1)))
+            self.progress(self.ways, max(self.ways + 1, 2 * self.effort.random_ways))
         self.ways += 1
         way = placed(self.robot, self.coupled, np.stack([start, end]))
         try:
@@ -86,6 +79,7 @@ def search_snap(
     robot: Robot,
     translations: Array,
     unstable: Array,
+    effort: SnapSearch = DEFAULT_SEARCH,
     progress: Callable[[int, int], object] | None = None,
 ) -> tuple[Found | None, Search]:
     """Look for a way from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
@@ -97,10 +91,10 @@ def search_snap(
     the limits, unless no unstable equilibrium is known.
 
     Args:
-        translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.
+        translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.  effort: how hard is searched.
         progress: called with the ways tried and their likely number.
     """
-    search = Search(robot, translations, progress)
+    search = Search(robot, translations, effort, progress)
     if len(search.coupled) < 2:
         return None, search
     if is_general(robot):
@@ -161,8 +155,8 @@ def _across_folds(search: Search, start: Array, unstable: Array, allowed: Callab
     """(n,) rotations a little beyond folds at which the sheet ends; none where no equilibrium is known unstable."""
     if len(unstable):
         sheet = stable_sheet(search.problem, search.coupled, start, unstable)
-        for fold in folds(sheet, allowed, FOLDS):
-            yield _absolute(search, start, fold * (1 + OVERSHOOT / np.abs(fold).max()))
+        for fold in folds(sheet, allowed, search.effort.folds):
+            yield _absolute(search, start, fold * (1 + search.effort.overshoot / np.abs(fold).max()))
 
 
 def _turns(search: Search, start: Array) -> Iterator[Array]:
@@ -180,7 +174,7 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
     for signs in itertools.product((0, 1, -1), repeat=len(group)):
         if next((sign for sign in signs if sign), -1) > 0 and sum(map(abs, signs)) > 1:
             yield _absolute(search, start, 2 * TURN * np.array(signs))
-    for unit in 2 * scipy.stats.qmc.Sobol(len(group), rng=0).random_base2(RANDOM_WAYS_LOG2) - 1:
+    for unit in 2 * sobol(len(group), search.effort.random_ways) - 1:
         if np.abs(unit).max() > 1e-3:
             yield _absolute(search, start, np.radians(np.round(720 * unit / np.abs(unit).max(), 1)))
 
