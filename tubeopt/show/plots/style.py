@@ -180,8 +180,7 @@ def angle_locator() -> MaxNLocator:
 
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     """Return `figure`, laid out, and saved under `path` if that is given."""
-    from .column import stack
-    from .figure import NotebookFigure
+    from .figure import NotebookFigure, stack
 
     engine = figure.get_layout_engine()
     if WIDTH.get() is not None:
