@@ -20,6 +20,7 @@ from ..load_words import load_in_words
 from ..words import in_a_word
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.text import Text
     from matplotlib.ticker import MaxNLocator
@@ -150,6 +151,12 @@ def headed(figure: Figure, heading: str) -> Figure:
     """Put a heading above everything in a figure, to the left."""
     figure.suptitle(heading, fontsize=9, x=0.02, ha="left")
     return figure
+
+
+def name_above(axes: Axes, x: float, words: str, row: int = 0) -> None:
+    """Say above the panel what is at x; rows of words from the lowest."""
+    place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": "center", "va": "bottom"}
+    axes.annotate(words, (x, 1), (0, 2 + 9 * row), fontsize=7, color=FAINT, **place)
 
 
 def picture_format(path: str | PathLike[str]) -> str:
