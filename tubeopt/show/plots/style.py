@@ -155,7 +155,12 @@ def headed(figure: Figure, heading: str) -> Figure:
 
 def name_above(axes: Axes, x: float, words: str, row: int = 0) -> None:
     """Say above the panel what is at x; rows of words from the lowest."""
-    place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": "center", "va": "bottom"}
+    place: dict[str, Any] = {
+        "xycoords": ("data", "axes fraction"),
+        "textcoords": "offset points",
+        "ha": "center",
+        "va": "bottom",
+    }
     axes.annotate(words, (x, 1), (0, 2 + 9 * row), fontsize=7, color=FAINT, **place)
 
 
