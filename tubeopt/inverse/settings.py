@@ -93,6 +93,12 @@ class WaySearch(Displayed):
         smoothing_reach: distance of knots from bodies, as a share of the longest tube, up to which these may matter.
         rounding_seconds, rounding_share: most seconds, and most of the time that smoothing leaves, for rounding the
             corners of the way as it is.
+        goals: joint values, most that are tried where several meet what is asked for, the nearest to the start first.
+        goal_turns: whole turns of one tube that are tried.
+        goal_share: of the time limit, after which joint values for a goal of the tip are tried from no further start.
+        nearest_share: of the time for the search, for the nearest posture where others are tried after it.
+        roadmap_share: of the time for the search, which a roadmap is given first.
+        attempts: times that a plan whose proof finds a fault is made again with more room and other random numbers.
         timing_cells, timing_fine_cells: of the grid on which a curve is timed, evenly spaced at first, then such that
             they take the same time.
         timing_prudence: share of the rates that is used: the tip's speed is taken on the grid, and ends of the path are
@@ -140,6 +146,12 @@ class WaySearch(Displayed):
     smoothing_reach: float = 0.1
     rounding_seconds: float = 5.0
     rounding_share: float = 0.3
+    goals: int = 12
+    goal_turns: int = 3
+    goal_share: float = 0.6
+    nearest_share: float = 0.4
+    roadmap_share: float = 0.3
+    attempts: int = 3
     timing_cells: int = 100
     timing_fine_cells: int = 500
     timing_prudence: float = 0.9995
