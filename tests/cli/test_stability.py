@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,16 @@ from matplotlib.figure import Figure
 
 from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
 from tests.stability.robots import inner_and_middle
-from tubeopt import ConcentricRobot, JointLimits, SolveError, find_snap, load_robot, snap_free_certificate
+from tubeopt import (
+    ConcentricRobot,
+    JointLimits,
+    SnapSearch,
+    SolveError,
+    find_snap,
+    load_robot,
+    snap_free_certificate,
+    worst_certificate,
+)
 from tubeopt.runs import stability_studies
 from tubeopt.runs.study_file import load_study
 from tubeopt.stability import ASSUMING
@@ -326,7 +336,8 @@ def test_the_gradient_is_per_unit_of_its_column(run: Run) -> None:
 
 
 def test_certify_a_box(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tubeopt.stability.worst.EVALUATIONS", 30)
+    soon = partial(worst_certificate, effort=SnapSearch(evaluations=30))
+    monkeypatch.setattr("tubeopt.runs.stability_studies.worst_certificate", soon)
     bounds = ["--lower-mm", "-20,0,0", "--upper-mm", "-15,0,0"]
     data = answer(run("certify", CRL, *bounds, "--json"))
     robot = concentric(CRL)

@@ -583,7 +583,7 @@ class TestWays:
                 assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
 
     def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("tubeopt.inverse.reachable.snap_free_way", lambda *_, **__: None)
+        monkeypatch.setattr("tubeopt.inverse.way.snap_free_way", lambda *_, **__: None)
         for wanted in reachable(THESIS, 5, seed=33):
             answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
             assert answer.reachable is (answer.way is not None)

@@ -20,8 +20,9 @@ from tubeopt.bodies.frames import Frame, base_frame, roll_of
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.placed import seen_from
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.settings import DEFAULT_WAY
 from tubeopt.planning import arms_plan
-from tubeopt.planning.arms import TOLERANCE, at_rest
+from tubeopt.planning.arms import at_rest
 from tubeopt.typing import Array
 
 ROBOT = tubeopt.load_robot(Path(__file__).parents[2] / "configs" / "robots" / "crl_ctr.yaml")
@@ -87,7 +88,9 @@ def test_the_bound_of_moving_arms_is_below_what_is_sampled_and_close_to_it(seed:
     (pair,) = proof.pairs
     dense = sampled(arms, motions, 90)
     assert pair.least_clearance <= dense
-    assert pair.measured_clearance - pair.least_clearance <= 1.05 * max(TOLERANCE, -0.05 * pair.measured_clearance)
+    assert pair.measured_clearance - pair.least_clearance <= 1.05 * max(
+        DEFAULT_WAY.proof_arms_accuracy, -0.05 * pair.measured_clearance
+    )
     assert dense - pair.measured_clearance < 4e-4  # samples are 50 ms and half a millimetre apart
     assert proof.holds == (pair.least_clearance >= 0 and all(each.holds for each in proof.proofs))
     if pair.measured_clearance < 0:

@@ -37,6 +37,7 @@ from tubeopt.bodies.obstacles import Sphere, nearest_distance
 from tubeopt.inverse import search
 from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.task import Task
 from tubeopt.planning import plan
 from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
@@ -281,12 +282,12 @@ def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")
 def test_tips_that_exist_are_not_refused(robot: Robot) -> None:
     """Also those of joint values at the ends of their ranges, where few starts are near."""
-    chart = Chart(joint_space(robot))
-    space, n, random = chart.space, robot.n_tubes, np.random.default_rng(3)
+    task = Task(Chart(joint_space(robot)), (), 0.0, 0.0)
+    space, n, random = task.chart.space, robot.n_tubes, np.random.default_rng(3)
     for _ in range(12):
         q = np.where(random.random(len(space.lower)) < 0.5, space.lower, space.upper)
         q[:n] = random.uniform(-np.pi, np.pi, n)
-        assert least_miss(chart, chart.arms(space.nearest(q)[None], 0.0).tip[0]) == 0.0
+        assert least_miss(task, task.chart.arms(space.nearest(q)[None], 0.0).tip[0]) == 0.0
 
 
 def test_an_optimal_search_is_no_longer_than_what_it_begins_with() -> None:

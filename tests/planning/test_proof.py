@@ -16,6 +16,7 @@ from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.settings import WaySearch
 from tubeopt.planning.branch import branch
 from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.sections import Arms, Intervals
@@ -201,6 +202,15 @@ def test_rotations_of_a_robot_without_limits_are_free() -> None:
     assert proof.holds
     limited = verify_trajectory(THESIS, [0.0, 1.0], [[7.0, 7.0, 7.0], [7.5, 7.4, 7.3]], limits=THESIS.limits)
     assert any("leaves its range" in fault for fault in limited.faults)
+
+
+def test_equilibria_are_as_close_as_asked_for() -> None:
+    """Twice as many at half the turn, and the same least margin; with too few nothing is proved."""
+    way = [0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]]
+    turns = [verify_trajectory(TWO_TUBE, *way, effort=WaySearch(proof_turn=turn)) for turn in (0.1, 0.05)]
+    assert turns[0].least_margin == pytest.approx(turns[1].least_margin, abs=1e-9)
+    assert [proof.equilibria for proof in turns] == [11, 21]
+    assert not verify_trajectory(TWO_TUBE, *way, effort=WaySearch(proof_equilibria=5)).holds
 
 
 def test_what_is_not_shown_in_time_is_a_fault() -> None:

@@ -22,7 +22,7 @@ from tubeopt import (
     worst_margin,
 )
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.stability import snap_free_certificate
+from tubeopt.stability import SnapSearch, snap_free_certificate
 from tubeopt.stability.sheet import folds, stable_sheet
 from tubeopt.typing import Array
 
@@ -273,11 +273,10 @@ def test_snaps_of_robots_that_only_just_snap(
         assert snap.energy_released >= 0
 
 
-def test_the_least_certificate_of_a_box_lies_at_a_kink(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tubeopt.stability.worst.EVALUATIONS", 60)
+def test_the_least_certificate_of_a_box_lies_at_a_kink() -> None:
     robot = nested((0.01, 0.04, 15.0), (0.005, 0.04, 15.0), (0.0, 0.04, 15.0))
     home = snap_free_certificate(robot)
-    box = worst_certificate(robot, [-0.003, -0.004, 0.0], [0.004, 0.004, 0.0])
+    box = worst_certificate(robot, [-0.003, -0.004, 0.0], [0.004, 0.004, 0.0], effort=SnapSearch(evaluations=60))
     assert box.certificate.margin <= home + 1e-6
     samples: Array = np.random.default_rng(3).uniform(box.lower, box.upper, (20, 3))
     assert box.certificate.margin <= min(snap_free_certificate(robot, shift) for shift in samples)

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import scipy
 
 from ..block.own import OwnRequirement
 from ..block.quantities import recorded
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.concentric import ConcentricRobot
+from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
 from .parameters import Free
@@ -168,7 +168,7 @@ def _missed(program: Program, x: Array, box: Coverage) -> list[tuple[float, ...]
     farthest out of reach first."""
     if not box.samples:
         return []
-    unit = scipy.stats.qmc.Sobol(3, rng=0).random_base2(int(np.ceil(np.log2(box.samples))))[: box.samples]
+    unit = sobol(3, box.samples)
     points = np.array(box.lower) + unit * (np.array(box.upper) - np.array(box.lower))
     missed = []
     for k, point in enumerate(points.tolist()):

@@ -14,6 +14,7 @@ from ..robots.assembly import ROUND_OFF
 from ..robots.eccentric import SegmentedEccentricRobot
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 from .least_squares import constrained_least_squares
 
@@ -157,7 +158,7 @@ class JointSpace:
         width = int(np.ceil(np.log2(max(count, 2))))
         chosen = np.zeros((0, m))
         for power in range(width, max(width, int(np.log2(SAMPLED))) + 1):
-            unit = scipy.stats.qmc.Sobol(m, rng=0).random_base2(power)
+            unit = sobol(m, 2**power)
             low = np.concatenate([np.maximum(self.lower[:n], -np.pi), self.lower[n:]])
             high = np.concatenate([np.minimum(self.upper[:n], np.pi), self.upper[n:]])
             narrow = low[:n] > high[:n]

@@ -69,7 +69,7 @@ DEFAULT_SOLVER = InverseSolver()
 
 @dataclass(frozen=True)
 class WaySearch(Displayed):
-    """How hard a way between joint values is searched for and smoothed; a field of `PlanOptions`.
+    """How hard a way between joint values is searched for, smoothed, timed and proved; a field of `PlanOptions`.
 
     Args:
         translations: sampled in the search for those at which the robot cannot snap.
@@ -93,10 +93,35 @@ class WaySearch(Displayed):
         smoothing_reach: distance of knots from bodies, as a share of the longest tube, up to which these may matter.
         rounding_seconds, rounding_share: most seconds, and most of the time that smoothing leaves, for rounding the
             corners of the way as it is.
+        goals: joint values, most that are tried where several meet what is asked for, the nearest to the start first.
+        goal_turns: whole turns of one tube that are tried.
+        goal_share: of the time limit, after which joint values for a goal of the tip are tried from no further start.
+        nearest_share: of the time for the search, for the nearest posture where others are tried after it.
+        roadmap_share: of the time for the search, which a roadmap is given first.
+        attempts: times that a plan whose proof finds a fault is made again with more room and other random numbers.
+        timing_cells, timing_fine_cells: of the grid on which a curve is timed, evenly spaced at first, then such that
+            they take the same time.
+        timing_prudence: share of the rates that is used: the tip's speed is taken on the grid, and ends of the path are
+            made exact.
+        proof_turn: largest turn (rad) of a joint between two equilibria of the proof, to begin with.
+        proof_shift: the same of a translation, as a share of the longest tube.
+        proof_equilibria: at most.
+        proof_accuracy: how far (m) the bound of the clearance may lie below the least distance that was measured.
+        proof_arms_accuracy: the same (m) of the distance of two arms.
+        proof_halvings: of an interval in which nothing bounds how tubes turn between samples along the arm, before it
+            is given up.
+        reach_starts: from which it is tried whether a place is out of reach: of those in the table, the nearest half,
+            and half that differ.
+        reach_steps: most Gauss-Newton steps from each.
+        reach_longest_step: largest change of a coordinate per step, in units of the joints' scales.
+        reach_near: share of the robot's length: who comes closer than this is not refused.
+        share_points: of a roadmap, those with the nearest tips, that are looked at for each place of a share of reach.
+        share_ways: of those to which ways lead, from which the place is approached.
+        share_steps: most Gauss-Newton steps from each.
 
     Raises:
-        InputError: a count that is no whole number of at least 1 (0 for `smoothing_refinements`), another number that
-            is not positive.
+        InputError: a count that is no whole number of at least 1 (0 for `smoothing_refinements` and `proof_halvings`),
+            another number that is not positive.
     """
 
     translations: int = 160
@@ -121,9 +146,31 @@ class WaySearch(Displayed):
     smoothing_reach: float = 0.1
     rounding_seconds: float = 5.0
     rounding_share: float = 0.3
+    goals: int = 12
+    goal_turns: int = 3
+    goal_share: float = 0.6
+    nearest_share: float = 0.4
+    roadmap_share: float = 0.3
+    attempts: int = 3
+    timing_cells: int = 100
+    timing_fine_cells: int = 500
+    timing_prudence: float = 0.9995
+    proof_turn: float = 0.04
+    proof_shift: float = 0.004
+    proof_equilibria: int = 20_000
+    proof_accuracy: float = 1.2e-5
+    proof_arms_accuracy: float = 5e-5
+    proof_halvings: int = 4
+    reach_starts: int = 8
+    reach_steps: int = 20
+    reach_longest_step: float = 0.4
+    reach_near: float = 0.02
+    share_points: int = 30
+    share_ways: int = 4
+    share_steps: int = 15
 
     def __post_init__(self) -> None:
-        check_settings(self, ("smoothing_refinements",))
+        check_settings(self, ("smoothing_refinements", "proof_halvings"))
 
 
 DEFAULT_WAY = WaySearch()

@@ -4,14 +4,115 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError
+from ..stability.following import follow
 from ..typing import Array
 from .answer import InverseSolution, JointWay
+from .chart import Chart
+from .clock import Clock
 from .joints import JointSpace
-from .posture import Posture, same_place
-from .reachable import snap_free_way
+from .posture import Posture, posture_of, same_place
+from .search import find_way
+from .task import Task
+
+LEAST_MARGIN = 2e-3
+"""Margin that the search keeps, or half of what the ends have where that is less."""
+
+FINER = (1, 4)
+"""Into how many parts the motions between the points that the search checks are divided before they are followed."""
+
+SAME_TIP = 1e-6
+"""Distance (m) of the tip at the end of a way from that of the equilibrium that it is to end in."""
+
+
+def snap_free_way(
+    space: JointSpace, start: Equilibrium, goal: Equilibrium, *, seconds: float = 10.0
+) -> tuple[Array, Array] | None:
+    """Waypoints of joint values from one equilibrium to another, straight from each to the next, without a snap.
+
+    Searched as `plan_trajectory` does, in tip rotations and translations, where an equilibrium is a point and a line of
+    stable ones a motion; then thinned, and followed once more by `follow`. Ranges of the joints and the order of the
+    tubes are kept; obstacles are not looked at. None where no way was found in about so many seconds, which does not
+    prove that there is none. Without OMPL only straight ways and those by translations that exclude any snap are tried.
+
+    Args:
+        space: the joints of the robot, with their ranges.
+        start, goal: stable equilibria.
+
+    Returns:
+        (W, n) rotations, rad, and (W, n) translations, m: the first are those of `start`, the last those of `goal`.
+    """
+    clock = Clock(seconds)
+    ends = posture_of(space, start), posture_of(space, goal)
+    straight = _followed(space, np.stack([end.q for end in ends]), ends)
+    if straight is not None:
+        return straight
+    floor = min(LEAST_MARGIN, 0.5 * start.margin, 0.5 * goal.margin)
+    task = Task(Chart(space), (), 0.0, 0.0, margin_room=floor)
+    try:
+        way = find_way(task, task.chart.of(start), [task.chart.of(goal)], clock)
+    except InputError:  # no OMPL
+        return None
+    if way.points is None:
+        return None
+    for parts in FINER:
+        table = _joints(task, way.points, parts)
+        table[0], table[-1] = ends[0].q, ends[1].q
+        thin = _thinned(table, ends[0])
+        for rows in [table] if thin is None else [thin, table]:
+            found = _followed(space, rows, ends)
+            if found is not None:
+                return found
+    return None
+
+
+def _joints(task: Task, points: Array, parts: int) -> Array:
+    """(W, m) joint values along the straight motions between points of the chart."""
+    rows = [points[:1]]
+    for a, b in pairwise(points):
+        inner = task.between(a, b)
+        marks = np.concatenate([a[None], inner, b[None]])
+        steps = np.arange(1, parts + 1)[:, None, None] / parts
+        rows.append((marks[:-1] + steps * np.diff(marks, axis=0)).transpose(1, 0, 2).reshape(-1, len(a)))
+    line = np.concatenate(rows)
+    return task.chart.joints(line)
+
+
+def _thinned(table: Array, start: Posture) -> Array | None:
+    """Rows of a table of joint values (W, m) between which the robot can go straight, few of them; None where the
+    branch is lost between two rows."""
+    branch = [start]
+    for q in table[1:]:
+        there = branch[-1].to(q)
+        if there is None:
+            return None
+        branch.append(there)
+    kept, here = [table[0]], 0
+    while here < len(table) - 1:
+        step = len(table) - 1 - here
+        while step > 1 and not same_place(branch[here].to(table[here + step]), branch[here + step]):
+            step = (step + 1) // 2
+        here += step
+        kept.append(table[here])
+    return np.stack(kept)
+
+
+def _followed(space: JointSpace, table: Array, ends: tuple[Posture, Posture]) -> tuple[Array, Array] | None:
+    """Rotations and translations of rows of joint values (W, m), if the robot follows them from the one posture to the
+    other without a snap; else None."""
+    rotations, translations = np.split(np.array([space.joint(q) for q in table]), 2, axis=1)
+    try:
+        path = follow(space.robot, rotations, translations, start=ends[0].equilibrium)
+    except (SolveError, InputError):
+        return None
+    missed = float(np.linalg.norm(path.equilibria[-1].tip_position - ends[1].tip))
+    return None if path.snaps or missed > SAME_TIP else (rotations, translations)
+
 
 SEARCH_SECONDS = 10.0
 """Seconds for which a way to one answer is looked for at most."""

@@ -22,6 +22,7 @@ from ..errors import InputError, vector
 from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
+from ..inverse.settings import DEFAULT_WAY, WaySearch
 from ..robots.robot import Robot
 from ..typing import Array
 from .apart import Apart, Track, apart, tracked
@@ -30,9 +31,6 @@ from .cross_sections import Constants
 from .motion import RateLimits
 from .passage import Follower
 from .proof import Proof, ProofStatus, verify_trajectory
-
-TOLERANCE = 5e-5
-"""How far (m) the bound of the distance of two arms may lie below the least that was measured."""
 
 CLOSE = "come as close as about"
 """How a fault of two arms begins that is one, not only nothing that is shown."""
@@ -194,7 +192,7 @@ def called(arms: Sequence[PlacedRobot], k: int) -> str:
     return f"arm {k + 1} ({arms[k].called})"
 
 
-def verify_arms(
+def verify_arms(  # noqa: PLR0913
     arms: Sequence[PlacedRobot],
     motions: Sequence[TimedMotion],
     *,
@@ -204,6 +202,7 @@ def verify_arms(
     clearance: float = 0.0,
     rate_limits: RateLimits | None = None,
     clock: Clock | None = None,
+    effort: WaySearch = DEFAULT_WAY,
 ) -> ArmsProof:
     """Follow motions of several robots, and say whether any of them snaps, hits a body, or touches another.
 
@@ -213,7 +212,7 @@ def verify_arms(
     Args:
         motions: one for each arm, their times on one clock.   starts: stable equilibria at the first samples.
         obstacles: in the frame that the arms share; each arm keeps `clearance` (m) from them and from all other arms.
-        min_margin, rate_limits, clock: as in `verify_trajectory`, of every arm.
+        min_margin, rate_limits, clock, effort: as in `verify_trajectory`, of every arm.
 
     Raises:
         InputError: fewer than two arms, not one motion for each, tables that `verify_trajectory` refuses.
@@ -252,13 +251,14 @@ def verify_arms(
                     clearance=clearance,
                     rate_limits=rate_limits,
                     clock=clock,
+                    effort=effort,
                 )
             )
-        tracks.append(_track(arm, motion, first, clock))
+        tracks.append(_track(arm, motion, first, clock, effort))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
-        found = apart(tracks[i], tracks[j], Wanted(clearance, TOLERANCE))
+        found = apart(tracks[i], tracks[j], Wanted(clearance, effort.proof_arms_accuracy))
         plates_apart = between_plates(known[i], known[j])
         least, measured = min(found.least, plates_apart), min(found.measured, plates_apart)
         found = Apart(least, measured, found.when, found.times, np.minimum(found.bounds, plates_apart))
@@ -278,10 +278,10 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
     return found[0], found[1], found[2]
 
 
-def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None) -> Track:
-    wanted, longest = Wanted(0.0, TOLERANCE), max(tube.length for tube in arm.robot.tubes)
+def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None, effort: WaySearch) -> Track:
+    wanted, longest = Wanted(0.0, effort.proof_arms_accuracy), max(tube.length for tube in arm.robot.tubes)
     until = math.inf if clock is None else clock.began + clock.limit
-    follower = Follower(arm.robot, scene_of(()), wanted, longest, until, Constants.of(arm.robot))
+    follower = Follower(arm.robot, scene_of(()), wanted, longest, until, Constants.of(arm.robot), effort)
     joints = np.concatenate([motion.rotations, motion.translations], axis=1)
     return tracked(follower, first, np.asarray(motion.time, dtype=float), joints, arm.base)
 

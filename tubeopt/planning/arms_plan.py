@@ -193,6 +193,7 @@ def plan_arms(
             min_margin=min_margin - 1e-6,
             clearance=options.clearance,
             clock=clock,
+            effort=options.effort,
         )
         if proof.holds or clock.over:
             break

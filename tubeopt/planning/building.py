@@ -34,7 +34,8 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
         found = track(task, first, q).tip
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
-    return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
+    tip = None if rates.tip is None else (rates.tip, tips)
+    return Limits(*rates.of(task.chart.space), tip, task.effort)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +111,7 @@ def build(
         clock=clock,
         max_force=task.max_force,
         load=task.chart.load,
+        effort=task.effort,
     )
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip

@@ -25,6 +25,7 @@ from ..inverse.outline import Outline
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.sampling import sobol
 from ..typing import Array
 from .goals import TipGoal, of_the_tip, start_equilibrium
 from .motion import RateLimits
@@ -86,7 +87,7 @@ class EntryRegion(Displayed):
         count = max(whole("count", count, 1), 0 if self.places is None else len(self.places))
         if count > MOST:
             raise InputError(f"the entry has {count} places to be looked at; it must have {MOST} at most")
-        unit = scipy.stats.qmc.Sobol(5, rng=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
+        unit = sobol(5, count, seed)
         unit[0] = 0.5, 0.5, 0.5, 0.0, 0.0
         if self.places is not None:
             points = self.places[np.arange(count) % len(self.places)]

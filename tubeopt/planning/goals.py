@@ -31,17 +31,11 @@ from .reach import least_miss
 from .tip_place import long_enough, place_for_the_tip
 from .tracking import clearance_of
 
-MOST_GOALS = 12
-"""Goals that are tried, the nearest to the start first."""
-
 MOST_PLACES = 6
 """Places of a region that are tried for the tip."""
 
 FEW_PLACES = 2
 """Places of a region whose other postures are looked for."""
-
-MOST_TURNS = 3
-"""Whole turns of one tube that are tried."""
 
 DISTINCT = 1e-3
 """Ends closer than this in every coordinate, in units of the scales, are one."""
@@ -161,7 +155,7 @@ def ends(
         raise InputError("goal is out of range: no whole turns bring its rotations into the limits")
     here = task.chart.of(start)
     out.sort(key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))
-    return out[:MOST_GOALS]
+    return out[: task.effort.goals]
 
 
 def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
@@ -203,7 +197,7 @@ def other_ends(
             for end in _turned(task, e, start.rotations, modulo_turns)
             if all(np.abs((end.point - other.point) / task.scale).max() > DISTINCT for other in known)
         ]
-    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[:MOST_GOALS]
+    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[: task.effort.goals]
 
 
 def of_the_tip(goal: Any) -> bool:
@@ -289,7 +283,7 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
     place_for_the_tip(task, position)
     long_enough(task, position)
-    miss = 0.0 if task.chart.load is not None else least_miss(task.chart, position, clock)
+    miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
     if miss > 0:
         raise SolveError(
             "no plan was found: the goal is out of reach as far as searches tell, in which the tip comes no closer to "
@@ -392,7 +386,7 @@ def _turned(task: Task, e: Equilibrium, here: Array, modulo: bool) -> list[End]:
     near = []
     for each, gap in zip(ranges, (here - e.rotations) / (2 * np.pi), strict=True):
         whole = np.array(each)
-        near.append(whole[np.argsort(np.abs(whole - gap))][:MOST_TURNS].tolist())
+        near.append(whole[np.argsort(np.abs(whole - gap))][: task.effort.goal_turns].tolist())
     return [_end(task, e, turns) for turns in product(*near)]
 
 

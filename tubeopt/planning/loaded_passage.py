@@ -31,9 +31,10 @@ class LoadedFollower(Follower):
 
     load: Load = field(default_factory=Load)
 
-    def __post_init__(self) -> None:
-        if uncovered(self.load):
-            self.halvings = 0
+    @property
+    def halvings(self) -> int:
+        """None where nothing bounds anything."""
+        return 0 if uncovered(self.load) else super().halvings
 
     @property
     def says(self) -> str:

@@ -20,6 +20,7 @@ from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
+from ..inverse.settings import WaySearch
 from ..robots.robot import Robot
 from ..stability.following import Event, motion_along
 from ..typing import Array, Index
@@ -28,23 +29,8 @@ from .clearing import Wanted, cleared
 from .cross_sections import Constants
 from .sections import SWAPPED, Arms, Intervals
 
-TURN = 0.04
-"""Largest turn (rad) of a joint between two equilibria, to begin with."""
-
-SHIFT = 0.004
-"""Largest translation between two equilibria to begin with, as a share of the longest tube."""
-
 SHORTEST = 1e-9
 """Share of the time below which nothing is put between two equilibria."""
-
-MOST = 20_000
-"""Equilibria at most."""
-
-TOLERANCE = 1.2e-5
-"""How far (m) the bound of the clearance may lie below the least distance that was measured."""
-
-HALVINGS = 4
-"""Of an interval in which nothing bounds how tubes turn between samples along the arm, before it is given up."""
 
 DIP = 1e-7
 """Depth of a least margin between equilibria that does not matter."""
@@ -110,8 +96,13 @@ class Follower:
     length: float
     until: float
     constants: Constants
-    halvings: int = HALVINGS
+    effort: WaySearch
     count: int = 0
+
+    @property
+    def halvings(self) -> int:
+        """Of an interval in which nothing bounds how tubes turn, before it is given up."""
+        return self.effort.proof_halvings
 
     @property
     def says(self) -> str:
@@ -121,7 +112,7 @@ class Follower:
     @property
     def over(self) -> bool:
         """Whether there is no more time, or no more equilibria to spend."""
-        return self.count >= MOST or time.perf_counter() > self.until
+        return self.count >= self.effort.proof_equilibria or time.perf_counter() > self.until
 
     def step(self, here: Step, at: float, joints: Array) -> Step | None:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
@@ -209,7 +200,7 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     """Steps all along, and the fraction of the time where the branch ends."""
     steps, n = [here], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
-    size = np.array([TURN] * n + [SHIFT * follower.length] * n)
+    size = np.array([follower.effort.proof_turn] * n + [follower.effort.proof_shift * follower.length] * n)
     meetings = _meetings(follower.constants, joints[:, n:])
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]

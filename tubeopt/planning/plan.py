@@ -23,7 +23,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Built, Faults, actuators, build, no_time
 from .candidates import motions_near
-from .goals import ENOUGH, MOST_GOALS, NODES, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
+from .goals import ENOUGH, NODES, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked, bearing, in_time
@@ -34,23 +34,14 @@ from .trajectory import PlanStatistics, Trajectory
 FOR_SEARCH = 0.9
 """Share of the time limit after which the search ends, so that what was found can be reported in time."""
 
-SHARE_OF_ROADMAP = 0.3
-"""Share of the time for the search which a roadmap is given first."""
-
 FOR_REPORT, MOST_FOR_REPORT = 2.0, 0.35
 """Seconds that are kept for the report at least, but no more than this share of the time limit."""
 
 PROOF, PROOF_SAMPLE = 0.1, 1e-3
 """Seconds that a proof takes at most on most machines: in all, and per sample of the motion."""
 
-ATTEMPTS = 3
-"""Times that a plan whose proof finds a fault is made again with more room and other random numbers."""
-
-SHARE_OF_GOAL = 0.6
-"""Share of the time limit after which the search for joints that meet a goal of the tip tries no further start."""
-
-FOR_POSTURES, SHARE_OF_NEAREST = 15.0, 0.4
-"""Seconds below which only the nearest posture for a goal of the tip is tried, and what part of more it gets."""
+FOR_POSTURES = 15.0
+"""Seconds below which only the nearest posture for a goal of the tip is tried."""
 
 
 @small
@@ -115,7 +106,7 @@ def _planned(
     task = bearing(task, first.translations, *(task.chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
     faults: Faults = ()
-    for attempt in range(ATTEMPTS):
+    for attempt in range(task.effort.attempts):
         task, goals, way = _way(task, first, goal, goals, clock, replace(options, seed=options.seed + attempt))
         if way.points is None:
             raise _not_found(task, first, goals, way, rate_limits, clock)
@@ -137,7 +128,7 @@ def _goals(
     """The equilibria at which the plan may end; for a goal of the tip first `enough` of those beside a roadmap."""
     known = options.roadmap
     near = None if known is None else partial(known.near, task, count=NODES)
-    share = Clock(SHARE_OF_GOAL * clock.left)
+    share = Clock(task.effort.goal_share * clock.left)
     return ends(task, first, goal, share, modulo_turns=options.modulo_turns, near=near, enough=enough)
 
 
@@ -154,18 +145,18 @@ def _way(
     postures = of_the_tip(goal) and left > FOR_POSTURES
     begin = task.chart.of(first)
     if options.roadmap is not None:
-        way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(SHARE_OF_ROADMAP * left))
+        way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(task.effort.roadmap_share * left))
         if way.points is None and len(goals) < ENOUGH and of_the_tip(goal):
             goals = _goals(task, first, goal, clock, options)
             task = _between(task, first, goals)
-            rest = Clock(SHARE_OF_ROADMAP * max(0.0, left - clock.seconds))
+            rest = Clock(task.effort.roadmap_share * max(0.0, left - clock.seconds))
             way = options.roadmap.way(task, begin, [end.point for end in goals], rest)
         if way.points is not None:
             return task, goals, way
         left = max(0.0, until - clock.seconds)
-    search = Clock(SHARE_OF_NEAREST * left if postures else left)
+    search = Clock(task.effort.nearest_share * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
-    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS or task.chart.load is not None):
+    if way.impossible and (of_the_tip(goal) or len(goals) == task.effort.goals or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way

@@ -28,6 +28,7 @@ from ..errors import InputError, finite, positive
 from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
+from ..inverse.settings import DEFAULT_WAY, WaySearch
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -40,7 +41,7 @@ from .cross_sections import Constants
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .loaded_passage import LoadedFollower
 from .motion import RateLimits
-from .passage import SHORTEST, TOLERANCE, Follower, Passage, Step, follow
+from .passage import SHORTEST, Follower, Passage, Step, follow
 
 SAMPLES = 5
 """Equilibria that are integrated once more."""
@@ -153,6 +154,7 @@ def verify_trajectory(  # noqa: PLR0913
     clock: Clock | None = None,
     max_force: float = 0.0,
     load: Load | None = None,
+    effort: WaySearch = DEFAULT_WAY,
 ) -> Proof:
     """Follow a trajectory, of whatever origin, and say what is wrong with it. Between samples joint values are linear.
 
@@ -167,6 +169,7 @@ def verify_trajectory(  # noqa: PLR0913
         load: that the robot bears all the way; a start without it is first loaded. What is proved is then proved of
             the loaded robot: for a force on the tip, weight and a constant load per length, all in fixed axes. Of other
             dead loads the equilibria are found, and what lies between them is named as not proved.
+        effort: how closely equilibria are set at first, and how many at most; its fields `proof_…`.
 
     Raises:
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
@@ -187,6 +190,7 @@ def verify_trajectory(  # noqa: PLR0913
     kind_of("limits", limits, JointLimits, optional=True)
     kind_of("rate_limits", rate_limits, RateLimits, optional=True)
     kind_of("start", start, Equilibrium, optional=True)
+    kind_of("effort", effort, WaySearch)
     alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
@@ -199,8 +203,8 @@ def verify_trajectory(  # noqa: PLR0913
     longest = max(tube.length for tube in robot.tubes)
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     until = math.inf if clock is None else time_now() + clock.left
-    wanted = Wanted(clearance + moved, TOLERANCE)
-    what = robot, scene_of(bodies), wanted, longest, until, Constants.of(robot)
+    wanted = Wanted(clearance + moved, effort.proof_accuracy)
+    what = robot, scene_of(bodies), wanted, longest, until, Constants.of(robot), effort
     follower = Follower(*what) if load is None else LoadedFollower(*what, load=load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)

@@ -30,15 +30,8 @@ from .goals import check_start, start_equilibrium
 from .motion import DEFAULT_RATES
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked
-from .reach import DIFFERENCE, chart_constraints
+from .reach import DIFFERENCE, step_constraints
 from .roadmap import Roadmap, build_roadmap
-
-LOOKED_AT, CANDIDATES = 30, 4
-"""Points of the roadmap, those with the nearest tips, that are looked at for each place; those to which ways lead from
-which it is approached."""
-
-ITERATIONS = 15
-"""Most Gauss-Newton steps from each."""
 
 SAME = 0.05
 """Difference of tip rotations (rad) up to which two equilibria at the same joint values are one."""
@@ -178,9 +171,9 @@ class _Search:
 
     def approached(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
         """How close one comes to a place from the nearest points to which ways lead, and where; the closest first."""
-        ends: list[tuple[float, Array]] = []
-        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[:LOOKED_AT].tolist():
-            if self.clock.over or len(ends) == CANDIDATES:
+        effort, ends = self.task.effort, list[tuple[float, Array]]()
+        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[: effort.share_points].tolist():
+            if self.clock.over or len(ends) == effort.share_ways:
                 break
             if j not in self.joined:
                 self.joined[j] = self.leads(self.roadmap.points[j])
@@ -198,13 +191,13 @@ def _approach(task: Task, start: Array, place: Array, enough: float) -> tuple[fl
     moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(scale)])
     tips = chart.arms(z + moves, 0.0).tip
     miss = float(np.linalg.norm(tips[0] - place))
-    for _ in range(ITERATIONS):
+    for _ in range(task.effort.share_steps):
         if miss <= enough:
             break
         gap = (tips - place) / chart.space.length
         slope = ((gap[1:] - gap[0]) / DIFFERENCE).T
         weights = np.vstack([slope, 1e-3 * np.eye(m)])
-        step = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), *chart_constraints(chart, z))
+        step = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), *step_constraints(task, z))
         if step is None:
             break
         tried = z + SHORTER[:, None] * (step.x * scale)

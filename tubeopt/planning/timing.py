@@ -20,14 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ..inverse.settings import DEFAULT_WAY, WaySearch
 from ..typing import Array, Index, Mask
 from .motion import SAMPLES_OF_TIP, Motion
-
-CELLS = 100, 500
-"""Cells of the first grid, evenly spaced, and of the second, on which they take the same time, beside the knots."""
-
-PRUDENCE = 0.9995
-"""Share of what is allowed that is used: the tip's speed is taken on the grid, and ends of the path are made exact."""
 
 SAME = 1e-9
 """Share of a curve below which two points of the grid are one."""
@@ -43,11 +38,13 @@ Tips = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """rate, acceleration (m,) of the joints; tip: greatest speed of the tip, m/s, and where it is."""
+    """rate, acceleration (m,) of the joints; tip: greatest speed of the tip, m/s, and where it is; effort: the cells of
+    the grids, and the share of what is allowed that is used."""
 
     rate: Array
     acceleration: Array
     tip: tuple[float, Tips] | None = None
+    effort: WaySearch = DEFAULT_WAY
 
 
 def at_full_speed(motion: Motion, limits: Limits) -> Motion:
@@ -96,10 +93,10 @@ def rounded(table: Array) -> scipy.interpolate.PPoly:
 
 def _along(curves: Sequence[scipy.interpolate.PPoly], limits: Limits) -> list[Motion]:
     """The fastest motions along cubic curves, each of which begins where the one before ends."""
-    grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], CELLS[0])) for curve in curves]
+    grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], limits.effort.timing_cells)) for curve in curves]
     for k, (curve, s, b) in enumerate(zip(curves, grids, _largest(curves, grids, limits), strict=True)):
         time = _time(s, b)
-        grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], CELLS[1]), time, s))
+        grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], limits.effort.timing_fine_cells), time, s))
     found = zip(curves, grids, _largest(curves, grids, limits), strict=True)
     motions = [_motion(curve, s, b) for curve, s, b in found]
     return motions if limits.tip is None else [replace(each, samples=SAMPLES_OF_TIP) for each in motions]
@@ -158,19 +155,19 @@ class _Program:
         """That of a curve on a grid s (N + 1,), with tips (N + 1, 3) where their speed is limited."""
         h = np.diff(s)
         c1, c2, c3 = _terms(curve, s)
-        long, force = h[:, None], PRUDENCE * limits.acceleration
+        long, force = h[:, None], limits.effort.timing_prudence * limits.acceleration
         # Where s has grown by x, b has by 2 x u.
         row_u = [c1, c1 + 3 * c2 * long, c1 + 6 * c2 * long + 15 * c3 * long**2]
         row_b = [2 * c2, 2 * c2 + 3 * c3 * long, 2 * c2 + 6 * c3 * long]
         rows_u, rows_b = (np.concatenate(rows, axis=1) / np.tile(force, 3) for rows in (row_u, row_b))
         along = np.abs([c1, c1 + c2 * long, c1 + 2 * c2 * long + 3 * c3 * long**2]).max(0)
-        pace = (along / (PRUDENCE * limits.rate)).max(1)
+        pace = (along / (limits.effort.timing_prudence * limits.rate)).max(1)
         if limits.tip is not None and tip is not None:
             speed = scipy.interpolate.CubicSpline(s, tip)(np.stack([s[:-1], (s[:-1] + s[1:]) / 2, s[1:]]), 1)
             # Samples are joined by straight lines: what the joints do at one time they do at those beside it.
             beside = 1 + 2 * math.ceil(len(h) / SAMPLES_OF_TIP)
             fastest = scipy.ndimage.maximum_filter1d(np.linalg.norm(speed, axis=2).max(0), beside)
-            pace = np.maximum(pace, fastest / (PRUDENCE * limits.tip[0]))
+            pace = np.maximum(pace, fastest / (limits.effort.timing_prudence * limits.tip[0]))
         most = 1 / np.maximum(np.append(pace, 0.0), np.append(0.0, pace)).clip(TINY) ** 2
         # What does not move there is at rest however fast s is.
         moving = np.abs(curve(s[[0, -1]], nu=1) / limits.rate).max(1) * np.sqrt(most[[0, -1]]) > 1e-6

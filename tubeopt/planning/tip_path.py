@@ -199,7 +199,7 @@ def _starts(
             )
         yield first
         return
-    miss = least_miss(task.chart, curve[0], clock)
+    miss = least_miss(task, curve[0], clock)
     if miss > 0:
         raise SolveError(
             "the tip can follow 0 % of the curve: its first point is out of reach as far as searches tell, in which "

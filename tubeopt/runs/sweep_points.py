@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 from ..errors import InputError, choice
+from ..solvers.sampling import sobol
 
 METHODS = ("grid", "random", "sobol", "latin_hypercube")
 
@@ -112,5 +113,4 @@ def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
         return np.random.default_rng(seed).random((count, dimension))
     if method == "latin_hypercube":
         return np.asarray(scipy.stats.qmc.LatinHypercube(dimension, rng=seed).random(count))
-    # A power of two, as Sobol points come; of more than are wanted the first.
-    return np.asarray(scipy.stats.qmc.Sobol(dimension, rng=seed).random_base2(max(0, (count - 1).bit_length())))[:count]
+    return sobol(dimension, count, seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from ..errors import InputError, choice, finite
+from ..errors import choice
 from ..files.marks import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
 from ..robots.materials import ZERO_CELSIUS
 
@@ -126,11 +126,3 @@ MOLD_MATERIALS = {material.name: material for material in (STEEL, MDF, GLASS_MIC
 def mold_material(name: str) -> MoldMaterial:
     """The mold material of that name; raises InputError with the names that there are."""
     return MOLD_MATERIALS[choice("mold material", name, MOLD_MATERIALS)]
-
-
-def kelvin(name: str, temperature_degC: float) -> float:
-    """A temperature given in degC, in K; raises InputError below absolute zero."""
-    value = finite(name, temperature_degC) + ZERO_CELSIUS
-    if value < 0:
-        raise InputError(f"{name} is {temperature_degC:g} degC; it must be at least -273.15")
-    return value

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.arm import ArmShape
 from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate
-from ..block.transcription.loaded_arm import LoadedArm
 from ..typing import Array
 from .settings import NEWTON
 
@@ -44,7 +44,7 @@ class LoadedAnswer:
     errors: tuple[float, float, float]
     compliance: Array | None
     base_wrench: Array
-    arm: LoadedArm
+    arm: ArmShape
 
 
 def loaded_newton(

@@ -10,6 +10,7 @@ from .friction_band import FrictionBand, friction_band
 from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
+from .settings import SnapSearch
 from .snapping import find_snap
 from .stroke import find_stroke_force
 from .verdict import ASSUMING, Finding, Verdict
@@ -26,6 +27,7 @@ __all__ = [
     "LoadLimit",
     "Path",
     "Snap",
+    "SnapSearch",
     "StabilityMap",
     "Verdict",
     "WorstCertificate",

@@ -16,17 +16,16 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_prob
 from ..errors import SolveError
 from ..robots.robot import Robot
 from ..solvers.newton import newton
+from ..solvers.sampling import sobol
 from ..typing import Array, Index
 from .eccentric_certificate import Untwisted, segments_of, softest_untwisted
-
-SAMPLES_LOG2 = 7
-"""Base-2 logarithm of the number of tip angles per segment from the best of which the search goes on."""
+from .settings import SnapSearch
 
 STEPS = 4
 """Steps of Runge and Kutta's method per interval between collocation points."""
 
 
-def least_margin(robot: Robot, shift: tuple[float, ...]) -> tuple[Equilibrium, int]:
+def least_margin(robot: Robot, shift: tuple[float, ...], effort: SnapSearch) -> tuple[Equilibrium, int]:
     """The equilibrium with the least margin that was found, and the number of local searches.
 
     Every segment is searched for itself: tips of its own tubes over a turn each, those of the others as in its softest
@@ -38,7 +37,7 @@ def least_margin(robot: Robot, shift: tuple[float, ...]) -> tuple[Equilibrium, i
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     best, tips, searches = np.inf, np.zeros(robot.n_tubes), 0
     for base, tubes in _places(problem):
-        unit = scipy.stats.qmc.Sobol(len(tubes), rng=0).random_base2(SAMPLES_LOG2)
+        unit = sobol(len(tubes), effort.segment_samples)
         samples = np.repeat(base[None], len(unit), axis=0)
         samples[:, tubes] = 2 * np.pi * unit
         values = [_margin(problem, theta) for theta in shoot(problem, samples)[1]]

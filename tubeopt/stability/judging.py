@@ -14,6 +14,7 @@ from ..solvers.parallel.blas import small
 from .certificate import certify
 from .eccentric_verdict import judge_eccentric
 from .search import search_snap
+from .settings import DEFAULT_SEARCH, SnapSearch
 from .verdict import Verdict
 from .worst import worst_margin
 
@@ -23,6 +24,7 @@ def judge(
     robot: Robot,
     translations: ArrayLike | None = None,
     *,
+    effort: SnapSearch = DEFAULT_SEARCH,
     progress: Callable[[int, int], object] | None = None,
 ) -> Verdict:
     """Prove that a robot cannot snap at given translations, or find a snap.
@@ -36,6 +38,7 @@ def judge(
 
     Args:
         translations: (n,) m; default home.
+        effort: how hard is searched where no proof decides.
         progress: called with the steps done and their likely number.
 
     Raises:
@@ -49,7 +52,7 @@ def judge(
     """
     certificate = certify(robot, translations)
     try:
-        worst = worst_margin(robot, translations)
+        worst = worst_margin(robot, translations, effort=effort)
     except SolveError:
         worst = None
     if robot.assembly(certificate.translations).eccentric:
@@ -57,7 +60,7 @@ def judge(
     if certificate.snap_free:
         return Verdict(robot, certificate, worst)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
-    found, search = search_snap(robot, certificate.translations, unstable, progress)
+    found, search = search_snap(robot, certificate.translations, unstable, effort, progress)
     decided = len(search.coupled) == 2 and (found is not None or not is_general(robot))
     verdict = Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed, decided=decided)
     if found is None:

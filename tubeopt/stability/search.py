@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..block.transcription.reduced import ReducedProblem, evaluate
@@ -17,24 +16,16 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_prob
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult
+from ..solvers.sampling import sobol
 from ..typing import Array, Index, Mask
 from .folds import Fold
 from .following import Event, Snap, to_snap
 from .landing import land
 from .pair import PairFold, pair_fold
 from .pair_certificate import farthest_fold, pair_of
+from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
 from .snapping import find_snap
-from .turning import clipped, inside, placed, relaxed_rotations
-
-RANDOM_WAYS_LOG2 = 5
-"""Base-2 logarithm of the number of random directions in which a snap is looked for in the end."""
-
-FOLDS = 12
-"""Folds at which the sheet of stable equilibria ends to which ways are tried."""
-
-OVERSHOOT = 0.3
-"""How far (rad) a way goes on beyond a fold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +49,7 @@ class Search:
 
     robot: Robot
     translations: Array
+    effort: SnapSearch
     progress: Callable[[int, int], object] | None
     ways: int = 0
     failed: int = 0
@@ -71,7 +63,7 @@ class Search:
     def follow(self, start: Array, end: Array) -> Found | None:
         """The first snap on a straight way, which is turned into the joint limits as a whole where it fits."""
         if self.progress is not None:
-            self.progress(self.ways, max(self.ways + 1, 2 ** (RANDOM_WAYS_LOG2 + 1)))
+            self.progress(self.ways, max(self.ways + 1, 2 * self.effort.random_ways))
         self.ways += 1
         way = placed(self.robot, self.coupled, np.stack([start, end]))
         try:
@@ -86,6 +78,7 @@ def search_snap(
     robot: Robot,
     translations: Array,
     unstable: Array,
+    effort: SnapSearch = DEFAULT_SEARCH,
     progress: Callable[[int, int], object] | None = None,
 ) -> tuple[Found | None, Search]:
     """Look for a way from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
@@ -97,10 +90,10 @@ def search_snap(
     the limits, unless no unstable equilibrium is known.
 
     Args:
-        translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.
+        translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.  effort: how hard is searched.
         progress: called with the ways tried and their likely number.
     """
-    search = Search(robot, translations, progress)
+    search = Search(robot, translations, effort, progress)
     if len(search.coupled) < 2:
         return None, search
     if is_general(robot):
@@ -161,8 +154,8 @@ def _across_folds(search: Search, start: Array, unstable: Array, allowed: Callab
     """(n,) rotations a little beyond folds at which the sheet ends; none where no equilibrium is known unstable."""
     if len(unstable):
         sheet = stable_sheet(search.problem, search.coupled, start, unstable)
-        for fold in folds(sheet, allowed, FOLDS):
-            yield _absolute(search, start, fold * (1 + OVERSHOOT / np.abs(fold).max()))
+        for fold in folds(sheet, allowed, search.effort.folds):
+            yield _absolute(search, start, fold * (1 + search.effort.overshoot / np.abs(fold).max()))
 
 
 def _turns(search: Search, start: Array) -> Iterator[Array]:
@@ -180,7 +173,7 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
     for signs in itertools.product((0, 1, -1), repeat=len(group)):
         if next((sign for sign in signs if sign), -1) > 0 and sum(map(abs, signs)) > 1:
             yield _absolute(search, start, 2 * TURN * np.array(signs))
-    for unit in 2 * scipy.stats.qmc.Sobol(len(group), rng=0).random_base2(RANDOM_WAYS_LOG2) - 1:
+    for unit in 2 * sobol(len(group), search.effort.random_ways) - 1:
         if np.abs(unit).max() > 1e-3:
             yield _absolute(search, start, np.radians(np.round(720 * unit / np.abs(unit).max(), 1)))
 
@@ -237,3 +230,54 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
     vanishing = Fold(t, solution(sign * fold.z), fold.direction)
     after = land(vanishing.solution, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
     return None if after is None else Found(way, to_snap(path, Event(vanishing, Point(t, after)), 0), followed=False)
+
+
+def relaxed_rotations(robot: Robot, coupled: Index) -> list[Array]:
+    """(n,) rotations, nearest to home, at which all tubes curve to one side, so that none is twisted.
+
+    A tube that curves to the other side than the outermost coupled one is turned by half a turn, to one side or the
+    other: these are two poses, mirror images. Those inside the joint limits come first.
+    """
+    curvature = np.array([tube.curvature for tube in robot.tubes])
+    other_side = np.zeros(robot.n_tubes)
+    other_side[coupled] = np.pi * (curvature[coupled] * curvature[coupled[-1]] < 0)
+    poses = [other_side, -other_side] if other_side.any() else [other_side]
+    return sorted(poses, key=lambda pose: not inside(robot, coupled, pose))
+
+
+def room(robot: Robot, coupled: Index, rotations: Array) -> Array:
+    """(...) rad by which coupled tubes at rotations (..., n) can be turned together inside the joint limits; below 0
+    where no turn of the whole brings them inside."""
+    low, high = np.array(robot.limits.rotations)[coupled].T
+    angles = rotations[..., coupled]
+    return np.asarray((high - angles).min(-1) - (low - angles).max(-1))
+
+
+def inside(robot: Robot, coupled: Index, rotations: Array) -> Mask:
+    """(...) whether rotations (..., n), turned together, are inside the joint limits to round-off."""
+    return np.asarray(room(robot, coupled, rotations) >= -1e-9)
+
+
+def clipped(robot: Robot, coupled: Index, start: Array, end: Array) -> Array:
+    """The last rotations (n,) inside the joint limits on the straight way from `start`, which is inside, to `end`."""
+    low, high = np.array(robot.limits.rotations)[coupled].T
+    here, rate = start[coupled], (end - start)[coupled]
+    closing = rate[:, None] - rate
+    left = high[:, None] - low - (here[:, None] - here)
+    most = np.min(left[closing > 0] / closing[closing > 0], initial=1.0)
+    return np.asarray(end if most >= 1 else start + max(most, 0.0) * (end - start))
+
+
+def placed(robot: Robot, coupled: Index, way: Array) -> Array:
+    """Waypoints (W, n) with all tubes turned together where that brings each inside the joint limits.
+
+    Where limits differ from tube to tube this is the least turn. A tube that is not coupled goes to its rotation
+    nearest to home. Limits are a box, so straight ways between waypoints inside are inside.
+    """
+    low, high = np.array(robot.limits.rotations).T
+    out = np.clip(np.zeros_like(way), low, high)
+    angles = way[:, coupled]
+    least, most = (low[coupled] - angles).max(1), (high[coupled] - angles).min(1)
+    turn = np.where(least <= most, np.clip(0.0, least, most), 0.0)
+    out[:, coupled] = angles + turn[:, None]
+    return np.asarray(out)

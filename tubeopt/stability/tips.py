@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
+from ..solvers.sampling import sobol
 from ..typing import Array
 from .shooting import STEPS, Bundle, Shot
 from .tables import TURN, joints, starts, table_of
@@ -75,7 +75,7 @@ def _starts(bundle: Bundle, transmission: Array, wanted: Array) -> Iterator[Arra
         return
     # From 1,024 on twice as many each time, for as long as a new solution or the degree says that some are missing.
     for power in range(10, 15):
-        tips = np.pad(scipy.stats.qmc.Sobol(k - 1, rng=power).random_base2(power) * TURN, ((0, 0), (0, 1)))
+        tips = np.pad(sobol(k - 1, 2**power, power) * TURN, ((0, 0), (0, 1)))
         yield tips + (wanted - joints(replace(bundle, transmission=transmission), tips, ROUGH_STEPS).rotations)[:, -1:]
 
 

@@ -17,24 +17,18 @@ from ..errors import InputError, SolveError, vector
 from ..robots.robot import Robot
 from ..solvers.newton import newton
 from ..solvers.parallel.blas import small
+from ..solvers.sampling import sobol
 from ..typing import Array, Index
 from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_worst import least_margin
 from .pair_certificate import least_margin_of_pair, pair_of
+from .settings import DEFAULT_SEARCH, SnapSearch
 from .shooting import profiles, to_base
 from .simplex import minimise_together
-
-SAMPLES_LOG2 = 9
-"""Base-2 logarithm of the number of tip angles at which the search for the worst margin begins."""
-
-LOCAL_SEARCHES = 6
 
 NOTHING_PROVED = -1e3
 """What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the
 least."""
-
-EVALUATIONS = 1500
-"""Evaluations of the certificate by the global search over translations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +46,9 @@ class WorstMargin(Displayed):
 
 
 @small
-def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMargin:
+def worst_margin(
+    robot: Robot, translations: ArrayLike | None = None, *, effort: SnapSearch = DEFAULT_SEARCH
+) -> WorstMargin:
     """Search for the rotations with the least margin, over all equilibria, stable or not.
 
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
@@ -62,6 +58,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
 
     Args:
         translations: (n,) m; default home.
+        effort: how hard is searched.
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
@@ -76,7 +73,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
     if robot.assembly(np.array(shift)).eccentric:
-        worst, searches = least_margin(robot, shift)
+        worst, searches = least_margin(robot, shift, effort)
         return WorstMargin(worst.margin, worst, searches, np.empty((0, robot.n_tubes)))
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     free = np.unique(problem.tube)
@@ -88,10 +85,10 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
         tips[pair.tubes[0]] = least.tip
         unstable = [tips] if least.margin < 0 else []
     elif len(free) > 1:
-        unit = scipy.stats.qmc.Sobol(len(free) - 1, rng=0).random_base2(SAMPLES_LOG2)
+        unit = sobol(len(free) - 1, effort.samples)
         samples = np.zeros((len(unit), robot.n_tubes))
         samples[:, free[:-1]] = unit * 2 * np.pi
-        starts = samples[np.argsort(_margins(problem, samples))[:LOCAL_SEARCHES]][:, free[:-1]]
+        starts = samples[np.argsort(_margins(problem, samples))[: effort.local_searches]][:, free[:-1]]
         ends = minimise_together(lambda at: _margins(problem, _tips(problem, free, at)), starts, x=1e-6, f=1e-10)
         searches = len(ends)
         at, found = np.array([at for at, _ in ends]), np.array([value for _, value in ends])
@@ -139,7 +136,9 @@ class WorstCertificate(Displayed):
 
 
 @small
-def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> WorstCertificate:
+def worst_certificate(
+    robot: Robot, lower: ArrayLike | None = None, upper: ArrayLike | None = None, *, effort: SnapSearch = DEFAULT_SEARCH
+) -> WorstCertificate:
     """Least certificate over a box of translations.
 
     Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box), then
@@ -150,6 +149,7 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
 
     Args:
         lower, upper: (n,) m; default the translations of `robot.limits`.
+        effort: how hard is searched.
 
     Raises:
         InputError: bounds of the wrong number, not finite, crossed, or past where a tube leaves its actuator.
@@ -183,7 +183,7 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
         return WorstCertificate(certify(robot, low), low, high, 1)
     first = [group[0] for group in carriages]
     bounds = scipy.optimize.Bounds(low[first], high[first])
-    found = scipy.optimize.direct(value, bounds, maxfun=EVALUATIONS, locally_biased=True)
+    found = scipy.optimize.direct(value, bounds, maxfun=effort.evaluations, locally_biased=True)
     best, least = found.x, float(found.fun)
     corners = np.array(np.meshgrid(*[(0.0, 1.0)] * len(first))).reshape(len(first), -1).T
     span = high[first] - low[first]

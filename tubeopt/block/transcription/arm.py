@@ -154,15 +154,9 @@ def twist_at(problem: ReducedProblem, arm: Profile, s: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
-    """The whole arm at its m = 1 + STEPS x P shape points, and what integration and mesh get wrong.
-
-    Attributes:
-        arc_length (m,), rotation (n, m), torsion (n, m), curvature (m, 2), position (m, 3), frame (m, 3, 3).
-        shape_error: estimated error of the tip by the steps of the integration, m.
-        defect: largest residual of the integral equation for theta on a finer quadrature, rad.
-        energy: elastic energy, J.
-    """
+class ArmShape:
+    """The whole arm at its m = 1 + STEPS x P shape points: arc_length (m,), rotation (n, m), torsion (n, m),
+    curvature (m, 2), position (m, 3), frame (m, 3, 3)."""
 
     arc_length: Array
     rotation: Array
@@ -170,6 +164,18 @@ class Arm:
     curvature: Array
     position: Array
     frame: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Arm(ArmShape):
+    """The same, and what integration and mesh get wrong.
+
+    Attributes:
+        shape_error: estimated error of the tip by the steps of the integration, m.
+        defect: largest residual of the integral equation for theta on a finer quadrature, rad.
+        energy: elastic energy, J.
+    """
+
     shape_error: float
     defect: float
     energy: float
@@ -182,6 +188,6 @@ def arc_lengths(mesh: Mesh) -> Array:
 
 
 def along_pieces(values: Array, pieces: int) -> Array:
-    """(m, k) of values (P x 5, k) at the shape points of every piece, of which neighbours share one."""
+    """(m, k) of values (P, 5, k) at the shape points of every piece, of which neighbours share one."""
     table = values.reshape(pieces, len(ENDS), -1)
-    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, values.shape[1])])
+    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, table.shape[2])])

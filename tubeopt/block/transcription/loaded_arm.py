@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...physics.shape import rotation_matrix_function
 from ...robots.lengthwise import CrossSections
 from ...typing import Array
-from .arm import Profile, arc_lengths, integrate, integrate_torque, rotations_at
+from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, integrate_torque, rotations_at
 from .buffered import mapped, section_function
 from .collocated import ENDS
 from .green import reach, sections_at
 from .loaded import LoadedProblem, LoadedState
 from .orientation import tangents
 from .reduced import ReducedProblem
-
-
-@dataclass(frozen=True, eq=False)
-class LoadedArm:
-    """The arm at its m shape points: arc_length (m,), rotation (n, m), torsion (n, m), curvature (m, 2),
-    position (m, 3), frame (m, 3, 3)."""
-
-    arc_length: Array
-    rotation: Array
-    torsion: Array
-    curvature: Array
-    position: Array
-    frame: Array
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
@@ -51,7 +36,7 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
     return profile
 
 
-def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> LoadedArm:
+def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> ArmShape:
     """Everything along the arm."""
     torsion, mesh = problem.torsion, problem.mesh
     t, pieces, n = mesh.tableau, len(mesh.length), len(rotations)
@@ -68,13 +53,13 @@ def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> 
     moved = up_to @ tangents(along.stage).reshape(pieces, t.degree, 3)
     begun = np.cumsum(np.concatenate([np.zeros((1, 3)), moved[:-1, -1]]), axis=0)
     frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
-    return LoadedArm(
+    return ArmShape(
         arc_length=arc_lengths(mesh),
-        rotation=_shared(theta).T.copy(),
-        torsion=_shared(slope).T.copy(),
-        curvature=_shared(curvature),
-        position=_shared(begun[:, None] + moved),
-        frame=_shared(frame.reshape(pieces, len(ENDS), 9)).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
+        rotation=along_pieces(theta, pieces).T.copy(),
+        torsion=along_pieces(slope, pieces).T.copy(),
+        curvature=along_pieces(curvature, pieces),
+        position=along_pieces(begun[:, None] + moved, pieces),
+        frame=along_pieces(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
     )
 
 
@@ -98,8 +83,3 @@ def _tubes(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tup
         slope = slope / here.torsional_stiffness
     pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
     return theta + here.wound.reshape(theta.shape), (slope + here.twist).reshape(theta.shape), pull
-
-
-def _shared(values: Array) -> Array:
-    """(m, k) of values (P, 5, k) at the shape points of every piece, of which neighbours share one."""
-    return np.concatenate([values[0, :1], values[:, 1:].reshape(-1, values.shape[2])])

@@ -10,7 +10,7 @@ from ...equilibrium.kinematics import forward_kinematics
 from ...errors import SolveError
 from ...files.units import TO_MM
 from ...typing import Array
-from .style import FAINT, INK, headed, new_figure, number, picture
+from .style import FAINT, INK, headed, name_above, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,17 +131,7 @@ def _mark_snaps(above: Axes, below: Axes, path: Path) -> None:
         for axes in (above, below):
             axes.axvline(at, color=FAINT, lw=0.7, ls=(0, (4, 3)), zorder=0)
         if len(path.snaps) <= MOST_NAMES:
-            above.annotate(
-                f"snap {k}\n{number(snap.tip_jump * TO_MM, 1)} mm",
-                (at, 1),
-                (0, 2),
-                xycoords=("data", "axes fraction"),
-                textcoords="offset points",
-                ha="center",
-                va="bottom",
-                fontsize=7,
-                color=FAINT,
-            )
+            name_above(above, at, f"snap {k}\n{number(snap.tip_jump * TO_MM, 1)} mm")
 
 
 def _heading(path: Path) -> str:

@@ -20,6 +20,7 @@ from ..load_words import load_in_words
 from ..words import in_a_word
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.text import Text
     from matplotlib.ticker import MaxNLocator
@@ -152,6 +153,17 @@ def headed(figure: Figure, heading: str) -> Figure:
     return figure
 
 
+def name_above(axes: Axes, x: float, words: str, row: int = 0) -> None:
+    """Say above the panel what is at x; rows of words from the lowest."""
+    place: dict[str, Any] = {
+        "xycoords": ("data", "axes fraction"),
+        "textcoords": "offset points",
+        "ha": "center",
+        "va": "bottom",
+    }
+    axes.annotate(words, (x, 1), (0, 2 + 9 * row), fontsize=7, color=FAINT, **place)
+
+
 def picture_format(path: str | PathLike[str]) -> str:
     """Format that the file name asks for; raises InputError where it is none of `FORMATS`."""
     suffix = Path(path).suffix.lower().removeprefix(".")
@@ -180,8 +192,7 @@ def angle_locator() -> MaxNLocator:
 
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     """Return `figure`, laid out, and saved under `path` if that is given."""
-    from .column import stack
-    from .figure import NotebookFigure
+    from .figure import NotebookFigure, stack
 
     engine = figure.get_layout_engine()
     if WIDTH.get() is not None:

@@ -11,7 +11,7 @@ import scipy
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .style import FAINT, INK, caption, new_figure, picture, tube_colour
+from .style import FAINT, INK, caption, name_above, new_figure, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -165,17 +165,7 @@ def _mark_sections(above: Axes, below: Axes, equilibrium: Equilibrium, *, room: 
             axes.axvline(s, color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)
         row = next((k for k, last in enumerate(reached) if s - last > room * width), len(reached))
         reached[row : row + 1] = [s]
-        above.annotate(
-            what,
-            (s, 1),
-            (0, 2 + 9 * row),
-            xycoords=("data", "axes fraction"),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            fontsize=7,
-            color=FAINT,
-        )
+        name_above(above, s, what, row)
     return len(reached)
 
 

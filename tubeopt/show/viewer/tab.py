@@ -17,7 +17,6 @@ from ...inverse.mirror import mirror_rotations
 from ...robots.file import load_robot
 from ...robots.load import Load
 from ...workspaces import workspace
-from .arrow import ForceArrow
 from .beside import Beside, session_beside
 from .cut import cut_parts, cut_words
 from .designs import Knob, with_knob
@@ -25,7 +24,7 @@ from .export import saved
 from .given import Given, load_bodies
 from .hand import Hand, Hands
 from .insights import Insights
-from .mark import Mark
+from .mark import ForceArrow, Mark
 from .panel import Panel
 from .playback import load_waypoints
 from .player import Player

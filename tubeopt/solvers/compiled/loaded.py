@@ -15,9 +15,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...block.transcription.arm import ArmShape
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.loaded import LoadedProblem, compliances
-from ...block.transcription.loaded_arm import LoadedArm, shape_sections
+from ...block.transcription.loaded_arm import shape_sections
 from ...block.transcription.reduced import ReducedProblem
 from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
@@ -317,7 +318,7 @@ def _answered(answer: dict[str, Any], points: int, m: int) -> LoadedAnswer:
         errors=(float(answer["theta_error"]), float(answer["tip_error"]), float(answer["margin_error"])),
         compliance=answer["compliance"].copy(),
         base_wrench=answer["base_wrench"].copy(),
-        arm=LoadedArm(
+        arm=ArmShape(
             arc_length=answer["arc_length"][:m].copy(),
             rotation=answer["rotation"][:m].T.copy(),
             torsion=answer["torsion"][:m].T.copy(),
