@@ -349,5 +349,5 @@ def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pyt
     monkeypatch.setattr(binding, "solve_compiled", lambda *_: pytest.fail("solved once more"))
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
     start = binding.Start(*arm, np.zeros(3), at.translations)
-    for side in (1, -1):
-        assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, side) is not None
+    for sides in ((1, 1, 1), (-1, 1, -1)):
+        assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, sides) is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,16 +36,19 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
         rows: (k, m).   bounds: (k,); -inf where there is none.
     """
     m = matrix.shape[1]
-    factor = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))[:m]
+    # LAPACK itself: for matrices as small as these, NumPy takes longer to call it than it takes.
+    factor = scipy.linalg.lapack.dgeqrf(np.column_stack([matrix, right]))[0][
+        :m
+    ]  # below the diagonal is what is not read
     r, free = factor[:, :m], factor[:, m]
     x, none = _solve(r, free), np.zeros(len(bounds), dtype=bool)
     missed = bounds - rows @ x
     if missed.max(initial=0.0) <= 0:
         return LeastSquares(x, none)
-    kept = np.flatnonzero(np.isfinite(bounds))
+    kept = np.isfinite(bounds).nonzero()[0]
     cone = _solve(r, rows[kept].T, transposed=True).T
-    length, gap = np.linalg.norm(cone, axis=1), missed[kept]
-    idle = length <= 1e-14 * max(1.0, float(length.max(initial=0.0)))
+    length, gap = np.sqrt((cone * cone).sum(1)), missed[kept]
+    idle = length <= 1e-14 * max(1.0, length.max(initial=0.0))
     if idle.any():
         if (gap[idle] > FEASIBLE).any():
             return None
@@ -54,8 +58,9 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     if scale <= 0:
         return LeastSquares(x, none)
     # Least |y| with cone y >= gap / scale: y is the residual of the dual over its last entry.
-    dual = np.vstack([cone.T, gap / scale])
-    weights, _ = scipy.optimize.nnls(dual, np.append(np.zeros(len(free)), 1.0), maxiter=50 * len(gap))
+    dual, last = np.empty((m + 1, len(gap))), np.zeros(m + 1)
+    dual[:m], dual[m], last[m] = cone.T, gap / scale, 1.0
+    weights, _ = scipy.optimize.nnls(dual, last, maxiter=50 * len(gap))
     residual = dual @ weights
     residual[-1] -= 1.0
     if -residual[-1] <= FEASIBLE:
@@ -63,7 +68,7 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     y = -scale * residual[:-1] / residual[-1]
     x = _solve(r, free + y)
     # Where next to nothing satisfies them all, the dual is told by rounding.
-    if (bounds[kept] - rows[kept] @ x > ROUNDED * length * np.linalg.norm(y)).any():
+    if (bounds[kept] - rows[kept] @ x > ROUNDED * length * math.sqrt(y @ y)).any():
         return None
     active = none.copy()
     active[kept[weights > 0]] = True
