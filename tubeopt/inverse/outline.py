@@ -103,8 +103,16 @@ class Outline:
 
     def radius(self, s: Array) -> Array:
         """(p,) radius of the arm at arc lengths: of the outermost tube, or of what holds tubes beside each other."""
-        shown = s[:, None] <= self.equilibrium.tube_end + 1e-12
-        return np.asarray(np.where(shown, outer_radius(self.equilibrium.robot), 0.0).max(1))
+        ends, thick = self._steps
+        return np.asarray(thick[np.searchsorted(ends, s)])
+
+    @cached_property
+    def _steps(self) -> tuple[Array, Array]:
+        """Arc lengths (n,) at which tubes end, in order, and the radius of the arm (n + 1,) up to each and beyond."""
+        ends = self.equilibrium.tube_end
+        order = np.argsort(ends)
+        there = np.append(outer_radius(self.equilibrium.robot)[order], 0.0)
+        return ends[order] + 1e-12, np.maximum.accumulate(there[::-1])[::-1]
 
     def clearance(self, scene: Scene, enough: float = np.inf) -> float:
         """Least distance of the surface from bodies, m; some lower bound of it that is `enough`, where it is more than
