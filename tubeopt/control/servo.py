@@ -89,7 +89,7 @@ class Servo:
     @small
     def step(self, command: Command, dt: float) -> ServoStep:
         """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
-        if not (np.isfinite(dt) and dt > 0):
+        if not 0 < dt < np.inf:
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
         here = self.guard.before = self.guard.here
         rows, bounds, kinds = self._hedges(here, dt)
@@ -105,7 +105,7 @@ class Servo:
         why = Why(int(np.bitwise_or.reduce(kinds[found[1]], initial=0)))
         # The first rows are rates and ranges, which nothing exceeds, not by rounding either.
         m = len(here.q)
-        change = np.clip(found[0], bounds[:m], -bounds[m : 2 * m]) * self.space.scale
+        change = np.minimum(np.maximum(found[0], bounds[:m]), -bounds[m : 2 * m]) * self.space.scale
         return ServoStep(*self.guard.go(change, why), *told)
 
     def undo(self) -> None:

@@ -68,11 +68,11 @@ class _Room:
 
     def has(self, tubes: Any, joints: Array, start: Start) -> bool:
         """Whether it holds that of tubes at joint values (2n,) which a start is."""
-        if self.solved is None or self.solved[0] is not tubes or not np.array_equal(self.solved[1], joints):
+        if self.solved is None or self.solved[0] is not tubes or not (self.solved[1] == joints).all():
             return False
         count = len(start.point)
         mine = int(self.fields["points"]) == count
-        return mine and np.array_equal(self.fields["point_rotation"][:count], start.point_rotation)
+        return mine and bool((self.fields["point_rotation"][:count] == start.point_rotation).all())
 
 
 _rooms = threading.local()
@@ -264,7 +264,7 @@ def slopes_compiled(
     whole = 14 * n + 2 * n * n + 36
     out = np.empty(whole + points * 6 * n)
     at = _at(out)
-    if not kernel.differentiate(_at(_asked(robot, sides, compliance)), *room.at, at, at + 8 * whole):
+    if not kernel.differentiate(_asked(robot.moving_together, sides, compliance)[1], *room.at, at, at + 8 * whole):
         return None
     by_joint = out[: 14 * n + 2 * n * n].reshape(7 + n, 2 * n)
     return Slopes(
@@ -278,13 +278,16 @@ def slopes_compiled(
 
 
 @lru_cache(maxsize=256)
-def _asked(robot: Robot, sides: tuple[int, ...], compliance: bool) -> NDArray[np.int64]:
-    """(2 n + 1,) the C struct Asked."""
-    out = np.zeros(2 * robot.n_tubes + 1, dtype=np.int64)
-    for k, tubes in enumerate(robot.moving_together):
+def _asked(
+    together: tuple[tuple[int, ...], ...], sides: tuple[int, ...], compliance: bool
+) -> tuple[NDArray[np.int64], int]:
+    """(2 n + 1,) the C struct Asked of tubes that move together, and where it is."""
+    n = len(sides)
+    out = np.zeros(2 * n + 1, dtype=np.int64)
+    for k, tubes in enumerate(together):
         out[list(tubes)] = k
-    out[robot.n_tubes : -1], out[-1] = sides, compliance
-    return out
+    out[n:-1], out[-1] = sides, compliance
+    return out, _at(out)
 
 
 def solve_many_compiled(
