@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..typing import Array, Mask
+from ..typing import Array, Index, Mask
 
 FEASIBLE = 1e-9
 """Share of the right-hand side by which an inequality may be missed before it counts as violated."""
@@ -84,7 +84,7 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     return LeastSquares(x, active)
 
 
-def _by_pivots(cone: Array, gap: Array) -> tuple[Array, Array] | None:
+def _by_pivots(cone: Array, gap: Array) -> tuple[Array, Index] | None:
     """Least |y| (m,) with cone y >= gap, and which rows hold it: those that y = 0 violates, less those that would push
     the wrong way, and so on (Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2002)). What it ends with is exact;
     None where it does not end at once, as where rows depend on each other."""
