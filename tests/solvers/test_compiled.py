@@ -343,11 +343,33 @@ def test_loads_beyond_the_kernel_are_left_to_the_general_solver() -> None:
 
 
 @compiler
+def test_every_translation_has_the_derivative_of_its_own_side_where_breakpoints_coincide() -> None:
+    """Where tube 2 ends at the end of tube 3: beside differences of tips and margins to that side."""
+    alpha, ends = np.array([-2.3, 1.0, 0.9]), [tube.curved_length for tube in THESIS.tubes]
+    shift = np.array([0.0, ends[2] - ends[1] - 0.01, -0.01])
+    at = forward_kinematics(THESIS, alpha, shift)
+    start = binding.Start(at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation, np.zeros(3), shift)
+    step, told = 1e-5, []
+    for sides in ((1, 1, 1), (1, -1, 1)):
+        found = binding.slopes_compiled(THESIS, alpha, shift, start, sides)
+        assert found is not None
+        assert found.compliance is None
+        told.append(found.margin[4])
+        for i, side in enumerate(sides):
+            there = [forward_kinematics(THESIS, alpha, shift + k * side * step * np.eye(3)[i]) for k in (1, 2)]
+            here, one, two = (np.append(arm.tip_position, arm.margin) for arm in (at, *there))
+            slope = (4 * one - two - 3 * here) / (2 * side * step)
+            assert found.position[:, 3 + i] == pytest.approx(slope[:3], abs=1e-6)
+            assert found.margin[3 + i] == pytest.approx(slope[3], abs=1e-3)
+    assert abs(told[0] - told[1]) > 1
+
+
+@compiler
 def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pytest.MonkeyPatch) -> None:
     seed = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
     at = forward_kinematics(THESIS, [0.01, 1.0, 2.0], [-0.05, -0.03, -0.02], guess=seed)
     monkeypatch.setattr(binding, "solve_compiled", lambda *_: pytest.fail("solved once more"))
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
     start = binding.Start(*arm, np.zeros(3), at.translations)
-    for side in (1, -1):
-        assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, side) is not None
+    for sides in ((1, 1, 1), (-1, 1, -1)):
+        assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, sides) is not None

@@ -9,6 +9,7 @@ bodies by theirs. The guard then lets as much of it pass as is safe.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -88,7 +89,7 @@ class Servo:
     @small
     def step(self, command: Command, dt: float) -> ServoStep:
         """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
-        if not (np.isfinite(dt) and dt > 0):
+        if not 0 < dt < np.inf:
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
         here = self.guard.before = self.guard.here
         rows, bounds, kinds = self._hedges(here, dt)
@@ -101,45 +102,49 @@ class Servo:
         found = _in_turn(tasks, rows, bounds) or _in_turn(tasks, rows, np.minimum(bounds, 0.0))
         if found is None:
             return ServoStep(here.equilibrium, Why.HELD, *told)
-        why = Why(0)
-        for kind in {kinds[k] for k in found[1]}:
-            why |= kind
+        why = Why(int(np.bitwise_or.reduce(kinds[found[1]], initial=0)))
         # The first rows are rates and ranges, which nothing exceeds, not by rounding either.
         m = len(here.q)
-        change = np.clip(found[0], bounds[:m], -bounds[m : 2 * m]) * self.space.scale
+        change = np.minimum(np.maximum(found[0], bounds[:m]), -bounds[m : 2 * m]) * self.space.scale
         return ServoStep(*self.guard.go(change, why), *told)
 
     def undo(self) -> None:
         """Take the last step back, which was not sent."""
         self.guard.here = self.guard.before
 
-    def _hedges(self, here: Posture, dt: float) -> tuple[Array, Array, list[Why]]:
+    @cached_property
+    def _sides(self) -> Array:
+        """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
+        unit = np.eye(len(self.space.scale))
+        return np.vstack([unit, -unit, self.space.rows * self.space.scale])
+
+    def _rate(self, dt: float) -> Array:
+        """(m,) most that each joint moves in a step."""
+        n, options = self.space.robot.n_tubes, self.options
+        rate = np.full(len(self.space.scale), min(options.turn_rate * dt, TURN))
+        rate[n:] = min(options.shift_rate * dt, SHIFT * self.space.length)
+        return rate
+
+    def _hedges(self, here: Posture, dt: float) -> tuple[Array, Array, Array]:
         """Rows and bounds of a step over the joints' scales, and what each stands for; what is missed already must not
         get worse."""
-        space, options = self.space, self.options
-        n, m = space.robot.n_tubes, len(here.q)
-        rate = np.full(m, min(options.turn_rate * dt, TURN))
-        rate[n:] = min(options.shift_rate * dt, SHIFT * space.length)
-        low, high = np.minimum(space.lower - here.q, 0.0), np.maximum(space.upper - here.q, 0.0)
-        kinds = [Why.RANGE if a > -r else Why.RATE for a, r in zip(low, rate, strict=True)]
-        kinds += [Why.RANGE if a < r else Why.RATE for a, r in zip(high, rate, strict=True)]
-        unit = np.eye(m)
-        rows = [unit, -unit, space.rows * space.scale]
-        bounds = [np.maximum(low, -rate) / space.scale, -np.minimum(high, rate) / space.scale]
-        bounds.append(np.minimum(space.least - space.rows @ here.q, 0.0))
-        kinds += [Why.ORDER] * len(space.least)
+        space, options, rate, m = self.space, self.options, self._rate(dt), len(here.q)
+        left = np.minimum(space.inequalities(here.q)[1], 0.0)
+        ends, most = left[: 2 * m].reshape(2, m), -rate
+        rows, bounds = [self._sides], [(np.maximum(ends, most) / space.scale).ravel(), left[2 * m :]]
+        kinds = [np.where(ends > most, Why.RANGE, Why.RATE).ravel(), np.full(len(space.least), Why.ORDER)]
         raised = here.margin_slope() * space.scale
         if raised.any():
+            rises = RISE * float(np.maximum(raised * bounds[0][:m], -raised * bounds[0][m:]).sum())
             rows.append(raised[None])
-            most = RISE * float(np.maximum(-raised * bounds[1], raised * bounds[0]).sum())
-            bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), most)]))
-            kinds.append(Why.MARGIN)
+            bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rises)]))
+            kinds.append(np.array([Why.MARGIN]))
         if self.guard.scene.bodies:
             near, least = self._bodies(here, rate)
             rows.append(near)
             bounds.append(least)
-            kinds += [Why.OBSTACLE] * len(least)
-        return np.vstack(rows), np.concatenate(bounds), kinds
+            kinds.append(np.full(len(least), Why.OBSTACLE))
+        return np.concatenate(rows), np.concatenate(bounds), np.concatenate(kinds)
 
     def _bodies(self, at: Posture, rate: Array) -> tuple[Array, Array]:
         """Rows (c, m), over the joints' scales, and bounds (c,), m, of the distances from bodies that a step within
@@ -229,17 +234,22 @@ class Servo:
 def _softness(at: Posture, turn: float = 1e-4) -> Array:
     """(m,) relative change of the translational compliance of the tip by the joints, by differences; 0 without a
     kernel, and where a difference cannot be had."""
-    space, here = at.space, compiled_slopes(at.equilibrium)
+    space, here = at.space, _yield(at.equilibrium)
     out = np.zeros(len(at.q))
     for k in range(len(out)) if here is not None else ():
         q = at.q.copy()
         q[k] += turn * space.scale[k] * (1 if q[k] < space.upper[k] else -1)
         there = one_step(space.robot, at.equilibrium, *space.split(q))
-        slopes = None if there is None else compiled_slopes(there)
-        if here is not None and slopes is not None:
-            stiff, soft = (float(np.trace(each.compliance[:3, :3])) for each in (here, slopes))
-            out[k] = (soft / stiff - 1) / (q[k] - at.q[k])
+        found = None if there is None else _yield(there)
+        if here is not None and found is not None:
+            out[k] = (found / here - 1) / (q[k] - at.q[k])
     return out
+
+
+def _yield(at: Equilibrium) -> float | None:
+    """Trace of the translational compliance of the tip, m/N; None without a kernel."""
+    slopes = compiled_slopes(at, compliance=True)
+    return None if slopes is None or slopes.compliance is None else float(np.trace(slopes.compliance[:3, :3]))
 
 
 def _in_turn(
@@ -249,7 +259,11 @@ def _in_turn(
     where no step keeps them."""
     wanted, free = np.zeros(rows.shape[1]), np.eye(rows.shape[1])
     held: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+    used: Array | None = None
     for matrix, right, uses in tasks:
+        if used is not None:
+            _, size, basis = np.linalg.svd(used)
+            free = free @ basis[np.count_nonzero(size > FREE) :].T
         if not free.shape[1]:
             break
         inside, damping = matrix @ free, DAMPING if uses else 0.0
@@ -263,7 +277,5 @@ def _in_turn(
         if found is None:  # with the tasks before, the step keeps all rows as it is
             return (wanted, held) if wanted.any() else None
         wanted, held = wanted + free @ found.x, np.flatnonzero(found.active)
-        if uses:
-            _, size, basis = np.linalg.svd(inside)
-            free = free @ basis[np.count_nonzero(size > FREE) :].T
+        used = inside if uses else None
     return wanted, held

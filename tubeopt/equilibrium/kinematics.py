@@ -170,7 +170,8 @@ def _error(equilibrium: Equilibrium) -> float:
 
 def measure(robot: Robot, length: ArrayLike) -> Array:
     """By what the error of the tip is divided, m: the length of the arm, with tubes made of pieces at most SHORT."""
-    return np.clip(length, 1e-300, SHORT if is_general(robot) else None)
+    length = np.maximum(length, 1e-300)
+    return np.minimum(length, SHORT) if is_general(robot) else length
 
 
 def _compiled(

@@ -15,7 +15,7 @@ from ..robots.eccentric import SegmentedEccentricRobot
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
-from ..typing import Array, Mask
+from ..typing import Array
 from .least_squares import constrained_least_squares
 
 CLOSE = 1e-6
@@ -94,14 +94,23 @@ class JointSpace:
         unit = np.eye(len(self.scale))
         return np.vstack([unit, -unit, self.rows])
 
-    def only_backward(self, q: Array) -> Mask:
-        """(m,) translations that can shrink from q but not grow, for their range or for the order of the tubes."""
-        close = 1e-9 * self.length
-        tight = self.rows[self.rows @ q - self.least <= close]
-        stopped = (self.upper - q <= close) | (tight < 0).any(0)
-        free = (q - self.lower > close) & ~(tight > 0).any(0)
-        free[: self.robot.n_tubes] = False
-        return np.asarray(stopped & free)
+    def free_sides(self, q: Array) -> tuple[int, ...]:
+        """(n,) of every tube: -1 where its translation can shrink from q but not grow, for its range or for the order
+        of the tubes, else 1."""
+        close, sides = 1e-9 * self.length, [1] * self.robot.n_tubes
+        high, low = (self.upper - q <= close).tolist(), (q - self.lower <= close).tolist()
+        for row in np.flatnonzero(self.rows @ q - self.least <= close):
+            for joint, sign in self._ordered[row]:
+                (low if sign > 0 else high)[joint] = True
+        for joint, tubes in enumerate(self.carriages, self.robot.n_tubes):
+            for tube in tubes if high[joint] and not low[joint] else ():
+                sides[tube] = -1
+        return tuple(sides)
+
+    @cached_property
+    def _ordered(self) -> list[list[tuple[int, float]]]:
+        """Which joints are in each row of the order, and with which sign."""
+        return [[(int(k), float(np.sign(row[k]))) for k in np.flatnonzero(row)] for row in self.rows]
 
     def clip(self, q: Array) -> Array:
         """q with round-off beyond the ranges taken away."""

@@ -15,6 +15,9 @@ from ..typing import Array, Index, Mask
 FINE = 400
 """Points along the arm at which its distance from bodies is measured."""
 
+EVENLY = np.linspace(0.0, 1.0, FINE)
+"""Where these are, as shares of it."""
+
 STRIDES = (16, 4, 1)
 """Of these points every so many-th is looked at first, then more where the distance may be the least."""
 
@@ -85,8 +88,10 @@ class Outline:
     def grid(self) -> Array:
         """(p,) arc lengths close enough for bodies: evenly spaced, and the ends of tubes, where the radius falls."""
         ends = self.equilibrium.tube_end
-        s = np.linspace(0.0, self.equilibrium.arc_length[-1], FINE)
-        return np.union1d(s, ends[(ends > 0) & (ends < s[-1])])
+        tip = self.equilibrium.arc_length[-1]
+        s = np.sort(np.concatenate([EVENLY * tip, ends[(ends > 0) & (ends < tip)]]))
+        own = s[1:] > s[:-1]
+        return s if own.all() else s[np.append(True, own)]
 
     @cached_property
     def _step(self) -> float:
@@ -103,8 +108,16 @@ class Outline:
 
     def radius(self, s: Array) -> Array:
         """(p,) radius of the arm at arc lengths: of the outermost tube, or of what holds tubes beside each other."""
-        shown = s[:, None] <= self.equilibrium.tube_end + 1e-12
-        return np.asarray(np.where(shown, outer_radius(self.equilibrium.robot), 0.0).max(1))
+        ends, thick = self._steps
+        return np.asarray(thick[np.searchsorted(ends, s)])
+
+    @cached_property
+    def _steps(self) -> tuple[Array, Array]:
+        """Arc lengths (n,) at which tubes end, in order, and the radius of the arm (n + 1,) up to each and beyond."""
+        ends = self.equilibrium.tube_end
+        order = np.argsort(ends)
+        there = np.append(outer_radius(self.equilibrium.robot)[order], 0.0)
+        return ends[order] + 1e-12, np.maximum.accumulate(there[::-1])[::-1]
 
     def clearance(self, scene: Scene, enough: float = np.inf) -> float:
         """Least distance of the surface from bodies, m; some lower bound of it that is `enough`, where it is more than
@@ -142,10 +155,10 @@ class Outline:
     @cached_property
     def _few(self) -> Index:
         """Rows of the grid that are looked at first: also those at which the radius falls."""
-        last, ends = len(self.grid) - 1, self.equilibrium.tube_end
-        return np.union1d(
-            np.arange(0, last, STRIDES[0]), np.append(np.searchsorted(self.grid, ends).clip(0, last), last)
-        )
+        few, last = np.zeros(len(self.grid), dtype=bool), len(self.grid) - 1
+        few[:: STRIDES[0]] = few[last] = True
+        few[np.minimum(np.searchsorted(self.grid, self.equilibrium.tube_end), last)] = True
+        return few.nonzero()[0]
 
     def _window(self, rows: Index, stride: int) -> tuple[Array, Array]:
         """How far the stretch that every so many-th point stands for reaches from rows (r,) of the grid, and how thick
@@ -300,8 +313,9 @@ def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
     """(p, 3) cubic interpolation of a curve given with its tangents at arc lengths s (m,)."""
     if len(s) < 2:
         return np.repeat(value, len(at), axis=0)
-    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    k = np.searchsorted(s[1:-1], at, side="right")
     h = (s[k + 1] - s[k])[:, None]
     x = (at - s[k])[:, None] / h
-    ends = value[k] * (1 + 2 * x) * (1 - x) ** 2 + value[k + 1] * x**2 * (3 - 2 * x)
-    return np.asarray(ends + h * (slope[k] * x * (1 - x) ** 2 - slope[k + 1] * x**2 * (1 - x)))
+    y = 1 - x
+    begin, end = value[k] * (1 + 2 * x) + slope[k] * (h * x), value[k + 1] * (1 + 2 * y) - slope[k + 1] * (h * y)
+    return np.asarray(y * y * begin + x * x * end)

@@ -75,39 +75,41 @@ class Posture:
         return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin, problem=own)
 
     @cached_property
-    def _forward(self) -> _Slopes:
-        return self._slopes(1)
+    def _free(self) -> _Slopes:
+        """Of each joint towards the side to which it is free to move, where it has but one."""
+        return self._slopes(self.space.free_sides(self.q))
 
-    def _slopes(self, side: int) -> _Slopes:
+    def _slopes(self, sides: tuple[int, ...]) -> _Slopes:
         """Those that are asked for all the time, by the compiled kernel where it has them."""
-        found, spread = compiled_slopes(self.equilibrium, side), self.space.spread
+        found = compiled_slopes(self.equilibrium, sides)
         if found is not None and found.along is not None:
-            return (found.position @ spread, found.turn @ spread, found.margin @ spread), found.along
-        of = self.derivatives if side > 0 else self._derivatives(side)
-        return (of.tip_position @ spread, of.tip_rotation @ spread, of.margin @ spread), of.position
+            parts: list[Array] = [found.position, found.turn, found.margin, found.along]
+        else:
+            of = [self.derivatives if side > 0 else self._derivatives(-1) for side in sorted({*sides})]
+            told = [[each.tip_position, each.tip_rotation, each.margin, each.position] for each in of]
+            grows = np.array([*[1] * len(sides), *sides]) > 0
+            parts = [np.where(grows, pair[-1], pair[0]) for pair in zip(*told, strict=True)]
+        position, turn, margin = (part @ self.space.spread for part in parts[:3])
+        return (position, turn, margin), parts[3]
 
-    @cached_property
+    @property
     def jacobian(self) -> tuple[Array, Array, Array]:
         """(3, m) of the tip, (3, m) of its turn vector, (m,) of the margin, with respect to q.
 
         Where breakpoints coincide, as where one tube ends in its order at the end of another, derivatives differ to
         either side: each joint has those of the side to which it is free to move.
         """
-        forward, blocked = self._forward[0], self.space.only_backward(self.q)
-        if not blocked.any():
-            return forward
-        a, b, c = (np.where(blocked, low, high) for low, high in zip(self.backward, forward, strict=True))
-        return a, b, c
+        return self._free[0]
 
     @cached_property
     def backward(self) -> tuple[Array, Array, Array]:
         """As `jacobian`, with the derivatives of translations that shrink."""
-        return self._slopes(-1)[0]
+        return self._slopes((-1,) * self.space.robot.n_tubes)[0]
 
     @property
     def along(self) -> Array:
-        """(p, 3, 2n) change of the shape points by rotations and translations."""
-        return self._forward[1]
+        """(p, 3, 2n) change of the shape points by rotations and translations, to the sides of `jacobian`."""
+        return self._free[1]
 
     @cached_property
     def bend(self) -> float:
@@ -187,9 +189,12 @@ def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
 
 
-def compiled_slopes(at: Equilibrium, side: int = 1) -> Slopes | None:
-    """The derivatives of an equilibrium by the compiled kernel, of translations that move towards `side`; None where it
-    has none. Of a margin that two modes share, those of one of them."""
-    still = np.zeros(at.robot.n_tubes)
+def compiled_slopes(
+    at: Equilibrium, sides: tuple[int, ...] | None = None, *, compliance: bool = False
+) -> Slopes | None:
+    """The derivatives of an equilibrium by the compiled kernel, of translations that move towards `sides` (n,), 1 where
+    not given; None where it has none. Of a margin that two modes share, those of one of them."""
+    still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
-    return slopes_compiled(at.robot, at.rotations, at.translations, Start(*arm, still, at.translations), side)
+    start = Start(*arm, still, at.translations)
+    return slopes_compiled(at.robot, at.rotations, at.translations, start, sides, compliance=compliance)

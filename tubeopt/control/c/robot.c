@@ -250,11 +250,9 @@ static void independent(const tubeopt_joints *joints, double *q) {
         q[c] = c < N ? joints->rotations[c] : joints->translations[FIRST[c]] - OFFSET[N + FIRST[c]];
 }
 
-/* Which joints are translations that can shrink but not grow, for their range or for the order of the tubes; 0 where none
-   is. Where breakpoints coincide, as where a tube is stopped by the end of another one, derivatives differ to both sides. */
-static int only_backward(const tubeopt_memory *m, int *blocked) {
+/* Which joints are translations that can shrink but not grow, for their range or for the order of the tubes. Where breakpoints coincide, as where a tube is stopped by the end of another one, derivatives differ to both sides. */
+static void only_backward(const tubeopt_memory *m, int *blocked) {
     double q[JOINTS], close = 1e-9 * LONGEST_TUBE;
-    int some = 0;
     independent(&m->joints, q);
     for (int c = 0; c < JOINTS; c++) {
         int stopped = UPPER[c] - q[c] <= close, free = c >= N && q[c] - LOWER[c] > close;
@@ -264,9 +262,8 @@ static int only_backward(const tubeopt_memory *m, int *blocked) {
             stopped |= row[c] < 0;
             free &= !(row[c] > 0);
         }
-        some |= blocked[c] = stopped && free;
+        blocked[c] = stopped && free;
     }
-    return some;
 }
 
 /* Derivatives of the last equilibrium into m->slopes: by translations that grow, or for a servo step, which need not be

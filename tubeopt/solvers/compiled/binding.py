@@ -68,11 +68,11 @@ class _Room:
 
     def has(self, tubes: Any, joints: Array, start: Start) -> bool:
         """Whether it holds that of tubes at joint values (2n,) which a start is."""
-        if self.solved is None or self.solved[0] is not tubes or not np.array_equal(self.solved[1], joints):
+        if self.solved is None or self.solved[0] is not tubes or not (self.solved[1] == joints).all():
             return False
         count = len(start.point)
         mine = int(self.fields["points"]) == count
-        return mine and np.array_equal(self.fields["point_rotation"][:count], start.point_rotation)
+        return mine and bool((self.fields["point_rotation"][:count] == start.point_rotation).all())
 
 
 _rooms = threading.local()
@@ -225,46 +225,69 @@ def solve_compiled(
 @dataclass(frozen=True, eq=False)
 class Slopes:
     """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
-    2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load; and derivatives of the
-    shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm with another mesh."""
+    2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load, None where not asked for;
+    and derivatives of the shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm
+    with another mesh."""
 
     position: Array
     turn: Array
     tip_rotations: Array
     margin: Array
-    compliance: Array
+    compliance: Array | None
     along: Array | None
 
 
-def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: Start, side: int = 1) -> Slopes | None:
-    """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, of translations that
-    move towards `side`; of a margin that two modes share, by one of these. None where the kernel declines or has
-    none.
+def slopes_compiled(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    start: Start,
+    sides: tuple[int, ...],
+    *,
+    compliance: bool = False,
+) -> Slopes | None:
+    """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, where breakpoints
+    coincide those of translations that move towards their `sides` (n,), 1 or -1; of a margin that two modes share, by
+    one of these. None where the kernel declines or has none.
     """
     prepared = with_kernel(robot, 0)
     if prepared is None or prepared[0].differentiate is None:
         return None
     kernel, n = prepared[0], robot.n_tubes
     room, joints = room_of(kernel), np.concatenate([rotations, translations])
-    if not room.has(prepared, joints, start) and solve_compiled(robot, rotations, translations, start) is None:
+    same = room.has(prepared, joints, start)
+    if not same and solve_compiled(robot, rotations, translations, start) is None:
         return None
-    places = room.fields["arc_length"][: int(room.fields["pieces"]) * STEPS + 1]
-    out, along = np.zeros(14 * n + 2 * n * n + 36), np.zeros((len(places), 3, 2 * n))
-    if not kernel.differentiate(_at(_carriages(robot)), side, *room.at, _at(out), _at(along)):
+    points = int(room.fields["pieces"]) * STEPS + 1
+    places = room.fields["arc_length"][:points]
+    same = same or (points == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF))
+    whole = 14 * n + 2 * n * n + 36
+    out = np.empty(whole + points * 6 * n)
+    at = _at(out)
+    if not kernel.differentiate(_asked(robot.moving_together, sides, compliance)[1], *room.at, at, at + 8 * whole):
         return None
-    same = len(places) == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF)
-    tip, turn, ends, margin, compliance = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
-    parts = tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, compliance.reshape(6, 6)
-    return Slopes(*parts, along if same else None)
+    by_joint = out[: 14 * n + 2 * n * n].reshape(7 + n, 2 * n)
+    return Slopes(
+        position=by_joint[:3],
+        turn=by_joint[3:6],
+        tip_rotations=by_joint[6:-1],
+        margin=by_joint[-1],
+        compliance=out[whole - 36 : whole].reshape(6, 6) if compliance else None,
+        along=out[whole:].reshape(points, 3, 2 * n) if same else None,
+    )
 
 
-@lru_cache(maxsize=64)
-def _carriages(robot: Robot) -> NDArray[np.int64]:
-    """(n,) which tubes move together."""
-    out = np.zeros(robot.n_tubes, dtype=np.int64)
-    for k, tubes in enumerate(robot.moving_together):
+@lru_cache(maxsize=256)
+def _asked(
+    together: tuple[tuple[int, ...], ...], sides: tuple[int, ...], compliance: bool
+) -> tuple[NDArray[np.int64], int]:
+    """(2 n + 1,) the C struct Asked of tubes that move together, and where it is."""
+    n = len(sides)
+    out = np.zeros(2 * n + 1, dtype=np.int64)
+    for k, tubes in enumerate(together):
         out[list(tubes)] = k
-    return out
+    out[n:-1], out[-1] = sides, compliance
+    return out, _at(out)
 
 
 def solve_many_compiled(

@@ -12,9 +12,9 @@ CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const Method *method, const d
 CASADI_SYMBOL_EXPORT size_t slopes_size(void) { return sizeof(Slopes); }
 
 /* `slopes_of` what `solve` has just left. */
-CASADI_SYMBOL_EXPORT int differentiate(const long long *carriage, int side, Workspace *w, const Answer *out,
-                                       Slopes *slopes, Along *along) {
-    return slopes_of(carriage, side, w, out, slopes, along);
+CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const Answer *out, Slopes *slopes,
+                                       Along *along) {
+    return slopes_of(asked, w, out, slopes, along);
 }
 #endif
 

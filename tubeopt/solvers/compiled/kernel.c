@@ -126,8 +126,8 @@ static int solve_one(const Tubes *tubes, const Method *method, const double *alp
 
 #if SLOPES
 /* `all_slopes` of what `solve_one` has just left. */
-static int slopes_of(const long long *carriage, int side, Workspace *w, const Answer *out, Slopes *slopes, Along *along) {
+static int slopes_of(const Asked *asked, Workspace *w, const Answer *out, Slopes *slopes, Along *along) {
     const Unknowns *q = &w->fine;
-    return all_slopes(q, &w->state, &w->arm, w->mode, out, carriage, side, w->matrix, &w->around, slopes, along);
+    return all_slopes(q, &w->state, &w->arm, w->mode, out, asked, w->matrix, &w->around, slopes, along);
 }
 #endif

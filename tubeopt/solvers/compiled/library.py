@@ -347,5 +347,5 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size()
     if eccentric or general:
         return Library(n, path, *parts)
-    loaded.differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 4]
+    loaded.differentiate.argtypes = [pointer] * 5
     return Library(n, path, *parts, loaded.differentiate)

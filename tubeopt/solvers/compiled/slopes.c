@@ -14,6 +14,12 @@ typedef struct {
     double compliance[6][6]; /* force and moment -> translation and turn of the tip, world axes, at no load */
 } Slopes;
 
+/* What is asked of them. Tubes of one carriage move together, and share its slope; where breakpoints coincide, it is that
+   towards the carriage's side, 1 or -1. The compliance, half of the work, where it is not 0. */
+typedef struct {
+    long long carriage[N], side[N], compliance;
+} Asked;
+
 /* The solved arm at the points of all pieces, and how the margin leans on them. */
 typedef struct {
     double theta[MOST_POINTS][N], bend_slope[MOST_POINTS][2 * N]; /* u_theta by columns */
@@ -352,11 +358,11 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
     }
 }
 
-/* All slopes at a solved state, its arm and the mode of its margin; translations move towards `side`, 1 or -1, where
-   breakpoints coincide. Tubes of one `carriage` (n) move together and share its slope. 0 where the second variation, for
-   which `h` is room, is singular. Into `along`, where not NULL, those of the shape points. */
+/* All slopes at a solved state, its arm and the mode of its margin. 0 where the second variation, for which `h` is room, is
+   singular. Into `along`, where not NULL, those of the shape points. */
 static int all_slopes(const Unknowns *q, const State *state, const Profile *arm, double *mode, const Answer *out,
-                      const long long *carriage, int side, double *h, Around *a, Slopes *slopes, Along *along) {
+                      const Asked *asked, double *h, Around *a, Slopes *slopes, Along *along) {
+    const long long *carriage = asked->carriage;
     double sway[MOST_POINTS][2];
     second_variation(q, state, h);
     if (!cholesky(h, q->size, STRIDE)) return 0;
@@ -381,8 +387,8 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
         tip_change(q, out, a, NULL, tip, along ? a->shift : NULL);
         put_column(q, out, a, tip, 0, i, 1, slopes, along);
         for (int j = 0; j < i; j++) first &= carriage[j] != carriage[i];
-        if (first) by_carriage(q, state, arm, out, h, carriage, carriage[i], side, a, slopes, along);
+        if (first) by_carriage(q, state, arm, out, h, carriage, carriage[i], asked->side[i], a, slopes, along);
     }
-    for (int v = 0; v < 6; v++) by_wrench(q, state, out, h, v, a, sway, slopes);
+    for (int v = 0; v < 6 && asked->compliance; v++) by_wrench(q, state, out, h, v, a, sway, slopes);
     return 1;
 }
