@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, replace
 
 from tubeopt import Camera, HeatingSpec, Thermocouple, TubeResistance, lead_by, load_rig, plan_heating
 from tubeopt.shaping.firmware.boards import BOARDS
+from tubeopt.shaping.heating.feedback import wilson
 
 from .timing import ROOT
 
@@ -42,7 +43,7 @@ def measure(rigs: int, seed: int, objective: str) -> list[Kept]:
     for sensor in (Thermocouple(), Camera(), TubeResistance()):
         led = lead_by(plan, sensor, samples=rigs, seed=seed)
         found.append(Kept(sensor.name, led.probability, led.interval, float(led.top.max() - led.limit)))
-    return [*found, Kept("none", led.open_loop, (led.open_loop, led.open_loop), float("nan"))]
+    return [*found, Kept("none", led.open_loop, wilson(round(rigs * led.open_loop), rigs), float("nan"))]
 
 
 def main() -> None:

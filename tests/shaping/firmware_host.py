@@ -13,7 +13,7 @@ import numpy as np
 
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.shaping.firmware.simulated import SimulatedRig
-from tubeopt.shaping.heating.ideal import joined
+from tubeopt.shaping.heating.thermal import joined
 from tubeopt.typing import Array
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")

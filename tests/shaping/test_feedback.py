@@ -19,7 +19,7 @@ from tubeopt.shaping.firmware.line import SimulatedLine
 from tubeopt.shaping.firmware.simulated import SimulatedRig
 from tubeopt.shaping.heating.feedback import wilson
 from tubeopt.shaping.heating.gains import RESET, Response, regulator
-from tubeopt.shaping.heating.ideal import joined, solve_ideal
+from tubeopt.shaping.heating.ideal import solve_ideal
 from tubeopt.shaping.heating.law import begin, decide
 from tubeopt.shaping.heating.leading import fleet_of, nominal_law
 from tubeopt.shaping.heating.loop import Fleet, run_loop
@@ -27,7 +27,7 @@ from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.rates import at_rest
 from tubeopt.shaping.heating.replanning import planner_for
 from tubeopt.shaping.heating.robust import ENSEMBLE
-from tubeopt.shaping.heating.thermal import stack, thermal_model
+from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 
 from .heating_reference import TUBE, integrate, thesis_rig

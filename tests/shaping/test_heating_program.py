@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from tubeopt import HeatingSpec
+from tubeopt import HeatingSpec, load_rig, load_robot
 from tubeopt.shaping.heating.haste import soonest
 from tubeopt.shaping.heating.ideal import solve_ideal
-from tubeopt.shaping.heating.instant import VENTS, physics
+from tubeopt.shaping.heating.instant import DURATION, VENTS, physics
 from tubeopt.shaping.heating.program import WISHES, Structure, program
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
 from tubeopt.typing import Array
 
-from .heating_reference import TUBE, thesis_rig
+from .heating_reference import CONFIGS, TUBE, thesis_rig
 
 STEP = 1e-5
 
@@ -63,3 +63,17 @@ def test_a_lead_that_may_be_longer_is_so_where_its_multiplier_says_it() -> None:
         free = HeatingSpec(hold_time=10, free=("lead",), lead_range=(lead, 60e-3))
         chosen = solve_ideal(TUBE, rig, free, guess=fixed).rig.mold.lead
         assert fixed.lead_gains == (chosen > 1.001 * lead)
+
+
+def test_time_that_may_be_taken_costs_nothing() -> None:
+    """In a mold of steel a short heating and a long one are both optima: the better is told."""
+    rig, tube = (
+        load_rig(CONFIGS / "rigs" / "thesis_steel.yaml"),
+        load_robot(CONFIGS / "robots" / "medlab_ctr.yaml").tubes[1],
+    )
+    short, whole = (
+        solve_ideal(tube, rig, HeatingSpec(slot=0.5, hold_time=30, longest_heating=longest))
+        for longest in (60.0, 360.0)
+    )
+    assert whole.heating > 60
+    assert whole.heating / DURATION + whole.miss < short.heating / DURATION + short.miss

@@ -11,8 +11,7 @@ import pytest
 from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Tube
 from tubeopt.shaping import Springback, tube_fabrication
 from tubeopt.shaping.heating.groove_air import Lie, even_gap
-from tubeopt.shaping.heating.ideal import joined
-from tubeopt.shaping.heating.thermal import FINE, gap_of, thermal_model
+from tubeopt.shaping.heating.thermal import FINE, gap_of, joined, thermal_model
 from tubeopt.shaping.mold.holes import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from ...physics.heat import GRIP
 from ...robots.tubes import Tube
 from ...typing import Array
 from .rates import State, at_rest, warming_span
@@ -94,5 +93,5 @@ def extremes(model: ThermalModel, state: State) -> tuple[Array, Array, float]:
     """Rates of warming of the cells outside of the clamps at no duty and at full duty, K/s; and the current while the
     MOSFET conducts, A."""
     idle, full, now = warming_span(model, state.cells, state.lumped)
-    free = model.zone > GRIP
-    return idle[0, free], full[0, free], float(now[0])
+    free = model.resolution.grip
+    return idle[0, free:], full[0, free:], float(now[0])

@@ -14,13 +14,12 @@ import numpy as np
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
 from .counts import most_count
-from .ideal import joined
 from .rates import State, at_rest
 from .rig import COUNTS, Rig
 from .schedule import Counts, sum_up_rounding
 from .simulation import advance
 from .spec import HeatingSpec
-from .thermal import ThermalModel
+from .thermal import ThermalModel, joined
 
 DECIDED = 0.5
 """Least time, s, for which a duty of the hold is chosen; slots that are shorter share it."""

@@ -10,31 +10,23 @@ import numpy as np
 
 from ...block.transcription.tableau import tableau
 from ...errors import SolveError
-from ...physics.heat import GRIP, LEAD
-from ...physics.heat_functions import CHARGE as USED
-from ...physics.heat_functions import CLAMP
-from ...physics.heat_functions import SAG as SAGGED
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, full_current
-from .instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE, SAG, VENTS, physics
+from .guess import first_guess
+from .instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, RISE, VENTS, physics
 from .program import WINDOW, WISHES, Program, Structure, program
-from .rates import State, warming_span
 from .rig import COUNTS, Rig
-from .simulation import History, simulate, simulate_feedback
+from .simulation import History, simulate
 from .spec import HeatingSpec
-from .thermal import PROGRAM, ThermalModel, curve_start, thermal_model, vent_profile
+from .thermal import PROGRAM, ThermalModel, curve_start, joined, thermal_model, vent_profile
 
-GUESS_SLOT = 0.25
 DUTY_POINTS = 401
 """Points between which the ideal duty is taken to be linear, over heating and hold."""
 
 COARSE_RAMP, LEAST_RAMP = 0.03, 0.15
 """Part of the ramp that is kept for the fine grid, and the part that is left when room is made for whole counts."""
-
-FAR = 20.0
-"""Miss of the window by a guess, K, from which on the program begins with it."""
 
 MOST_MISS = 1500.0
 """The program is always solvable: the window may be missed by this much, K, at a price."""
@@ -152,7 +144,7 @@ def solve_ideal(
     """
     structure = Structure(PROGRAM, clear=below and spec.objective == "margin", chosen=spec.free)
     made = program(structure)
-    x = guess.x if guess is not None else _start(made, tube, rig, spec)
+    x = guess.x if guess is not None else first_guess(made, tube, rig, spec)
     lower, upper = _unknown_bounds(made, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
     if not structure.clear:
@@ -267,79 +259,6 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
     return lower, upper
 
 
-# --- the guess ----------------------------------------------------------------------------------------------------
-
-
-def _start(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
-    """Unknowns of the schedule that a controller finds, which knows the model and leads the hottest cell."""
-    s = made.structure
-    model = thermal_model(tube, rig, s.resolution)
-    target = 0.5 * sum(spec.window_degC) + ZERO_CELSIUS
-    ramp = min(0.9 * spec.ramp, 1e3)
-    planned = (target - model.ambient) / ramp
-    whole = planned + spec.covered_time
-    count = int(np.clip(np.ceil(whole / GUESS_SLOT), 200, 2000))
-    slot = whole / count
-
-    def controller(time: float, state: State) -> float:
-        wanted = min(model.ambient + ramp * (time + slot), target)
-        return duty_for(model, state, wanted, slot, rig.circuit.current_limit)
-
-    history, duties = simulate_feedback(model, slot, count, controller)
-    hold = spec.covered_time
-    heating, holding = made.structure.mesh.fractions
-    faces = np.concatenate([planned * heating, planned + hold * holding[1:]])
-    points = (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", s.mesh.degree).nodes).ravel()
-    found = _unknowns(model, history, duties, points, faces)
-    design = np.array([rig.clamps.clearance, rig.mold.lead]) / LENGTH
-    durations = np.full(s.mesh.heating, planned / DURATION)
-    vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
-    misses = np.full(s.points, _start_miss(made, model, spec, found["z"]))
-    return np.concatenate([found["z"], found["circuit"], found["drive"], durations, misses, design, vents])
-
-
-def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array) -> float:
-    """By how much a guess misses the window, K, where that is far: from 0, IPOPT would take a hundred tiny steps."""
-    s = made.structure
-    tube = model.ambient + RISE * z.reshape(s.points, s.states)[-s.holding_points :, : s.resolution.cells]
-    held = joined(model, tube) - ZERO_CELSIUS
-    low, high = spec.window_degC
-    miss = max(low - float(held.min()), float(held.max()) - high)
-    return 1.1 * miss if miss > FAR else 0.0
-
-
-def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:
-    """Duty that brings the hottest cell outside of the clamps to `wanted` (K) in a slot, within the current limit."""
-    (idle,), (full,), (now,) = warming_span(model, state.cells, state.lumped)
-    tube = state.cells[0, :, 0]
-    hot = int(np.argmax(np.where(model.zone > GRIP, tube, 0.0)))
-    need = (wanted - tube[hot]) / slot - idle[hot]
-    return float(np.clip(need / (full[hot] - idle[hot]), 0.0, min(1.0, current_limit / now)))
-
-
-def _unknowns(model: ThermalModel, history: History, duties: Array, points: Array, faces: Array) -> dict[str, Array]:
-    """Scaled temperatures, currents and duties of a simulation at the collocation points and nodes."""
-    covered = model.zone >= LEAD
-    parts = [history.tube[:, 0], history.walls[:, 0][:, covered].reshape(len(history.time), -1)]
-    scaled = (np.hstack(parts) - model.ambient) / RISE
-    lumped = history.lumped[:, 0]
-    z = np.column_stack(
-        [scaled, (lumped[:, CLAMP] - model.ambient) / RISE, lumped[:, USED] / CHARGE, lumped[:, SAGGED] / SAG]
-    )
-    at = [np.interp(points, history.time, column) for column in z.T]
-    middle = 0.5 * (history.time[1:] + history.time[:-1])
-    return {
-        "z": np.array(at).T.ravel(),
-        "circuit": np.column_stack(
-            [
-                np.interp(points, history.time, history.current[:, 0]) / AMPERE,
-                np.interp(points, history.time, history.resistance[:, 0] / 2) / OHM,
-            ]
-        ).ravel(),
-        "drive": np.interp(faces, middle, duties * history.current[:-1, 0] ** 2) / DRIVE,
-    }
-
-
 # --- the answer ---------------------------------------------------------------------------------------------------
 
 
@@ -383,11 +302,3 @@ def _held(made: Program, tube: Tube, rig: Rig, temperature: Array) -> Array:
     model = thermal_model(tube, rig, made.structure.resolution)
     first = made.structure.mesh.heating * made.structure.mesh.degree - 1
     return joined(model, temperature[first:])
-
-
-def joined(model: ThermalModel, tube: Array) -> Array:
-    """(..., 1 + c) temperatures where the curved part begins, and at its cells, from those of the cells (..., n)."""
-    first = int(np.argmax(model.curved))
-    before, after = model.width[first - 1], model.width[first]
-    edge = (after * tube[..., first - 1] + before * tube[..., first]) / (before + after)
-    return np.concatenate([edge[..., None], tube[..., first:]], axis=-1)

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from .ideal import joined
 from .law import HeatingLaw, begin, decide
 from .rates import State, at_rest
 from .rig import COUNTS
 from .sensors import Sensor
 from .simulation import advance
-from .thermal import ThermalModel
+from .thermal import ThermalModel, joined
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CHARGE
 from ...robots.materials import ZERO_CELSIUS
-from .ideal import joined
 from .rig import Rig
 from .simulation import History
 from .spec import HeatingSpec
-from .thermal import ThermalModel
+from .thermal import ThermalModel, joined
 
 LEAST_CHARGE = 0.2
 """State of charge below which lead-acid batteries suffer."""

@@ -24,7 +24,7 @@ from ...typing import Array
 from .counts import count_rate, guarded_counts
 from .cures import Programmed, Search, find_cures
 from .haste import soonest
-from .ideal import Ideal, Shift, joined, planned_ramp, solve_ideal
+from .ideal import Ideal, Shift, planned_ramp, solve_ideal
 from .leading import lead_by
 from .outcome import Outcome, hold_slots, outcome_of
 from .plan import Computed, HeatingPlan
@@ -33,7 +33,7 @@ from .schedule import Counts
 from .sensors import Sensor
 from .simulation import History, resimulate, simulate
 from .spec import HeatingSpec
-from .thermal import COARSE, FINE, PROGRAM, ThermalModel, thermal_data, thermal_model
+from .thermal import COARSE, FINE, PROGRAM, ThermalModel, joined, thermal_data, thermal_model
 
 COOLING = 10.0
 """Time for which the simulation goes on after the hold, the tube still in the mold, s."""

@@ -43,19 +43,22 @@ IPOPT: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
-    "ipopt.tol": 1e-6,
+    # In units of the objective, which are about 1 K and 30 s: far below what the coarse grid and whole counts change.
+    "ipopt.tol": 1e-4,
     "ipopt.constr_viol_tol": 1e-7,
     "ipopt.max_iter": 250,
     "ipopt.acceptable_iter": 0,
     # With MUMPS' own choice the inertia is lost to round-off, and every step is tried several times.
     "ipopt.mumps_pivtol": 1e-2,
     "ipopt.mumps_pivot_order": 5,  # METIS: the pattern is that of a grid, in place and in time.
+    # Memory beyond what the analysis foresees, in percent: ten times as much would be mapped anew in every iteration.
+    "ipopt.mumps_mem_percent": 20,
 }
 FEW = {"ipopt.max_iter": 25}
 """From an earlier answer few steps are enough; where they are not, a new start is better."""
 
 # What is nearly a linear program may leave each barrier soon.
-COLD: dict[str, Any] = {"ipopt.mu_init": 1e-3, "ipopt.barrier_tol_factor": 100.0}
+COLD: dict[str, Any] = {"ipopt.mu_init": 1e-2, "ipopt.barrier_tol_factor": 100.0}
 WARM: dict[str, Any] = {
     "ipopt.mu_init": 1e-5,
     "ipopt.warm_start_init_point": "yes",

@@ -83,7 +83,14 @@ def warming_span(model: ThermalModel, cells: Array, lumped: Array) -> tuple[Arra
     return idle, full, ampere[:, 0]
 
 
-_marchers = threading.local()
+class _Marchers(threading.local):
+    """Models bound to the compiled kernel, of every thread."""
+
+    def __init__(self) -> None:
+        self.known: WeakKeyDictionary[ThermalModel, Marcher] = WeakKeyDictionary()
+
+
+_marchers = _Marchers()
 
 
 def marcher_of(model: ThermalModel) -> Marcher | None:
@@ -91,9 +98,8 @@ def marcher_of(model: ThermalModel) -> Marcher | None:
     kernel = heating_kernel()
     if kernel is None:
         return None
-    known: WeakKeyDictionary[ThermalModel, Marcher] = _marchers.__dict__.setdefault("known", WeakKeyDictionary())
-    if (found := known.get(model)) is None:
-        found = known[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
+    if (found := _marchers.known.get(model)) is None:
+        found = _marchers.known[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
     return found
 
 

@@ -12,14 +12,13 @@ from ...physics.heat import Resolution
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
 from .counts import guarded_counts
-from .ideal import joined
 from .outcome import hold_slots
 from .plan import Computed, HeatingPlan
 from .rates import State, current
 from .rig import COUNTS
 from .schedule import Counts, sum_up_rounding
 from .simulation import resimulate, simulate, simulate_feedback
-from .thermal import FINE, ThermalModel, thermal_model
+from .thermal import FINE, ThermalModel, joined, thermal_model
 from .uncertainty import Uncertainty
 
 ENSEMBLE = Resolution(2, 4, 6, 8, 6)

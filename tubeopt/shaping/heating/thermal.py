@@ -305,3 +305,11 @@ def curve_start(model: ThermalModel) -> float:
     """Where the curved part begins, m from the outer end of the clamp."""
     first = int(np.argmax(model.curved))
     return float(model.position[first] - 0.5 * model.width[first])
+
+
+def joined(model: ThermalModel, tube: Array) -> Array:
+    """(..., 1 + c) temperatures where the curved part begins, and at its cells, from those of the cells (..., n)."""
+    first = int(np.argmax(model.curved))
+    before, after = model.width[first - 1], model.width[first]
+    edge = (after * tube[..., first - 1] + before * tube[..., first]) / (before + after)
+    return np.concatenate([edge[..., None], tube[..., first:]], axis=-1)
