@@ -19,8 +19,8 @@ from collections.abc import Callable, Iterator
 from ..files.files import remove_unfinished
 from .failures import INTERRUPTED, complain
 
-PATIENCE = 1.5
-"""Seconds that a command has to end by itself."""
+PATIENCE = 1.2
+"""Seconds that a command has to end by itself; Python takes half a second more to end where it tells at the last moment."""
 
 _KEPT: list[Callable[[], str]] = []
 _OWN: list[bool] = []
