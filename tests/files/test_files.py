@@ -36,10 +36,14 @@ def test_an_interruption_leaves_the_old_file(tmp_path: Path, interruption: type[
 
 
 def test_a_process_that_is_ended_leaves_no_half(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be written"), atomic_write(tmp_path / "a.txt") as temporary:
-        temporary.write_text("ha")
-        remove_unfinished()
-        assert not [*tmp_path.iterdir()]
+    def end_half_way() -> None:
+        with atomic_write(tmp_path / "a.txt") as temporary:
+            temporary.write_text("ha")
+            remove_unfinished()
+            assert not [*tmp_path.iterdir()]
+
+    with pytest.raises(InputError, match="cannot be written"):
+        end_half_way()
     with atomic_write(tmp_path / "a.txt") as temporary:
         temporary.write_text("whole")
     remove_unfinished()

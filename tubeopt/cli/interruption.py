@@ -20,7 +20,7 @@ from ..files.files import remove_unfinished
 from .failures import INTERRUPTED, complain
 
 PATIENCE = 1.2
-"""Seconds that a command has to end by itself; Python takes half a second more to end where it tells at the last moment."""
+"""Seconds that a command has to tell that it ends; Python takes half a second more to leave."""
 
 _KEPT: list[Callable[[], str]] = []
 _OWN: list[bool] = []
