@@ -52,6 +52,7 @@ def start(checkout: Path, arguments: Sequence[str]) -> tuple[float, float]:
         "print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)"
     )
     environment = os.environ | {"PYTHONPATH": str(checkout)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # every start would compile the package, as no user's does
     command = [sys.executable, "-S", "-c", script, *arguments]
     out = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=True).stdout
     seconds, memory = out.split()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -27,7 +28,10 @@ from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.why import Why
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.binding import solve_compiled
-from tubeopt.solvers.compiled.library import compiler
+from tubeopt.solvers.compiled.heating import heating_source
+from tubeopt.solvers.compiled.library import compiler, source
+from tubeopt.solvers.compiled.loaded import loaded_source
+from tubeopt.solvers.compiled.rubbing import rubbing_source
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
@@ -306,6 +310,42 @@ def test_the_library_is_clean_c99_without_memory_of_its_own_and_passes_its_test(
         assert not [name for name, kind in kinds.items() if kind in "bBdDC"]  # nothing that can be written to
         assert not {"malloc", "calloc", "realloc", "free"} & set(kinds)
         assert all(name.startswith("crl_") for name, kind in kinds.items() if kind == "T")
+
+
+def preprocessed(text: str, folder: Path) -> str:
+    """A C text as a compiler sees it that is neither gcc nor clang, without the headers of the library."""
+    own = compiler()
+    assert own is not None
+    (folder / "tubeopt_robot.h").write_text(c_library(TWO_TUBES).files["tubeopt_robot.h"])
+    for name in ("math", "stdlib", "string", "stddef"):
+        (folder / f"{name}.h").write_text("")
+    command = [*own, "-E", "-P", "-U__GNUC__", "-U__clang__", "-nostdinc", "-I", str(folder), "-"]
+    return subprocess.run(command, input=text, capture_output=True, text=True, check=True, timeout=60).stdout
+
+
+def test_c_for_other_compilers_has_no_word_of_gcc(tmp_path: Path) -> None:
+    texts = [source(2, False), source(2, True), source(2, False, True), loaded_source(2), rubbing_source(2)]
+    texts += [
+        heating_source(),
+        *(text for name, text in c_library(PIECES, loads=True).files.items() if name.endswith(("robot.c", "load.c"))),
+    ]
+    for text in texts:
+        seen = preprocessed(text, tmp_path)
+        assert "fmax(" in seen
+        assert not re.findall(r"\b__\w+|\b_Complex\b|\btypeof\b|\basm\b|\balloca\b|\bM_PI\b|\(\{", seen)
+
+
+def test_it_passes_its_test_without_the_vectors_of_gcc(tmp_path: Path) -> None:
+    save_c_library(c_library(TWO_TUBES), tmp_path)
+    own = compiler()
+    assert own is not None
+    strict = ["-std=c99", "-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-Wvla", "-O1", "-DTUBEOPT_PORTABLE"]
+    subprocess.run(
+        [*own, *strict, "test.c", "tubeopt_robot.c", "-lm", "-o", "test"], cwd=tmp_path, check=True, timeout=240
+    )
+    told = subprocess.run([tmp_path / "test"], capture_output=True, text=True, timeout=300, check=False)
+    assert told.returncode == 0, told.stdout
+    assert "all is well" in told.stdout
 
 
 RUN_IN_NODE = """

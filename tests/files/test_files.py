@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tubeopt.errors import InputError
-from tubeopt.files.files import atomic_write, read_text, write_text
+from tubeopt.files.files import atomic_write, read_text, remove_unfinished, write_text
 
 
 def test_directories_are_made_and_nothing_else_is_left(tmp_path: Path) -> None:
@@ -33,6 +33,21 @@ def test_an_interruption_leaves_the_old_file(tmp_path: Path, interruption: type[
         write_half()
     assert read_text(path) == "old"
     assert [*tmp_path.iterdir()] == [path]
+
+
+def test_a_process_that_is_ended_leaves_no_half(tmp_path: Path) -> None:
+    def end_half_way() -> None:
+        with atomic_write(tmp_path / "a.txt") as temporary:
+            temporary.write_text("ha")
+            remove_unfinished()
+            assert not [*tmp_path.iterdir()]
+
+    with pytest.raises(InputError, match="cannot be written"):
+        end_half_way()
+    with atomic_write(tmp_path / "a.txt") as temporary:
+        temporary.write_text("whole")
+    remove_unfinished()
+    assert read_text(tmp_path / "a.txt") == "whole"
 
 
 def test_the_file_gets_the_permissions_that_any_new_file_gets(tmp_path: Path) -> None:

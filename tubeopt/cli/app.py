@@ -158,13 +158,14 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command; `arguments` default to those of the process. Ends with SystemExit."""
     typed = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in typed
-    with listening(quiet=as_json or "--quiet" in typed), interruptible(as_json):
+    with listening(quiet=as_json or "--quiet" in typed), interruptible(as_json) as telling:
         try:
             code = program()(typed, prog_name="tubeopt", standalone_mode=False)
             if code == INTERRUPTED:
                 # Python remembers an interrupt that fell into text that it ran as code, as dataclasses are made of, and
                 # would end by the signal in place of the code: running other text makes it forget.
                 exec("")
+                telling.acquire()
                 stop_workers()
                 complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
         except Exception as error:

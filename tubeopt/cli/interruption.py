@@ -16,10 +16,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
+from ..files.files import remove_unfinished
 from .failures import INTERRUPTED, complain
 
-PATIENCE = 1.5
-"""Seconds that a command has to end by itself."""
+PATIENCE = 1.2
+"""Seconds that a command has to tell that it ends; Python takes half a second more to leave."""
 
 _KEPT: list[Callable[[], str]] = []
 _OWN: list[bool] = []
@@ -46,11 +47,12 @@ def kept() -> str:
 
 
 @contextlib.contextmanager
-def interruptible(as_json: bool) -> Iterator[None]:
-    """End the process where Ctrl-C does not end the block by itself."""
+def interruptible(as_json: bool) -> Iterator[threading.Lock]:
+    """End the process where Ctrl-C does not end the block by itself; who takes the lock says so, and nobody else."""
     _KEPT.clear()
+    telling = threading.Lock()
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield telling
         return
     heard, told = socket.socketpair()
     told.setblocking(False)
@@ -58,14 +60,16 @@ def interruptible(as_json: bool) -> Iterator[None]:
 
     def watch() -> None:
         while number := heard.recv(1):
-            if number[0] == signal.SIGINT and not _OWN and not over.wait(PATIENCE):
+            if number[0] != signal.SIGINT or _OWN or over.wait(PATIENCE):
+                continue
+            if telling.acquire(blocking=False):
                 _end(as_json)
 
     before = signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
     try:
-        yield
+        yield telling
     finally:
         over.set()
         signal.set_wakeup_fd(before)
@@ -92,6 +96,7 @@ def stop_workers() -> None:
 
 def _end(as_json: bool) -> None:
     stop_workers()
+    remove_unfinished()
     if sys.stderr.isatty():
         sys.stderr.write("\r\x1b[2K\x1b[?25h")  # whatever bar was there, and the cursor that it hid
     complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)

@@ -13,9 +13,11 @@ from ..solvers.compiled.text import c_tables, numbers
 C_FOLDER = Path(__file__).parent / "c"
 
 HUSHED = """/* CasADi writes for every function more than is used here; vectors are handed on within this file alone. */
+#if defined(__GNUC__) || defined(__clang__)
 #pragma GCC diagnostic ignored "-Wunused-function"
 #pragma GCC diagnostic ignored "-Wunused-parameter"
-#if !defined(__clang__)
+#endif
+#if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC diagnostic ignored "-Wpsabi"
 #endif
 #define CASADI_SYMBOL_EXPORT static

@@ -26,6 +26,15 @@ ALIKE = 0.85
 """Part of a name that must be another one's, for that to be meant."""
 
 
+_UNFINISHED: set[Path] = set()
+
+
+def remove_unfinished() -> None:
+    """Remove what is being written, for a process that is ended where it is."""
+    for temporary in list(_UNFINISHED):
+        temporary.unlink(missing_ok=True)
+
+
 @contextmanager
 def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
     """Yield a name beside `path` to write to; it becomes `path` when the block ends without an error.
@@ -40,11 +49,13 @@ def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _UNFINISHED.add(temporary)
         try:
             yield temporary
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+            _UNFINISHED.discard(temporary)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -34,6 +34,7 @@ EXTRAS = {
     "cluster": ("dask", "distributed"),
     "data": ("pandas", "pyarrow", "xarray"),
     "notebook": ("ipykernel", "plotly"),
+    "rig": ("serial",),
 }
 """What each extra of the package brings."""
 

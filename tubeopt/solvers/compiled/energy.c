@@ -232,12 +232,11 @@ static void second_variation(const Unknowns *q, const State *state, double *h) {
                     Four sum[4] = {{0}};
                     while (from < q->count[i] && place[from] < k) from++; /* L is 0 above its diagonal */
                     for (int a = from; a < q->count[i]; a++) {
-                        Four left = value[a] * FOUR(q->part[i] + a * q->lead[i] + r);
-                        Four right = FOUR(q->part[j] + place[a] * q->lead[j] + k);
-                        for (int v = 0; v < 4; v++) sum[v] += left[v] * right;
+                        const double *left = q->part[i] + a * q->lead[i] + r, *right = q->part[j] + place[a] * q->lead[j] + k;
+                        for (int v = 0; v < 4; v++) EACH(OF(sum[v]) += value[a] * left[v] * FOUR(right));
                     }
                     double *square = h + (size_t)(q->first[i] + r) * STRIDE + q->first[j] + k;
-                    for (int v = 0; v < 4; v++) FOUR(square + (size_t)v * STRIDE) = sum[v];
+                    for (int v = 0; v < 4; v++) EACH(FOUR(square + (size_t)v * STRIDE) = OF(sum[v]));
                 }
         }
     for (int r = 0; r < q->size; r++) h[(size_t)r * STRIDE + r] += 1;

@@ -12,6 +12,7 @@
 #define STRIDE MOST_UNKNOWNS
 #define FACTOR_SIZE (MOST_UNKNOWNS * (MOST_UNKNOWNS + 4))
 
+#include "four.c"
 #if GENERAL
 #include "pieces.c"
 #endif

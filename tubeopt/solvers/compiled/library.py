@@ -172,7 +172,7 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False, room: Ro
 def compiler() -> list[str] | None:
     """The C compiler: CC, else the usual names; None where there is none, or TUBEOPT_COMPILE is 0.
 
-    The kernel is written with the vectors of gcc and clang, which the compiler of Visual Studio does not have.
+    What is typed are the options of gcc and clang; those of Visual Studio are others, and it is not asked.
     """
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None

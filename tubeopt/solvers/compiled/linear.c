@@ -3,10 +3,6 @@
    Cholesky's factors are worked on in squares of four by four, rows and columns filled up with those of the unit matrix
    to a multiple of four: `a` and `x` need room for these. */
 
-typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
-
-#define FOUR(place) (*(Four *)(place))
-
 static int filled_up(int n) { return (n + 3) / 4 * 4; }
 
 /* The square at a[0] = R'R, upper triangle in place, with the inverse of R's diagonal; 0 where that cannot be. */
@@ -30,18 +26,22 @@ static int eliminate(double *a, int rows, int whole, int stride) {
         double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
         if (!cholesky_of_four(r0 + k, stride)) return 0;
         for (int j = k + 4; j < whole; j += 4) {
-            FOUR(r0 + j) *= r0[k];
-            FOUR(r1 + j) = (FOUR(r1 + j) - r0[k + 1] * FOUR(r0 + j)) * r1[k + 1];
-            FOUR(r2 + j) = (FOUR(r2 + j) - r0[k + 2] * FOUR(r0 + j) - r1[k + 2] * FOUR(r1 + j)) * r2[k + 2];
-            FOUR(r3 + j) = (FOUR(r3 + j) - r0[k + 3] * FOUR(r0 + j) - r1[k + 3] * FOUR(r1 + j) -
-                            r2[k + 3] * FOUR(r2 + j)) * r3[k + 3];
+            EACH(FOUR(r0 + j) *= r0[k]);
+            EACH(FOUR(r1 + j) = (FOUR(r1 + j) - r0[k + 1] * FOUR(r0 + j)) * r1[k + 1]);
+            EACH(FOUR(r2 + j) = (FOUR(r2 + j) - r0[k + 2] * FOUR(r0 + j) - r1[k + 2] * FOUR(r1 + j)) * r2[k + 2]);
+            EACH(FOUR(r3 + j) = (FOUR(r3 + j) - r0[k + 3] * FOUR(r0 + j) - r1[k + 3] * FOUR(r1 + j) -
+                                 r2[k + 3] * FOUR(r2 + j)) * r3[k + 3]);
         }
         for (int i = k + 4; i < whole; i += 4) {
-            Four f0 = FOUR(r0 + i), f1 = FOUR(r1 + i), f2 = FOUR(r2 + i), f3 = FOUR(r3 + i);
+            Four f0, f1, f2, f3;
+            EACH(OF(f0) = FOUR(r0 + i), OF(f1) = FOUR(r1 + i), OF(f2) = FOUR(r2 + i), OF(f3) = FOUR(r3 + i));
             for (int j = i; j < whole; j += 4) {
-                Four v0 = FOUR(r0 + j), v1 = FOUR(r1 + j), v2 = FOUR(r2 + j), v3 = FOUR(r3 + j);
-                for (int r = 0; r < 4; r++)
-                    FOUR(a + (size_t)(i + r) * stride + j) -= f0[r] * v0 + f1[r] * v1 + f2[r] * v2 + f3[r] * v3;
+                Four v0, v1, v2, v3;
+                EACH(OF(v0) = FOUR(r0 + j), OF(v1) = FOUR(r1 + j), OF(v2) = FOUR(r2 + j), OF(v3) = FOUR(r3 + j));
+                for (int r = 0; r < 4; r++) {
+                    double *row = a + (size_t)(i + r) * stride + j;
+                    EACH(FOUR(row) -= f0[r] * OF(v0) + f1[r] * OF(v1) + f2[r] * OF(v2) + f3[r] * OF(v3));
+                }
             }
         }
     }
@@ -66,9 +66,9 @@ static void eliminate_forwards(const double *a, int rows, int whole, int stride,
         double x0 = x[k] * r0[k], x1 = (x[k + 1] - r0[k + 1] * x0) * r1[k + 1];
         double x2 = (x[k + 2] - r0[k + 2] * x0 - r1[k + 2] * x1) * r2[k + 2];
         double x3 = (x[k + 3] - r0[k + 3] * x0 - r1[k + 3] * x1 - r2[k + 3] * x2) * r3[k + 3];
-        FOUR(x + k) = (Four){x0, x1, x2, x3};
+        x[k] = x0, x[k + 1] = x1, x[k + 2] = x2, x[k + 3] = x3;
         for (int j = k + 4; j < whole; j += 4)
-            FOUR(x + j) -= x0 * FOUR(r0 + j) + x1 * FOUR(r1 + j) + x2 * FOUR(r2 + j) + x3 * FOUR(r3 + j);
+            EACH(FOUR(x + j) -= x0 * FOUR(r0 + j) + x1 * FOUR(r1 + j) + x2 * FOUR(r2 + j) + x3 * FOUR(r3 + j));
     }
 }
 
@@ -78,17 +78,17 @@ static void eliminate_backwards(const double *a, int rows, int whole, int stride
         const double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
         Four s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0};
         for (int j = k + 4; j < whole; j += 4) {
-            Four y = FOUR(x + j);
-            s0 += FOUR(r0 + j) * y;
-            s1 += FOUR(r1 + j) * y;
-            s2 += FOUR(r2 + j) * y;
-            s3 += FOUR(r3 + j) * y;
+            const double *y = x + j;
+            EACH(OF(s0) += FOUR(r0 + j) * FOUR(y));
+            EACH(OF(s1) += FOUR(r1 + j) * FOUR(y));
+            EACH(OF(s2) += FOUR(r2 + j) * FOUR(y));
+            EACH(OF(s3) += FOUR(r3 + j) * FOUR(y));
         }
         double x3 = (x[k + 3] - sum_of_four(s3)) * r3[k + 3];
         double x2 = (x[k + 2] - sum_of_four(s2) - r2[k + 3] * x3) * r2[k + 2];
         double x1 = (x[k + 1] - sum_of_four(s1) - r1[k + 3] * x3 - r1[k + 2] * x2) * r1[k + 1];
         double x0 = (x[k] - sum_of_four(s0) - r0[k + 3] * x3 - r0[k + 2] * x2 - r0[k + 1] * x1) * r0[k];
-        FOUR(x + k) = (Four){x0, x1, x2, x3};
+        x[k] = x0, x[k + 1] = x1, x[k + 2] = x2, x[k + 3] = x3;
     }
 }
 
@@ -211,7 +211,7 @@ typedef struct {
 /* Least eigenvalue: the largest of the inverse with reorthogonalisation from `vector`, where the eigenvector is left.
    Without coupling all eigenvalues are 1, and with it they gather there: the square of the residual over the distance
    from 1, but at least `apart`, tells how far off the largest is. It ends when that is less than `small` of it. */
-static inline __attribute__((always_inline)) double least_of(Lanczos *l, double *vector) {
+ALWAYS_INLINE double least_of(Lanczos *l, double *vector) {
     double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value, *basis = l->basis;
     int n = l->n, stride = l->stride, steps = n < l->most ? n : l->most, m = 0;
     double norm = sqrt(dot(vector, vector, n));

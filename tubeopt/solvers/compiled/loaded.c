@@ -15,6 +15,7 @@
 
 enum { SOLVED = 0, DECLINED = 1 };
 
+#include "four.c"
 #include "linear.c"
 
 /* A robot under a load on a mesh: P pieces of K points. Tubes are `bent` on a piece where they have unknown rotations, and

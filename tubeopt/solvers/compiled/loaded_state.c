@@ -39,28 +39,29 @@ typedef struct {
 } State;
 
 /* Loops of a known length are unrolled: one version of a function for each of the two rules. */
-#define OF_DEGREE static inline __attribute__((always_inline))
+#define OF_DEGREE ALWAYS_INLINE
 #define BY_DEGREE(of, ...)                                    \
     (s->degree == DEGREE         ? of(__VA_ARGS__, DEGREE)       \
      : s->degree == ROUGH_DEGREE ? of(__VA_ARGS__, ROUGH_DEGREE) \
                                  : of(__VA_ARGS__, CHECK_DEGREE))
 
 /* Of quaternions: by the columns of multiplying from the left, which leave a loop over b. */
-static inline __attribute__((always_inline)) void product(const double *a, const double *b, double *out) {
+ALWAYS_INLINE void product(const double *a, const double *b, double *out) {
     Four whole = {a[0], a[1], a[2], a[3]}, x = {-a[1], a[0], a[3], -a[2]};
     Four y = {-a[2], -a[3], a[0], a[1]}, z = {-a[3], a[2], -a[1], a[0]};
-    FOUR(out) = whole * b[0] + x * b[1] + y * b[2] + z * b[3];
+    double b0 = b[0], b1 = b[1], b2 = b[2], b3 = b[3]; /* out may be b */
+    EACH(FOUR(out) = OF(whole) * b0 + OF(x) * b1 + OF(y) * b2 + OF(z) * b3);
 }
 
 /* out += scale a o b */
-static inline __attribute__((always_inline)) void add_product(double scale, const double *a, const double *b, double *out) {
+ALWAYS_INLINE void add_product(double scale, const double *a, const double *b, double *out) {
     double one[4];
     product(a, b, one);
-    FOUR(out) += scale * FOUR(one);
+    EACH(FOUR(out) += scale * FOUR(one));
 }
 
 /* out += scale a o conj(b): the transpose of multiplying by b */
-static inline __attribute__((always_inline)) void add_transposed(double scale, const double *a, const double *b, double *out) {
+ALWAYS_INLINE void add_transposed(double scale, const double *a, const double *b, double *out) {
     double other[4] = {b[0], -b[1], -b[2], -b[3]};
     add_product(scale, a, other, out);
 }

@@ -28,7 +28,7 @@ OF_DEGREE void spread_bending(const Stage *s, const State *state, int e, Piece *
     for (int b = 0; b < k; b++) {
         double through[MOST_DEGREE][4] = {{0}};
         for (int a = 0; a < k; a++)
-            for (int c = 0; c < k; c++) FOUR(through[c]) += half * matrix[a * k + b] * FOUR(piece->inverse[a][c]);
+            for (int c = 0; c < k; c++) EACH(FOUR(through[c]) += half * matrix[a * k + b] * FOUR(piece->inverse[a][c]));
         double onwards[4] = {half * weights[b]};
         for (int c = 0; c < k; c++) {
             const double *u = state->curvature[e * k + c];
@@ -170,23 +170,24 @@ static void add_ahead(Piece *piece, double (*ahead)[STATE]) {
     for (int c = 0; c < whole; c += 4)
         for (int m = 0; m < STATE; m++) {
             Four sum = {0};
-            for (int d = 0; d < STATE; d++) sum += ahead[m][d] * FOUR(piece->map[d] + c);
-            FOUR(pulled[m] + c) = sum;
+            for (int d = 0; d < STATE; d++) EACH(OF(sum) += ahead[m][d] * FOUR(piece->map[d] + c));
+            EACH(FOUR(pulled[m] + c) = OF(sum));
         }
     for (int r = 0; r < whole; r++) {
         double *row = piece->matrix + r * WIDTH;
         for (int i = 0; i < N; i++) {
             double scale = piece->map[i][r];
             if (scale == 0) continue;
-            for (int c = r / 4 * 4; c < whole; c += 4) FOUR(row + c) += scale * FOUR(pulled[i] + c);
+            for (int c = r / 4 * 4; c < whole; c += 4) EACH(FOUR(row + c) += scale * FOUR(pulled[i] + c));
         }
         if (r < piece->bend || (r >= piece->rows && r < piece->rows + N)) continue;
         double scale[4];
         for (int d = 0; d < 4; d++) scale[d] = piece->map[N + d][r];
         for (int c = r / 4 * 4; c < whole; c += 4) {
-            Four sum = FOUR(row + c);
-            for (int d = 0; d < 4; d++) sum += scale[d] * FOUR(pulled[N + d] + c);
-            FOUR(row + c) = sum;
+            Four sum;
+            EACH(OF(sum) = FOUR(row + c));
+            for (int d = 0; d < 4; d++) EACH(OF(sum) += scale[d] * FOUR(pulled[N + d] + c));
+            EACH(FOUR(row + c) = OF(sum));
         }
     }
 }
@@ -201,7 +202,7 @@ static int factorise(Stage *s, const State *state, double factor, double elastic
         double *h = piece->matrix;
         int whole = piece->whole;
         for (int r = 0; r < whole; r++) {
-            for (int c = r / 4 * 4; c < whole; c += 4) FOUR(h + r * WIDTH + c) = (Four){0};
+            for (int c = r / 4 * 4; c < whole; c++) h[r * WIDTH + c] = 0;
             h[r * WIDTH + r] = r < piece->rows ? elastic : 0;
         }
         BY_DEGREE(put_torsion, s, state, factor, elastic, e, piece);
@@ -229,8 +230,8 @@ OF_DEGREE void sweep_back_of(const Stage *s, const Functional *by, Step *step, i
         double *x = step->local[e];
         for (int c = 0; c < piece->whole; c += 4) {
             Four sum = {0};
-            for (int m = 0; m < STATE; m++) sum += ahead[m] * FOUR(piece->map[m] + c);
-            FOUR(x + c) = sum;
+            for (int m = 0; m < STATE; m++) EACH(OF(sum) += ahead[m] * FOUR(piece->map[m] + c));
+            EACH(FOUR(x + c) = OF(sum));
         }
         for (int i = 0; i < N; i++) {
             for (int b = 0; b < piece->count[i] && by->has_twist; b++)
@@ -286,7 +287,7 @@ OF_DEGREE void sweep_forth_of(const Stage *s, Step *step, int turned, int k) {
             double *moved = step->orientation[e * k + c];
             product(here + N, piece->spread[c], moved);
             for (int b = 0; b < 2 * k; b++)
-                FOUR(moved) += s->soft[e * k + b / 2] * x[piece->bend + b] * FOUR(piece->own[c][b / 2][b % 2]);
+                EACH(FOUR(moved) += s->soft[e * k + b / 2] * x[piece->bend + b] * FOUR(piece->own[c][b / 2][b % 2]));
         }
         for (int m = 0; m < STATE; m++) next[m] = dot(piece->map[m], x, piece->whole);
         memcpy(here, next, sizeof here);

@@ -21,8 +21,6 @@ typedef struct {
     double stiffness, moment, phase, torsional, wound;
 } Section;
 
-typedef double Lanes __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
-
 /* A polynomial of n coefficients, LANES apart, by Clenshaw's recurrence. */
 static double chebyshev(const double *c, int n, double x) {
     double b = 0, before = 0;
@@ -35,14 +33,14 @@ static double chebyshev(const double *c, int n, double x) {
 }
 
 /* Four polynomials at once. */
-static Lanes chebyshev_of_four(const double *c, int n, double x) {
-    Lanes b = {0}, before = {0};
+ALWAYS_INLINE void chebyshev_of_four(const double *c, int n, double x, double *out) {
+    Four b = {0}, before = {0};
     for (int k = n - 1; k > 0; k--) {
-        Lanes next = 2 * x * b - before + *(const Lanes *)(c + k * LANES);
-        before = b;
-        b = next;
+        Four next;
+        EACH(OF(next) = 2 * x * OF(b) - OF(before) + FOUR(c + k * LANES));
+        EACH(OF(before) = OF(b), OF(b) = OF(next));
     }
-    return *(const Lanes *)c + x * b - before;
+    EACH(FOUR(out) = FOUR(c) + x * OF(b) - OF(before));
 }
 
 static int panel_of(const Pieces *t, int tube, double place) {
@@ -78,7 +76,11 @@ static inline Section section_at(const Pieces *t, int tube, int panel, double x,
     double direction = t->direction[tube * t->most + panel];
     const double *c = coefficients_of(t, tube, panel);
     int count = count_of(t, tube, panel, CHANNELS), winding = count_of(t, tube, panel, 4);
-    Lanes here = count == 1 ? *(const Lanes *)c : chebyshev_of_four(c, count, x);
+    double here[4];
+    if (count == 1)
+        memcpy(here, c, sizeof here);
+    else
+        chebyshev_of_four(c, count, x, here);
     double wound = winding <= 2 && t->width > 1 ? c[4] + x * c[4 + LANES] : chebyshev(c + 4, winding, x);
     Section s = {present ? here[0] : 0, here[2], 0, here[1], wound};
     if (isinf(direction)) {

@@ -6,7 +6,8 @@
    would take the compiler longer; of two with the same angle it makes one. */
 #include <math.h>
 
-#if defined(FP_FAST_FMA) || defined(__FMA__) || defined(__ARM_FEATURE_FMA)
+#if (defined(__GNUC__) || defined(__clang__)) && !defined(TUBEOPT_PORTABLE) && \
+    (defined(FP_FAST_FMA) || defined(__FMA__) || defined(__ARM_FEATURE_FMA))
 static __attribute__((noinline, const)) _Complex double sine_cosine(double angle) {
     _Complex double out;
     double k = rint(angle * 0.6366197723675814);
