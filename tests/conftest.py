@@ -38,7 +38,7 @@ SLOW = listed("slow.txt")
 """Tests that take a fifth of a second or more: left out by `python -m pytest -m "not slow"`, for everyday work."""
 
 NIGHT = listed("night.txt")
-"""Single cases of tests, more of what others show already, that `.ci/night` runs: left out by day."""
+"""Tests and single cases of tests, more of what others show already, that `.ci/night` runs: left out by day."""
 
 
 @pytest.hookimpl(optionalhook=True)
