@@ -2,7 +2,8 @@
 
 A hook of MkDocs. Pages are made from the scripts whenever the site is built, so that they cannot drift from them. Where
 TUBEOPT_GALLERY names a directory in which `tests/test_problems.py` has left what every script printed and drew, the
-page shows that, and a script without its record is an error; elsewhere it shows the pictures in `docs/images`.
+page shows that, and a script without its record is an error; elsewhere, and of a script that `tests/night.txt` leaves
+to the night, it shows the pictures in `docs/images`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PROBLEMS, IMAGES = ROOT / "problems", ROOT / "docs" / "images"
+NIGHT = ROOT / "tests" / "night.txt"
 LEARNED = "One learns: "
 
 GROUPS = {
@@ -67,7 +69,8 @@ def read_problem(script: Path, records: Path | None) -> Problem:
     if not paragraphs[0] or len(learned) != 1:
         raise ValueError(f"{script.name}: its docstring must say what is asked and, after '{LEARNED}', what one learns")
     more = [part for part in paragraphs[1:] if not part.startswith(LEARNED)]
-    pictures, printed = _record(script, records) if records else (_drawn(code), "")
+    recorded = records is not None and ((records / f"{script.stem}.json").is_file() or not _by_night(script))
+    pictures, printed = _record(script, records) if records and recorded else (_drawn(code), "")
     if not pictures:
         raise ValueError(f"{script.name}: no picture of it was found")
     learned_text = learned[0][0].upper() + learned[0][1:]
@@ -82,6 +85,11 @@ def _record(script: Path, records: Path) -> tuple[list[Path], str]:
     record = json.loads(path.read_text(encoding="utf-8"))
     coarse = record["coarse"]
     return [(IMAGES if coarse else records) / name for name in record["pictures"]], "" if coarse else record["printed"]
+
+
+def _by_night(script: Path) -> bool:
+    """The tests of the day do not run it."""
+    return f"test_problem[{script.stem}]" in NIGHT.read_text(encoding="utf-8")
 
 
 def _drawn(code: str) -> list[Path]:

@@ -28,15 +28,26 @@ settings.register_profile("ci", settings.get_profile("default"), derandomize=Tru
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
-SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
-"""Tests that take half a second or more: left out by `python -m pytest -m "not slow"`, for everyday work."""
+def listed(name: str) -> frozenset[str]:
+    """The tests that a file of this folder names, one in a line; lines that begin with # are words."""
+    lines = (Path(__file__).parent / name).read_text(encoding="utf-8").splitlines()
+    return frozenset(line for line in lines if line and not line.startswith("#"))
 
 
+SLOW = listed("slow.txt")
+"""Tests that take a fifth of a second or more: left out by `python -m pytest -m "not slow"`, for everyday work."""
+
+NIGHT = listed("night.txt")
+"""Tests and single cases of tests, more of what others show already, that `.ci/night` runs: left out by day."""
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """One more than there are processors: tests wait for browsers and other processes a fifth of their time."""
     return (os.cpu_count() or 1) + 1
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the slow tests, which are listed in one file, so that a new list is one run with `--durations=0`.
 
@@ -44,7 +55,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     items.sort(key=lambda item: item.path.name != "test_problems.py")
     for item in items:
-        if item.nodeid.split("[")[0].removeprefix("tests/") in SLOW:
+        name = item.nodeid.removeprefix("tests/")
+        if name in NIGHT:
+            item.add_marker(pytest.mark.night)
+        if name.split("[")[0] in SLOW:
             item.add_marker(pytest.mark.slow)
 
 

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import listed
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "tubeopt"
 
@@ -114,6 +116,15 @@ def untold_fields(node: ast.ClassDef) -> Iterator[str]:
         hidden = name.startswith("_") or "ClassVar" in kind
         if not (own or hidden or "Annotated" in kind or re.search(rf"\b{name}\b", words)):
             yield name
+
+
+@pytest.mark.parametrize("file", ["slow.txt", "night.txt"])
+def test_lists_of_tests_name_tests(file: str) -> None:
+    """A name that no test has would leave out nothing, unseen. What is left to the night is slow, too."""
+    for name in listed(file):
+        path, *_, function = name.split("[")[0].split("::")
+        assert f"def {function}(" in (ROOT / "tests" / path).read_text(encoding="utf-8"), name
+    assert {name.split("[")[0] for name in listed("night.txt")} <= listed("slow.txt")
 
 
 FORBIDDEN = {

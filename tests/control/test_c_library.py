@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from tubeopt.control.why import Why
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.binding import solve_compiled
 from tubeopt.solvers.compiled.heating import heating_source
-from tubeopt.solvers.compiled.library import compiler, source
+from tubeopt.solvers.compiled.library import compile_to, compiler, source
 from tubeopt.solvers.compiled.loaded import loaded_source
 from tubeopt.solvers.compiled.rubbing import rubbing_source
 
@@ -40,6 +41,19 @@ TWO_TUBES = load_robot("configs/robots/two_tube.yaml")
 PIECES = load_robot("configs/robots/example_pieces.yaml")
 
 START = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_in_a_third_of_the_time(own_tables: None) -> Iterator[None]:
+    """Optimised as the library's own test is below: the last -O holds. In a cache of the tests, since users have faster
+    ones."""
+
+    def compile_quickly(text: str, path: Path, flags: Sequence[str]) -> None:
+        compile_to(text, path, [*flags, "-O1"])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tubeopt.control.c_binding.compile_to", compile_quickly)
+        yield
 
 
 @pytest.fixture(scope="module")

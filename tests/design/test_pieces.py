@@ -89,7 +89,7 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
     x = np.concatenate([begin, turned, beta])
     asked = [Quantity("tip_position", 0), Quantity("tip_direction", 1), Quantity("margin", 0), Quantity("margin", 1)]
     asked += [Quantity("certificate", at=shift), Quantity("curvature")]
-    asked += [Quantity("strain", k, (i,)) for k in (0, 1) for i in range(3)]
+    asked += [Quantity("strain", k, (i,)) for k, i in ((0, 0), (0, 2), (1, 1))]
     asked += [Quantity("straightened_strain", at=(i, 0)) for i in (0, 1)]
 
     def look(at: Array) -> list[tuple[Array, Array]]:

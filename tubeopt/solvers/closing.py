@@ -54,7 +54,7 @@ def ipopt_function(program: Closed, settings: Ipopt, *, warm: bool) -> ca.Functi
     parts = _parted(ca.DM(program.scale) * x, program.variables) + _parted(p, program.parameters)
     f, *rows = whole.call(parts, True, False)
     options = settings.options(warm=warm)
-    with _few_directions():
+    with few_directions():
         if settings.expand:
             flat = ca.Function("flat", [x, p], [f, *rows]).expand()
             x, p = flat.sx_in()
@@ -86,7 +86,8 @@ def _parted(column: Any, symbols: list[Any]) -> list[Any]:
 
 
 @contextmanager
-def _few_directions() -> Iterator[None]:
+def few_directions() -> Iterator[None]:
+    """Within, CasADi writes out derivatives in `DIRECTIONS` at once, also of a `casadi.Opti` that is solved there."""
     before = ca.GlobalOptions.getMaxNumDir()
     ca.GlobalOptions.setMaxNumDir(DIRECTIONS)
     try:
