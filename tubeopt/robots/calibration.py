@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, finite, positive
-from ..files.fields import Part, asking, to_data, values
 from ..files.marks import Absent, unit
 from ..typing import Array
 from .limits import JointLimits, default_limits
@@ -129,21 +128,3 @@ def limits_of(given: JointLimits | None, calibration: Calibration | None, tubes:
     if given is None:
         return default_limits(tubes)
     return given if calibration is None else calibration.limits_of_model(given)
-
-
-@asking(Calibration)
-class CalibrationEntry(Part):
-    """How joint readings become joint values of the model: gain times reading plus offset, one number per tube."""
-
-    def build(self) -> Calibration:
-        """The calibration in SI; tables that are left out are those of drives that read true."""
-        given = values(Calibration, self)
-        none = Calibration.none(max((len(given[name]) for name in TABLES if name in given), default=0))
-        return Calibration(**{name: getattr(none, name) for name in TABLES} | given)
-
-
-def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
-    """A calibration with the keys and units of a robot file; what reads true is left out."""
-    none, data = to_data(Calibration.none(calibration.n_tubes)), to_data(calibration)
-    # One table stays, to tell how many tubes there are.
-    return {key: value for key, value in data.items() if value != none[key] or key == "rotation_offsets_deg"}

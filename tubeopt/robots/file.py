@@ -20,7 +20,7 @@ from ..files.fields import Part, asking, entry_of, to_data, values
 from ..files.marks import Usual
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
-from .calibration import CalibrationEntry, calibration_to_dict
+from .calibration_file import CalibrationEntry, calibration_to_dict
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
 from .friction import Friction

@@ -12,7 +12,7 @@ from rich.table import Table
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import SIGNS, TO_MM
-from ..robots.calibration import calibration_to_dict
+from ..robots.calibration_file import calibration_to_dict
 from ..robots.file import save_robot
 from ..typing import Array
 from ..validation import Comparison, ErrorGroup, ErrorSummary, Estimate, Fit, Parity, Registration, Step, Validation
