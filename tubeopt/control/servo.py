@@ -19,10 +19,10 @@ from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
-from ..inverse.goal import NEAR
 from ..inverse.joints import Configuration, configuration
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.posture import Posture, compiled_slopes
+from ..inverse.settings import DEFAULT_SOLVER
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -151,7 +151,7 @@ class Servo:
         `rate` (m,) could make too small; the guard sees what is more."""
         scene, clearance = self.guard.scene, self.options.clearance
         moved = np.linalg.norm(at.along @ self.space.spread, axis=1) @ rate
-        reach = clearance + APART + min(float(moved.max()) / APPROACH, NEAR * self.space.length)
+        reach = clearance + APART + min(float(moved.max()) / APPROACH, DEFAULT_SOLVER.body_reach * self.space.length)
         self.guard.sight = FARTHER * reach
         contacts = at.outline.contacts(scene, reach)
         if not len(contacts.body):

@@ -16,25 +16,7 @@ import numpy as np
 
 from ..typing import Array
 from .clock import Clock
-from .task import SHIFT_STEP, TURN_STEP, Task
-
-LEVELS = 9
-"""Values between those at start and goal at which a section is looked at."""
-
-SCREEN = 48
-"""Random states that a section is screened by: most have one that is allowed."""
-
-AT_ONCE = 16
-"""States that are looked at before it is asked whether one was allowed."""
-
-LARGEST_GRID = 20_000
-"""States on a grid at most; larger sections are not decided."""
-
-DOUBT = 2e-3
-"""Margin that states must lack to count as not allowed: more than the integration is off."""
-
-APART, SHORTEST, LONGEST = 0.02, -2.5, 0.0
-"""Distance of states that are two, and decimal logarithms of the lengths of motions out of them (joints' scales)."""
+from .task import Task
 
 
 @dataclass(frozen=True)
@@ -63,10 +45,10 @@ class _Section:
         """(N, m) states at shares (N, k) of the ranges."""
         return np.asarray(self.base + (self.low + shares * (self.high - self.low)) @ self.free)
 
-    def grid(self) -> Array | None:
-        """(N, m) all states, no farther apart than the points of a motion that are checked; None of too many."""
+    def grid(self, most: int) -> Array | None:
+        """(N, m) all states, as close as the points of a motion that are checked; None of more than `most`."""
         counts = [int(np.ceil(x - 1e-9)) + 1 for x in (self.high - self.low) / self.step]
-        if np.prod(np.array(counts, dtype=float)) > LARGEST_GRID:
+        if np.prod(np.array(counts, dtype=float)) > most:
             return None
         axes = np.meshgrid(*(np.linspace(0, 1, count) for count in counts), indexing="ij")
         return self.points(np.stack([axis.ravel() for axis in axes], axis=1)) if counts else self.base[None]
@@ -75,7 +57,7 @@ class _Section:
 def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> Wall | None:
     """What keeps a start from all goals, points (m,); None where nothing was found before the clock was over. Of
     several goals the one is told of which least is proved."""
-    bare = replace(task, min_margin=task.min_margin - DOUBT, margin_room=0.0, floor=0.0, ends=None)
+    bare = replace(task, min_margin=task.min_margin - task.effort.wall_doubt, margin_room=0.0, floor=0.0, ends=None)
     random = np.random.default_rng(seed)
     found = []
     for goal in goals:
@@ -91,9 +73,9 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
         if clock.over:
             return
         k = len(section.free)
-        if k and _any(task, section.points(random.random((SCREEN, k))), clock):
+        if k and _any(task, section.points(random.random((task.effort.wall_screened, k))), clock):
             continue
-        grid = section.grid()
+        grid = section.grid(task.effort.wall_states)
         if grid is None or _any(task, grid, clock) or clock.over:
             continue
         what = "margin and clearance" if task.obstacles else "the margin"
@@ -111,11 +93,11 @@ def _any(task: Task, z: Array, clock: Clock) -> bool:
     since the robot can be turned as a whole."""
     space = task.chart.space
     n = space.robot.n_tubes
-    for k in range(0, len(z), AT_ONCE):
+    for some in np.split(z, range(16, len(z), 16)):  # most sections have one that is allowed among the first
         if clock.over:
             return False
-        arms = task.arms(z[k : k + AT_ONCE])
-        q = task.chart.joints(z[k : k + AT_ONCE], arms)
+        arms = task.arms(some)
+        q = task.chart.joints(some, arms)
         allowed = arms.stable.copy()
         if len(space.least):
             allowed &= (q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)
@@ -146,7 +128,8 @@ def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:
     moved = np.flatnonzero(space.upper[n:] - space.lower[n:] > 1e-9) + n
     low = np.append(np.minimum(space.lower[:n], np.minimum(start, goal)[:n]) - np.pi, space.lower[n:])
     high = np.append(np.maximum(space.upper[:n], np.maximum(start, goal)[:n]) + np.pi, space.upper[n:])
-    shares = np.arange(1, LEVELS + 1) / (LEVELS + 1)
+    levels = task.effort.wall_levels
+    shares = np.arange(1, levels + 1) / (levels + 1)
     for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
         base = start + share * (goal - start)
         for row, name in rows:
@@ -172,7 +155,7 @@ def _section(name: str, base: Array, free: Array, box: tuple[Array, Array], task
         whole = turns and not task.obstacles
         low.append(0.0 if whole else box[0][i] - base[i])
         high.append(2 * np.pi if whole else box[1][i] - base[i])
-        step.append(TURN_STEP if turns else SHIFT_STEP * task.chart.space.length)
+        step.append(task.effort.step_turn if turns else task.effort.step_shift * task.chart.space.length)
     return _Section(name, base, free, np.array(low), np.array(high), np.array(step))
 
 
@@ -186,10 +169,10 @@ def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | No
             return None
         at = states[random.integers(len(states))]
         way = random.normal(size=len(point))
-        there = at + 10 ** random.uniform(SHORTEST, LONGEST) * way / np.linalg.norm(way) * task.scale
+        there = at + 10 ** random.uniform(-2.5, 0.0) * way / np.linalg.norm(way) * task.scale
         apart = np.linalg.norm((np.array(states) - there) / task.scale, axis=1).min()
         if task.motion(at, there):
-            if apart > APART:
+            if apart > task.effort.pocket_apart:
                 states, failed = [*states, there], 0
         else:
             failed += 1

@@ -16,43 +16,23 @@ import numpy as np
 import scipy
 
 from ..typing import Array, Index, Mask
-from .descent import ALMOST, SHORTEST_STEP, SLACK, Search, boxed
+from .descent import SLACK, Search, boxed
 from .goal import Goal
 from .least_squares import constrained_least_squares
 from .order import apart, beyond, breakpoint_order
 from .outline import MOST_CONTACTS
 from .posture import Posture
 
-CONVERGED = 1e-8
-"""What a step must promise to bring the tip closer, as a share of the robot's length."""
-
-CLOSER = 1e-7
-"""Share of the robot's length by which what lies beyond a change of order must be closer to be gone to."""
-
-SAME_MISS, ROUND_OFF = 2e-5, 1e-7
-"""Shares of the robot's length: poses that miss by this much more or less agree; by the other, they are as close."""
-
-SAME_END = 1e-3
-"""Ends closer than this in every joint, in units of their scales, are one."""
-
-MOST_RETURNS = 12
-"""Steps of the way back to what is allowed."""
-
-ROOM = 1e-9
-"""Margin aimed at beyond its bound on the way back."""
-
-SMALLEST = 1e-6
-"""Least curvature of the model, per square of a joint's scale."""
-
 
 def approach(goal: Goal, start: Posture) -> Search | None:
     """The local minimum of what is left to the target that is found from a posture; None where no allowed posture is
     found near the start."""
     goal.touched.clear()  # so that what is found does not depend on what was looked for before
-    first = restored(goal, start)
+    most = goal.solver.closest_returns
+    first = restored(goal, start, most=most)
     if first is None:
         return None
-    first = restored(goal, apart(goal, first)) or first
+    first = restored(goal, apart(goal, first), most=most) or first
     descent = _Descent(goal)
     here = descent.minimum(first)
     for _ in range(goal.solver.closest_orders):
@@ -71,6 +51,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[
     One that is closer by no more than round-off does not take the place of an earlier one.
     """
     best: Search | None = None
+    same = goal.solver.same_miss
     for ends in groups:
         least, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
@@ -80,9 +61,9 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[
             if found is None:
                 continue
             miss = left(goal, found.posture)
-            agreeing = 0 if miss < least - SAME_MISS else agreeing + (miss < least + SAME_MISS)
+            agreeing = 0 if miss < least - same else agreeing + (miss < least + same)
             least = min(least, miss)
-            if best is None or miss < left(goal, best.posture) - ROUND_OFF:
+            if best is None or miss < left(goal, best.posture) - goal.solver.closest_gain:
                 best = found
     return best
 
@@ -91,7 +72,7 @@ def _distinct(goal: Goal, ends: Sequence[Posture]) -> Iterator[Posture]:
     """Postures without those that are one with an earlier one."""
     seen: list[Posture] = []
     for end in ends:
-        if all(np.abs((end.q - other.q) / goal.space.scale).max() > SAME_END for other in seen):
+        if all(np.abs((end.q - other.q) / goal.space.scale).max() > goal.solver.same_end for other in seen):
             seen.append(end)
             yield end
 
@@ -101,7 +82,7 @@ def left(goal: Goal, at: Posture) -> float:
     return float(np.linalg.norm(goal.residual(at)))
 
 
-def restored(goal: Goal, at: Posture, *, most: int = MOST_RETURNS) -> Posture | None:
+def restored(goal: Goal, at: Posture, *, most: int) -> Posture | None:
     """The nearest allowed posture, by least motions of the joints that keep the linearised constraints; None where that
     leads nowhere."""
     for _ in range(most):
@@ -125,7 +106,7 @@ def _demands(goal: Goal, at: Posture) -> tuple[Array, Array, Index]:
     rows, bounds = goal.space.inequalities(at.q)
     slope = at.margin_slope()
     rows = np.vstack([rows, slope])
-    bounds = np.append(bounds, goal.floor + ROOM - at.margin if slope.any() else -np.inf)
+    bounds = np.append(bounds, goal.floor + 1e-9 - at.margin if slope.any() else -np.inf)
     if goal.extras.constraints:
         rows = np.vstack([rows, goal.extras.slopes(at)])
         bounds = np.concatenate([bounds, -goal.extras.room(at)])
@@ -177,7 +158,7 @@ class _Descent:
                 break
             self.steps += 1
             after = self._model(there)
-            hessian = after.square if side < 0 else _updated(hessian, here, after, force, self.goal.space.scale)
+            hessian = after.square if side < 0 else _updated(hessian, here, after, force, self.goal)
             here, side = after, 1
         return here.at
 
@@ -188,7 +169,7 @@ class _Descent:
         kept, gap = breakpoint_order(goal, at).steps(at.q)
         rows, bounds = np.vstack([rows, kept]), np.concatenate([np.minimum(bounds, 0.0), gap])
         square = slope.T @ slope
-        square += (SMALLEST + 1e-3 * float(residual @ residual)) * np.eye(len(square))
+        square += (goal.solver.closest_curvature + 1e-3 * float(residual @ residual)) * np.eye(len(square))
         return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds, names)
 
     def _step(self, here: _Model, hessian: Array, size: float) -> tuple[Posture | None, float, Array]:
@@ -197,8 +178,9 @@ class _Descent:
         goal, scale = self.goal, self.goal.space.scale
         root = np.linalg.cholesky(hessian).T
         right = -np.linalg.solve(root.T, here.slope)
-        least = CONVERGED * max(np.sqrt(2 * here.value), CONVERGED)
-        while size > SHORTEST_STEP:
+        promise = goal.solver.closest_promise
+        least = promise * max(np.sqrt(2 * here.value), promise)
+        while size > goal.solver.shortest_step:
             chosen = constrained_least_squares(root / scale, right, *boxed(goal, here.rows, here.bounds, size))
             if chosen is None:
                 break
@@ -224,14 +206,14 @@ class _Descent:
         order = breakpoint_order(goal, here)
         gap = (order.rows @ here.q[goal.space.robot.n_tubes :] - order.bound)[: order.changeable]
         now = left(goal, here)
-        for k in np.flatnonzero(gap <= ALMOST * goal.space.length):
+        for k in np.flatnonzero(gap <= goal.solver.short_section * goal.space.length):
             other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
             other = None if other is None else restored(goal, other, most=4)
             if other is None:
                 continue
             model = self._model(other)
             there, _, _ = self._step(model, model.square, 0.1 * self.goal.solver.first_step)
-            if there is not None and left(goal, there) < now - CLOSER:
+            if there is not None and left(goal, there) < now - goal.solver.closest_gain:
                 return there
         return None
 
@@ -245,8 +227,9 @@ def _forces(here: _Model, gradient: Array, active: Mask, scale: Array) -> Array:
     return force
 
 
-def _updated(hessian: Array, before: _Model, after: _Model, force: Array, scale: Array) -> Array:
+def _updated(hessian: Array, before: _Model, after: _Model, force: Array, goal: Goal) -> Array:
     """Powell's damped BFGS update with the change of the Lagrangian's gradient."""
+    scale = goal.space.scale
     step = (after.at.q - before.at.q) / scale
     _, mine, other = np.intersect1d(before.names, after.names, return_indices=True)
     change = after.slope - before.slope - force[mine] @ ((after.rows[other] - before.rows[mine]) * scale)
@@ -259,4 +242,4 @@ def _updated(hessian: Array, before: _Model, after: _Model, force: Array, scale:
         change = share * change + (1 - share) * bent
         own = float(step @ change)
     hessian = hessian - np.outer(bent, bent) / curved + np.outer(change, change) / own
-    return np.asarray(hessian + SMALLEST * np.eye(len(hessian)))
+    return np.asarray(hessian + goal.solver.closest_curvature * np.eye(len(hessian)))

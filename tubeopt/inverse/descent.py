@@ -18,27 +18,6 @@ from .least_squares import LeastSquares, constrained_least_squares
 from .order import Order, beyond, breakpoint_order
 from .posture import Posture
 
-SHORTEST_STEP = 1e-5
-"""A step shortened to this says that the search has ended."""
-
-PATIENCE = 5
-"""Steps in a row that may bring next to nothing before a search is given up."""
-
-CLOSE_ENOUGH = 1e-10
-"""Distance (m) and angle (rad) at which a target counts as met while searching."""
-
-STALLED = 1e-7
-"""Relative decrease of the residual that a step must promise."""
-
-TARGET_WEIGHT = 1e4
-"""Weight of the target over cost in a step of `improve`."""
-
-ALMOST = 1e-4
-"""Length of a section, as a share of the robot's, that may hold a step up as if it were closed."""
-
-AT_BODY = 1e-5
-"""Clearance (m) beyond what is kept at which an obstacle counts as holding the arm."""
-
 SLACK = 1e-9
 """Clearance (m) that may be missing by round-off."""
 
@@ -55,10 +34,11 @@ class Search:
 
 def reach(goal: Goal, start: Posture) -> Search:
     """Levenberg-Marquardt with inequalities from a stable posture towards the target, and out of any obstacle."""
-    here, step, solves, side = start, goal.solver.first_step, 0, 1
+    solver = goal.solver
+    here, step, solves, side = start, solver.first_step, 0, 1
     sizes = [float(np.linalg.norm(_missing(goal, here)))]
-    for iteration in range(goal.solver.steps):
-        if _done(goal, here, CLOSE_ENOUGH):
+    for iteration in range(solver.steps):
+        if _done(goal, here, solver.search_tolerance):
             return Search(here, True, iteration, solves)
         short, across = goal.collisions(here)
         missing = np.concatenate([goal.residual(here), short])
@@ -68,7 +48,7 @@ def reach(goal: Goal, start: Posture) -> Search:
         while there is None and not goal.late:
             chosen = _towards(goal, slope, missing, rows, bounds, step)
             promised = sizes[-1] - float(np.linalg.norm(missing + slope @ chosen.x)) if chosen is not None else 0.0
-            if chosen is None or promised <= STALLED * sizes[-1] or step < SHORTEST_STEP:
+            if chosen is None or promised <= solver.least_promise * sizes[-1] or step < solver.shortest_step:
                 break
             there = _tried(goal, here, chosen.x, sizes[-1] - 0.1 * promised)
             solves += 1
@@ -78,16 +58,16 @@ def reach(goal: Goal, start: Posture) -> Search:
                     (rows, bounds), touched = goal.inequalities(here), len(goal.touched)
         if there is None and side > 0 and not goal.late and not _done(goal, here, 1e-8):
             # Breakpoints may coincide: what holds forwards may not hold backwards.
-            side, step = -1, 0.5 * goal.solver.first_step
+            side, step = -1, 0.5 * solver.first_step
             continue
-        if there is None or _stagnant(sizes) or goal.late:
+        if there is None or _stagnant(sizes, solver.patience) or goal.late:
             here = here if there is None else there
             return Search(here, _done(goal, here, 1e-8), iteration, solves)
         here, side = there, 1
         sizes.append(float(np.linalg.norm(_missing(goal, here))))
         if sizes[-2] - sizes[-1] >= 0.7 * promised:
-            step = min(2 * step, 2 * goal.solver.first_step)
-    return Search(here, _done(goal, here, 1e-8), goal.solver.steps, solves)
+            step = min(2 * step, 2 * solver.first_step)
+    return Search(here, _done(goal, here, 1e-8), solver.steps, solves)
 
 
 def _missing(goal: Goal, at: Posture) -> Array:
@@ -109,9 +89,9 @@ def _tried(goal: Goal, here: Posture, step: Array, most: float) -> Posture | Non
     return there if np.linalg.norm(_missing(goal, there)) <= most else None
 
 
-def _stagnant(sizes: list[float]) -> bool:
+def _stagnant(sizes: list[float], patience: int) -> bool:
     """Whether the last steps together brought next to nothing."""
-    return len(sizes) > PATIENCE and sizes[-1] > 0.97 * sizes[-1 - PATIENCE]
+    return len(sizes) > patience and sizes[-1] > 0.97 * sizes[-1 - patience]
 
 
 def _length(goal: Goal, step: Array) -> float:
@@ -181,7 +161,7 @@ class _Path:
             trial = here.to(goal.space.clip(here.q + chosen.x))
             self.solves += 1
             if trial is not None:
-                back = correct(goal, trial, slope, order=order)
+                back = correct(goal, trial, slope, close=goal.solver.search_tolerance, order=order)
                 self.solves += back.solves
                 if back.posture is not None and goal.cost(back.posture) < self.cost - 1e-9 * max(abs(self.cost), 1e-3):
                     self.cost = goal.cost(back.posture)
@@ -193,15 +173,20 @@ class _Path:
 
     def across(self, here: Posture) -> Posture | None:
         """The posture after a step beyond a change of order that holds the cost up; None where it rises beyond."""
-        order = breakpoint_order(self.goal, here)
-        shift = here.q[self.goal.space.robot.n_tubes :]
+        goal = self.goal
+        order = breakpoint_order(goal, here)
+        shift = here.q[goal.space.robot.n_tubes :]
         gap = (order.rows @ shift - order.bound)[: order.changeable]
-        for k in np.flatnonzero(gap <= ALMOST * self.goal.space.length):
-            other = beyond(self.goal, here, [(order.rows[k], float(order.bound[k]))])
-            back = None if other is None else correct(self.goal, other, self.goal.slope(other)).posture
+        for k in np.flatnonzero(gap <= goal.solver.short_section * goal.space.length):
+            other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
+            back = (
+                None
+                if other is None
+                else correct(goal, other, goal.slope(other), close=goal.solver.search_tolerance).posture
+            )
             if back is None:
                 continue
-            there, _ = self.step(back, 0.1 * self.goal.solver.first_step)
+            there, _ = self.step(back, 0.1 * goal.solver.first_step)
             if there is not None:
                 return there
         return None
@@ -213,8 +198,8 @@ def _downhill(
     slope, residual = target
     cost, right = goal.cost_rows(here, 1e-3)
     size = max(float(np.linalg.norm(right)), 1e-12)
-    matrix = np.vstack([TARGET_WEIGHT * slope, cost])
-    rightmost = np.concatenate([-TARGET_WEIGHT * residual, right])
+    matrix = np.vstack([goal.solver.target_weight * slope, cost])
+    rightmost = np.concatenate([-goal.solver.target_weight * residual, right])
     if size > 1e6:
         rightmost[len(residual) :] *= 1e6 / size
     return constrained_least_squares(matrix, rightmost, *boxed(goal, *limits, step))
@@ -236,7 +221,7 @@ def correct(
     at: Posture,
     slope: Array,
     *,
-    close: float = CLOSE_ENOUGH,
+    close: float,
     most: int = 8,
     order: Order | None = None,
 ) -> Correction:
@@ -292,6 +277,6 @@ def held_by(goal: Goal, at: Posture) -> list[str]:
     words = goal.space.active(at.q)
     if at.margin - goal.floor < 1e-3:
         words.append(f"margin at its bound ({goal.min_margin:g})")
-    for k in np.unique(goal.contacts(at, goal.gap + AT_BODY).body).tolist():
+    for k in np.unique(goal.contacts(at, goal.gap + 1e-5).body).tolist():
         words.append(f"arm at obstacle {k + 1} ({type(goal.scene.bodies[k]).__name__.lower()})")
     return words + goal.extras.broken(at)

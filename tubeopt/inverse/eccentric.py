@@ -21,11 +21,6 @@ from ..robots.eccentric import EccentricRobot
 from ..typing import Array
 from .mirror import STRAIGHT, mirror_rotations, mirror_separation
 
-CLOSE_ENOUGH = 1e-9
-"""Distance (m) of the tip from the target at which Newton's method ends."""
-
-MOST_STEPS = 30
-
 
 @dataclass(frozen=True, eq=False)
 class MirrorPose:
@@ -135,8 +130,8 @@ def mirror_pose(robot: EccentricRobot, position: ArrayLike, *, assignment: Seque
     here = forward_kinematics(robot, start.rotations, start.translations)
     size = float(np.linalg.norm(here.tip_position - target))
     scale = np.array([1.0, 1.0, robot.tube.curved_length])
-    for _ in range(MOST_STEPS):
-        if size <= CLOSE_ENOUGH:
+    for _ in range(30):
+        if size <= 1e-9:
             break
         slope = here.jacobian().position
         reduced = np.column_stack([slope[:, :3] @ motion, slope[:, 3:].sum(1)])

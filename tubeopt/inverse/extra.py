@@ -17,9 +17,6 @@ from ..stability import snap_free_certificate
 from ..typing import Array
 from .posture import Posture
 
-ROOM = 1e-6
-"""Steps by which constraints are kept inside, so that solving again on a finer mesh still finds them kept."""
-
 T = TypeVar("T")
 
 
@@ -32,11 +29,14 @@ class Extras:
 
     def room(self, at: Posture) -> Array:
         """(c,) of every number of every constraint, in steps of its size, >= 0 where it is kept."""
-        parts = [_asked(one, partial(e, values(at))) / one.size - ROOM for one, e in self.constraints]
+        # A little inside, so that solving again on a finer mesh still finds them kept.
+        # A little inside, so that solving again on a finer mesh still finds them kept.
+        parts = [_asked(one, partial(e, values(at))) / one.size - 1e-6 for one, e in self.constraints]
         return np.concatenate([np.zeros(0), *parts])
 
     def slopes(self, at: Posture) -> Array:
         """(c, m) change of `room` with the joints."""
+        # A little inside, so that solving again on a finer mesh still finds them kept.
         parts = [_asked(one, partial(e.linear, linear(at)))[1] / one.size for one, e in self.constraints]
         return np.concatenate([np.zeros((0, len(at.q))), *parts])
 

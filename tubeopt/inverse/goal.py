@@ -18,18 +18,6 @@ from .settings import DEFAULT_SOLVER, InverseSolver
 OBJECTIVES = ("nearest", "margin", "curvature")
 """What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
 
-MARGIN_ROOM = 1e-6
-"""The margin is kept this much above what was asked for, so that solving again on a finer mesh still finds it there."""
-
-CLEARANCE_ROOM = 1e-5
-"""Clearance (m) kept above what was asked for: more than the arm comes closer between the points of the measurement."""
-
-NEAR = 0.1
-"""Points of the arm closer to an obstacle than this share of its length are looked at."""
-
-FEWEST = 30
-"""Bodies of which a step knows at least, the nearest ones: of more only those that a step has come too close to."""
-
 
 @dataclass(frozen=True, eq=False)
 class Goal:
@@ -96,12 +84,12 @@ class Goal:
     @property
     def floor(self) -> float:
         """The margin that is kept."""
-        return self.min_margin + MARGIN_ROOM
+        return self.min_margin + self.solver.margin_room
 
     @property
     def gap(self) -> float:
         """The clearance that is kept, m."""
-        return self.clearance + CLEARANCE_ROOM
+        return self.clearance + self.solver.clearance_room
 
     def beyond_reach(self) -> float:
         """By how much the target is farther from the plate than the longest arm that the joints' ranges allow, m: the
@@ -148,7 +136,7 @@ class Goal:
         missing, as lengths of the robot; 0 where it is clear."""
         missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
         close = self.gap - at.outline.clearance(self.scene, self.gap)
-        if close > 0 and len(self.scene.bodies) > FEWEST:
+        if close > 0 and len(self.scene.bodies) > self.solver.bodies:
             self.touched.update(self.contacts(at, self.gap).body.tolist())
         return max(0.0, close, missing)
 
@@ -174,7 +162,8 @@ class Goal:
 
     def ahead(self, at: Posture) -> Contacts:
         """Where the arm comes close to the bodies of which a step from `at` shall know."""
-        return at.outline.contacts(self.scene, self.gap + NEAR * self.space.length, FEWEST, frozenset(self.touched))
+        within = self.gap + self.solver.body_reach * self.space.length
+        return at.outline.contacts(self.scene, within, self.solver.bodies, frozenset(self.touched))
 
     def inequalities(self, at: Posture) -> tuple[Array, Array]:
         """Rows and bounds of a step from `at` that keeps the joints' order, the margin, and what is clear now."""

@@ -21,9 +21,6 @@ from .least_squares import constrained_least_squares
 CLOSE = 1e-6
 """Share of a joint's scale at which it counts as being at the end of its range."""
 
-SAMPLED = 1 << 16
-"""Most translations drawn from the box of the limits to find those that keep the tubes in order."""
-
 
 @dataclass(frozen=True, eq=False)
 class JointSpace:
@@ -166,7 +163,7 @@ class JointSpace:
         m = len(self.lower)
         width = int(np.ceil(np.log2(max(count, 2))))
         chosen = np.zeros((0, m))
-        for power in range(width, max(width, int(np.log2(SAMPLED))) + 1):
+        for power in range(width, max(width, 16) + 1):
             unit = sobol(m, 2**power)
             low = np.concatenate([np.maximum(self.lower[:n], -np.pi), self.lower[n:]])
             high = np.concatenate([np.minimum(self.upper[:n], np.pi), self.upper[n:]])

@@ -6,25 +6,8 @@ import numpy as np
 
 from ..typing import Array
 from .descent import SLACK
-from .goal import MARGIN_ROOM, Goal, angle
+from .goal import Goal, angle
 from .posture import Posture, same_place
-
-MOST_TURN, MOST_SHIFT = 20.0, 8.0
-"""Largest motion of a rotation and of a translation in units of its scale (1 rad, half the longest tube), over that of
-the tip in robot's lengths and, where it is pointed, rad: a carriage that moves more than four times as far as the tip
-changes the posture."""
-
-TURNING = 2.0
-"""Rotation allowed beside that, over the angle by which the tip moves about the axis of the plate."""
-
-AT_LEAST = 0.02
-"""Motion of a joint, in units of its scale, that is no leap in any case."""
-
-ASIDE, ASIDE_AT_LEAST = 0.05, 1e-5
-"""Distance of the tip from the line between the targets, as a share of their distance, and in m, that is no leap."""
-
-SAMPLED = 0.1
-"""Motion, in units of the joints' scales, between two places where the way is looked at."""
 
 
 def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
@@ -34,8 +17,8 @@ def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
     The tip has to stay near the straight line, joints may move no farther than the motion of the tip explains, and
     margin and clearance are kept.
     """
-    words = _far(goal, before, after)
-    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / SAMPLED))
+    words, solver = _far(goal, before, after), goal.solver
+    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / solver.leap_sampled))
     aside, margin, gap, here = 0.0, np.inf, 0.0, before
     for k in range(1, count + 1):
         there = here.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
@@ -45,9 +28,9 @@ def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
         if k < count:
             aside = max(aside, _aside(here.tip, before.tip, after.tip))
             margin, gap = min(margin, here.margin), max(gap, goal.violation(here) if goal.hindered else 0.0)
-    if aside > ASIDE * float(np.linalg.norm(after.tip - before.tip)) + ASIDE_AT_LEAST:
+    if aside > solver.leap_aside * float(np.linalg.norm(after.tip - before.tip)) + solver.leap_least_aside:
         words.append(f"the tip leaves the line between the targets by {aside * 1e3:.3g} mm")
-    if margin < min(goal.floor, before.margin, after.margin) - MARGIN_ROOM:
+    if margin < min(goal.floor, before.margin, after.margin) - solver.margin_room:
         words.append(f"the margin falls to {margin:.4g}")
     if gap > SLACK + max(goal.gap - goal.clearance, 0.0):
         words.append("the arm comes too close to an obstacle" if goal.scene.bodies else "an own constraint is not kept")
@@ -56,14 +39,14 @@ def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
 
 def _far(goal: Goal, before: Posture, after: Posture) -> list[str]:
     """In words, the joint that moves farthest beyond what the motion of the tip explains; empty if none does."""
-    n = goal.space.robot.n_tubes
+    n, solver = goal.space.robot.n_tubes, goal.solver
     moved = np.abs(after.q - before.q) / goal.space.scale
     size = float(np.linalg.norm(after.tip - before.tip)) / goal.space.length
     if goal.pointed:
         size += angle(before.direction, after.direction)
-    allowed = np.where(np.arange(len(moved)) < n, MOST_TURN, MOST_SHIFT) * size + AT_LEAST
+    allowed = np.where(np.arange(len(moved)) < n, solver.leap_turn, solver.leap_shift) * size + solver.leap_least
     turn = np.arctan2(after.tip[1], after.tip[0]) - np.arctan2(before.tip[1], before.tip[0])
-    allowed[:n] += TURNING * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
+    allowed[:n] += solver.leap_azimuth * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
     worst = int(np.argmax(moved - allowed))
     if moved[worst] <= allowed[worst]:
         return []

@@ -13,12 +13,6 @@ from ..typing import Array, Index, Mask
 FEASIBLE = 1e-9
 """Share of the right-hand side by which an inequality may be missed before it counts as violated."""
 
-HELD = 1e-12
-"""Share of the largest of the right-hand sides by which rows may be missed that are held by rounding."""
-
-PIVOTS = 4
-"""Sets of rows that are tried before all of them are looked at as one problem."""
-
 ROUNDED = 1e-5
 """Share of the answer's distance from the free minimum by which it may miss an inequality."""
 
@@ -89,8 +83,8 @@ def _by_pivots(cone: Array, gap: Array) -> tuple[Array, Index] | None:
     the wrong way, and so on (Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2002)). What it ends with is exact;
     None where it does not end at once, as where rows depend on each other."""
     held = gap > 0
-    most = HELD * gap.max(initial=0.0)
-    for _ in range(PIVOTS):
+    most = 1e-12 * gap.max(initial=0.0)
+    for _ in range(4):
         rows = held.nonzero()[0]
         face = cone[rows]
         if not 0 < len(rows) <= cone.shape[1]:

@@ -22,16 +22,6 @@ from .goal import angle
 from .joints import Configuration
 from .outline import Outline
 
-ON_TARGET, CLOSE = 2e-9, 1e-7
-"""Distance (m) and angle (rad) at which the aim is good; and share of the arm, or angle, where round-off of the search
-may end it."""
-
-LEAST_GAIN = 0.9
-"""A miss must shrink to this part of the last: beyond, aiming does not converge."""
-
-ROOM = 1e-3
-"""Margin, and share of the arm's length as clearance, asked for beyond what was found missing."""
-
 Search = Callable[[Array, Array | None, InverseSolution | None, float, InverseOptions], InverseSolution]
 """Answer without load to position, direction, the answer before, least margin, options."""
 
@@ -51,7 +41,7 @@ def under_load(
         raise InputError("load has a moment or turns with the tip, so no margin: no answer is known to be stable")
     if options.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
-    floor, clearance, last = min_margin, options.clearance, None
+    floor, clearance, last, room = min_margin, options.clearance, None, options.solver.aim_room
     for _ in range(options.solver.shots):
         asked = replace(options, clearance=clearance)
         found, e = _aim(search, target, load, (last, floor, asked))
@@ -60,8 +50,8 @@ def under_load(
         near = options.clearance - Outline(e).clearance(found.scene) if found.scene.bodies else -1.0
         if short <= 0 and near <= 0:
             return answer
-        floor += max(short, 0.0) + (ROOM if short > 0 else 0.0)
-        clearance += max(near, 0.0) + (ROOM * float(e.arc_length[-1]) if near > 0 else 0.0)
+        floor += max(short, 0.0) + (room if short > 0 else 0.0)
+        clearance += max(near, 0.0) + (room * float(e.arc_length[-1]) if near > 0 else 0.0)
         if floor >= 1:
             break
         last = found
@@ -88,8 +78,8 @@ def _aim(
 ) -> tuple[InverseSolution, Equilibrium]:
     """An answer without load whose loaded equilibrium is on target."""
     (position, direction), (last, floor, options) = target, question
-    at, along, missed = position, direction, np.inf
-    for _ in range(options.solver.shots):
+    at, along, missed, solver = position, direction, np.inf, options.solver
+    for _ in range(solver.shots):
         last = search(at, along, last, floor, options)
         e = forward_kinematics(
             last.equilibrium.robot, last.rotations, last.translations, load=load, guess=last.equilibrium
@@ -97,10 +87,10 @@ def _aim(
         gap = position - e.tip_position
         turn = 0.0 if direction is None else angle(e.tip_rotation[:, 2], direction)
         before, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
-        if np.linalg.norm(gap) <= ON_TARGET and turn <= ON_TARGET:
+        if max(float(np.linalg.norm(gap)), turn) <= solver.aim_tolerance:
             return last, e
-        if missed > LEAST_GAIN * before:
-            if missed <= CLOSE:
+        if missed > solver.aim_gain * before:
+            if missed <= solver.aim_stalled:
                 return last, e
             break
         at = at + gap

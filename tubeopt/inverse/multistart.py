@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import SolveError
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
 from .clock import Clock
-from .closest import SAME_MISS, closest_of
+from .closest import closest_of
 from .descent import (
     SLACK,
     Search,
@@ -29,11 +29,8 @@ from .joints import JointSpace
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
 from .settings import InverseSolver
-from .table import POOL, StartTable, nearest_starts, spread_starts, start_table
+from .table import StartTable, nearest_starts, spread_starts, start_table
 from .way import straight_way
-
-SAME_COST = 1e-7
-"""Share of a cost by which a later answer must be better to take an earlier one's place."""
 
 
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
@@ -110,7 +107,7 @@ class Multistart:
         best, least = None, np.inf
         for answer in found:
             cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
-            if cost < least - SAME_COST * max(abs(cost), 1e-3):
+            if cost < least - self.solver.same_cost * max(abs(cost), 1e-3):
                 best, least = answer, cost
         return best
 
@@ -173,7 +170,7 @@ class Multistart:
         if not self.goal.hindered:
             return
         self.ends.append([])
-        clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)
+        clear = (start for start in self._starts(self.solver.pool) if self.goal.violation(start) == 0)
         for start in islice(clear, self.solver.clear_starts):
             if self.late:
                 return
@@ -207,9 +204,9 @@ class Multistart:
         reference = goal.reference if self.near else None
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, Clock(max(0.0, self.options.time_limit - self.seconds)))
-        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference)
+        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference, solver=self.solver)
         first = 0 if self.everywhere else self.solver.nearest
-        for q in spread_starts(goal.space, near, most, first=first):
+        for q in spread_starts(goal.space, near, most, first=first, pool=self.solver.pool):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
                 yield start
@@ -274,7 +271,7 @@ class Multistart:
         self.solves += search.solves
         if search.reached:
             return
-        miss, same = self._miss(search), SAME_MISS * self.goal.space.length
+        miss, same = self._miss(search), self.solver.same_miss * self.goal.space.length
         if miss < self.least - same:
             self.agreeing = 0
         elif miss < self.least + same:
@@ -298,7 +295,7 @@ class Multistart:
     def _answer(self, at: Posture, name: str, method: str) -> InverseSolution | None:
         goal = self.goal
         if not goal.met(at):
-            at = correct(goal, at, goal.slope(at)).posture or at
+            at = correct(goal, at, goal.slope(at), close=goal.solver.search_tolerance).posture or at
         met = goal.met(at) and goal.allowed(at, SLACK)
         return self._packed(at, InverseStatus.REACHED, (name, method)) if met else None
 

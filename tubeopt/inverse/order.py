@@ -12,12 +12,6 @@ from ..typing import Array
 from .goal import Goal
 from .posture import Posture
 
-CLOSED = 1e-7
-"""Length (m) of a section that counts as closed."""
-
-PAST = 1e-5
-"""Share of the robot's length by which breakpoints are moved past each other, or apart where they coincide."""
-
 
 @dataclass(frozen=True, eq=False)
 class Order:
@@ -88,9 +82,9 @@ def apart(goal: Goal, at: Posture) -> Posture:
     """The posture with breakpoints that coincide moved apart a little, where the limits allow."""
     space = goal.space
     n = space.robot.n_tubes
-    step = PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
+    step = goal.solver.order_shift * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
     place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.solution.problem.assembly, g)], 0.0))
-    if (np.diff(place) > CLOSED).all():
+    if (np.diff(place) > goal.solver.closed_section).all():
         return at
     for sign in (1.0, -1.0):
         q = at.q.copy()
@@ -109,7 +103,7 @@ def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> P
     n = space.robot.n_tubes
     for row, bound in crossed:
         q = at.q.copy()
-        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * PAST * space.length
+        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * goal.solver.order_shift * space.length
         q[n:] -= past * row / float(row @ row)
         q = space.clip(q)
         if not space.admissible(q):

@@ -28,17 +28,8 @@ from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
 from .descent import Search
 from .goal import Goal
-from .order import CLOSED, Order, apart, beyond, breakpoint_order
+from .order import Order, apart, beyond, breakpoint_order
 from .posture import Posture
-
-MOST_BODIES = 16
-"""Obstacles at most: every one costs as much as all of the arm."""
-
-BUILDING = 0.025
-"""Seconds of `building` per cube of the number of tubes, and per obstacle and one."""
-
-MARGIN_ROOM = 1e-4
-"""Margin kept above the bound: more than the steps of the Jacobi fields are off."""
 
 
 def programmable(goal: Goal) -> bool:
@@ -47,7 +38,8 @@ def programmable(goal: Goal) -> bool:
     if goal.extras.constraints or goal.extras.cost is not None:
         return False
     bodies = goal.scene.bodies
-    return not goal.overdetermined and len(bodies) <= MOST_BODIES and all(has_formula(body) for body in bodies)
+    few = len(bodies) <= goal.solver.program_bodies
+    return few and not goal.overdetermined and all(has_formula(body) for body in bodies)
 
 
 def solve_program(goal: Goal, start: Posture) -> Search:
@@ -74,7 +66,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
 
 def building(goal: Goal) -> float:
     """Seconds that it may take to build the program and to begin to solve it, which nothing can cut short."""
-    return BUILDING * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
+    return goal.solver.program_building * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
 
 
 def _score(goal: Goal, at: Posture) -> tuple[float, float]:
@@ -108,7 +100,7 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
         return None, found.statistics.iterations, []
     gap = order.rows @ found.values["translations"] - order.bound
     force = found.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
-    pressed = ((gap <= 10 * CLOSED) & (np.abs(force) > 1e-7))[: order.changeable]
+    pressed = ((gap <= 10 * goal.solver.closed_section) & (np.abs(force) > 1e-7))[: order.changeable]
     crossed = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(pressed)]
     return posture, found.statistics.iterations, crossed
 
@@ -155,7 +147,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
         "position": goal.position,
         "direction": np.zeros(3) if goal.direction is None else goal.direction,
         "direction weight": np.array(goal.direction_weight or 0.0),
-        "least margin": np.array(goal.min_margin + MARGIN_ROOM),
+        "least margin": np.array(goal.min_margin + goal.solver.program_margin_room),
         "clearance": np.array(goal.gap),
         "radius": at.outline.radius(mesh.start + 0.5 * mesh.length),
         "reference": at.q if goal.objective is None else goal.reference,

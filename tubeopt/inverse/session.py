@@ -17,7 +17,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
-from .descent import TARGET_WEIGHT, boxed, broyden, correct, held_by, missed_by, reach
+from .descent import boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, angle
 from .joints import Configuration
 from .leaps import leap
@@ -29,35 +29,8 @@ from .question import pose_question, seed_posture, unit_vector
 from .solving import inverse_kinematics
 from .way import joint_way
 
-ON_TARGET = 2e-9
-"""Distance (m) and angle (rad) at which a step ends."""
-
-LONGEST_MOVE = 0.02
-"""Farther targets, as a share of the robot's length, are approached in so long parts on a straight line."""
-
-SMALLEST_PART = 1 / 16
-"""Share of such a part to which it is divided at most, so that the robot does not leap."""
-
 LAST = "last target"
 """Where the way to an answer begins."""
-
-PUSH = 0.5
-"""Length of the motion towards larger margin, over that of the motion towards the target."""
-
-CAREFUL = 0.15
-"""Margin above its bound below which the derivatives are computed anew for every step."""
-
-ROOM, ROOM_AT_LEAST = 4.0, 2e-4
-"""Clearance (m) to spare for a step that does not look at bodies: per way of the tip, and at least."""
-
-MOST_CHORDS = 4
-"""Equilibria that a step may cost before its derivatives count as stale."""
-
-MOST_STEPS = 8
-"""Steps after which they do in any case."""
-
-CLOSE_TO_A_CHANGE = 1e-3
-"""Length (m) of a section that a step may close."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +157,7 @@ class IkSession:
             part = goal if end == 1 else _between(goal, first, end)
             there, near, solves = self._step((part, goal), self._here, self._near)
             words, safe = leap(goal, self._here, there)
-            if words and share > most * SMALLEST_PART and self._finer(goal, first, (done, share)):
+            if words and share > most * goal.solver.session_part and self._finer(goal, first, (done, share)):
                 share /= 2
                 continue
             answers.append(self._keep(part, there, near, (words, safe, solves, began)))
@@ -235,14 +208,15 @@ class IkSession:
         """The posture on the first of two goals, which lies on the way to the other; derivatives for the next step, and
         the equilibria solved."""
         goal, last = goals
-        if here.margin < goal.floor + CAREFUL or (near is not None and near.age >= MOST_STEPS):
+        solver = goal.solver
+        if here.margin < goal.floor + solver.session_careful or (near is not None and near.age >= solver.session_steps):
             near = None
         solves = 0
         for start, slopes, order, guarded in _attempts(goal, here, near):
             moved, after, count = _servo(goal, start, slopes, order, guarded=guarded)
             solves += count
             if moved is not None:
-                return moved, after if count <= MOST_CHORDS else None, solves
+                return moved, after if count <= solver.session_solves else None, solves
         search = reach(goal, here)
         if search.reached:
             return search.posture, None, solves + search.solves
@@ -291,9 +265,10 @@ def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
 
 def _parts(goal: Goal, here: Posture) -> int:
     """Parts in which a target is approached on a straight line: one, unless it is far."""
-    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (LONGEST_MOVE * goal.space.length)))
+    longest = goal.solver.session_move
+    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (longest * goal.space.length)))
     turned = goal.direction_error(here) if goal.pointed else 0.0
-    return max(1, count, int(np.ceil(turned / (10 * LONGEST_MOVE))))
+    return max(1, count, int(np.ceil(turned / (10 * longest))))
 
 
 def _between(goal: Goal, first: Posture, share: float) -> Goal:
@@ -329,7 +304,7 @@ def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple
     yield here, fresh, order, True
     shift = here.q[goal.space.robot.n_tubes :]
     gap = (order.rows @ shift - order.bound)[: order.changeable]
-    for k in np.flatnonzero(gap <= CLOSE_TO_A_CHANGE):
+    for k in np.flatnonzero(gap <= goal.solver.session_section):
         other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
         if other is not None:
             yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
@@ -339,7 +314,7 @@ def _roomy(goal: Goal, here: Posture) -> bool:
     """Whether the arm is so far from all bodies that a step to the target will not bring it to them, as a rule."""
     if goal.extras.constraints:
         return False
-    enough = goal.gap + ROOM_AT_LEAST + ROOM * goal.position_error(here)
+    enough = goal.gap + goal.solver.session_least_room + goal.solver.session_room * goal.position_error(here)
     return here.outline.clearance(goal.scene, enough) >= enough
 
 
@@ -348,29 +323,29 @@ def _servo(
 ) -> tuple[Posture | None, _Slopes, int]:
     """One step towards the target and, in what it leaves free, towards larger margin; then corrections. The posture is
     None where it is not allowed."""
-    residual = goal.residual(here)
-    if goal.reached(here, ON_TARGET, ON_TARGET):
+    residual, solver = goal.residual(here), goal.solver
+    if goal.reached(here, solver.session_tolerance, solver.session_tolerance):
         return here, near, 0
     rows, bounds = goal.space.inequalities(here.q)
-    if here.margin < goal.floor + CAREFUL or (guarded and goal.hindered):
+    if here.margin < goal.floor + solver.session_careful or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
         kept, gap = order.steps(here.q)
         rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
-    limits = boxed(goal, rows, np.minimum(bounds, 0.0), goal.solver.first_step)
+    limits = boxed(goal, rows, np.minimum(bounds, 0.0), solver.first_step)
     scale = goal.space.scale
-    matrix = np.vstack([TARGET_WEIGHT * near.target, np.diag(1 / scale)])
+    matrix = np.vstack([solver.target_weight * near.target, np.diag(1 / scale)])
     # The shortest way, which tells how far to go beside it.
     size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
     push = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
     steep = float(np.linalg.norm(push))
-    aside = push * (PUSH * size * min(1.0, 1.0 / steep)) if steep > 0 else push
-    chosen = constrained_least_squares(matrix, np.append(-TARGET_WEIGHT * residual, aside), *limits)
+    aside = push * (solver.session_push * size * min(1.0, 1.0 / steep)) if steep > 0 else push
+    chosen = constrained_least_squares(matrix, np.append(-solver.target_weight * residual, aside), *limits)
     there = None if chosen is None else here.to(goal.space.clip(here.q + chosen.x))
     if there is None:
         return None, near, 1
     target = broyden(goal, near.target, there.q - here.q, goal.residual(there) - residual)
-    back = correct(goal, there, target, close=ON_TARGET, most=4 if order is None else 8, order=order)
+    back = correct(goal, there, target, close=solver.session_tolerance, most=4 if order is None else 8, order=order)
     return back.posture, _Slopes(back.slope, near.margin, near.age + 1), 1 + back.solves
 
 

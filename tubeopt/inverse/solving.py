@@ -179,5 +179,5 @@ def _answers(
     found = found or [search.failure(on_failure)]
     if reachable:
         begin = first if first is not None else known_home(goal.space)
-        found = [with_a_way(each, begin, goal.space, options.time_limit - search.seconds) for each in found]
+        found = [with_a_way(each, begin, goal) for each in found]
     return found

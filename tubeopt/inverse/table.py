@@ -25,6 +25,7 @@ from ..files.files import atomic_write
 from ..typing import Array
 from .clock import Clock
 from .joints import JointSpace
+from .settings import DEFAULT_SOLVER, InverseSolver
 
 VERSION = 3
 """Of what the table holds: a change of it makes old files unread."""
@@ -39,22 +40,6 @@ WIDEST = np.pi / 2
 
 LEAST_MARGIN = 0.01
 """Margin from which on a configuration is worth keeping."""
-
-DIRECTION_WEIGHT = 0.35
-"""Weight of the difference of directions against that of positions over the robot's length."""
-
-NEARNESS_WEIGHT = 0.02
-"""Weight of the distance from a reference in joint space, in units of the joints' scales."""
-
-
-FIRST_SLICE, QUICK = 8, 0.02
-"""Configurations solved between two looks at the clock at first, and seconds below which there are twice as many."""
-
-SLICE = 128
-"""Configurations that are solved between two looks at the clock at most."""
-
-POOL = 400
-"""Most promising configurations among which starts are spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +66,7 @@ def build_table(
     if begun is None:
         begun = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, whole=False)
     parts, tried = [(begun.q, begun.tip, begun.direction, begun.margin)], begun.tried
-    count = FIRST_SLICE
+    count = 8  # configurations between two looks at the clock, more where these are quick
     while tried < size and not clock.over:
         began, some = clock.seconds, q[tried : tried + count]
         joint = some @ space.spread.T + space.offset
@@ -89,8 +74,8 @@ def build_table(
         kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
         parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))
         tried += count
-        if clock.seconds - began < QUICK:
-            count = min(2 * count, SLICE)
+        if clock.seconds - began < 0.02:
+            count = min(2 * count, 128)
     solved, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
     table = StartTable(solved, tip, direction, margin, tried, whole=tried >= size)
     if table.whole and not len(table.q):
@@ -184,6 +169,7 @@ def nearest_starts(
     *,
     min_margin: float,
     reference: Array | None,
+    solver: InverseSolver = DEFAULT_SOLVER,
 ) -> Array:
     """(k, m) configurations of a table, turned towards a target (position, direction or None), most promising first.
 
@@ -212,31 +198,33 @@ def nearest_starts(
     turn = np.where(outside, part, turn)
     cost = np.linalg.norm(_turned(tip, turn) - position, axis=1) / space.length
     if direction is not None:
-        cost = cost + DIRECTION_WEIGHT * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
+        cost = cost + solver.direction_weight * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
     if reference is not None:
-        cost = cost + NEARNESS_WEIGHT * np.linalg.norm((turned - reference) / space.scale, axis=1)
+        cost = cost + solver.nearness_weight * np.linalg.norm((turned - reference) / space.scale, axis=1)
     # Rounded, so that round-off does not choose among mirror images.
     return space.clip(turned[np.argsort(np.round(cost, 9), kind="stable")])
 
 
-def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Iterator[Array]:
+def spread_starts(
+    space: JointSpace, q: Array, count: int, *, first: int, pool: int = DEFAULT_SOLVER.pool
+) -> Iterator[Array]:
     """At most `count` of joint values (k, m) sorted by promise: the `first` of them, then such as differ most from all
-    chosen before, among the most promising ones; each is looked for when it is asked for."""
+    chosen before, among the `pool` most promising; each is looked for when it is asked for."""
     if len(q) <= first:
         yield from q
         return
-    pool = q[: max(POOL, first + 1)]
-    yield from pool[: max(first, 1)]
+    q = q[: max(pool, first + 1)]
+    yield from q[: max(first, 1)]
     n = space.robot.n_tubes
-    relative = pool[:, :n] - pool[:, n - 1 : n]
+    relative = q[:, :n] - q[:, n - 1 : n]
     # Rotations against the outermost tube, as points of circles; the turn of the whole robot follows from the target.
-    features = np.hstack([np.cos(relative), np.sin(relative), pool[:, n:] / space.scale[n:]])
+    features = np.hstack([np.cos(relative), np.sin(relative), q[:, n:] / space.scale[n:]])
     gap = np.min([np.linalg.norm(features - own, axis=1) for own in features[: max(first, 1)]], axis=0)
-    for _ in range(min(count, len(pool)) - max(first, 1)):
+    for _ in range(min(count, len(q)) - max(first, 1)):
         farthest = int(np.argmax(np.round(gap, 9)))
         if gap[farthest] <= 0:
             return
-        yield pool[farthest]
+        yield q[farthest]
         gap = np.minimum(gap, np.linalg.norm(features - features[farthest], axis=1))
 
 

@@ -17,27 +17,8 @@ from .chart import BATCH, Arms, Chart
 from .clock import Clock, LateError
 from .settings import DEFAULT_WAY, WaySearch
 
-TURN_STEP = 0.15
-"""Largest change (rad) of a tip rotation between points of a motion that are checked."""
-
-JOINT_STEP = 0.35
-"""Largest change (rad) of a joint rotation between points of a motion that are checked."""
-
-SHIFT_STEP = 0.02
-"""Largest change of a translation between points that are checked, as a share of the longest tube."""
-
-HALVINGS = 4
-"""Times that the step between points that are checked is halved at most, where little is to spare."""
-
-CLEARANCE_SLOPE, MARGIN_SLOPE = 3e-4, 0.02
-"""Clearance (m) and margin that must be to spare per unit of distance (joints' scales) from an end: at the end itself
-nothing, and away from it, before steps grow long, as much as anywhere."""
-
 SAME = 1e-9
 """Distance (joints' scales) of points that are one."""
-
-WINDOWS, INSIDE = 12, 9
-"""Stretches between points along an arm that are looked at once more, and points in each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +96,14 @@ class Task:
         if not len(rows):
             return np.asarray(least)
         step = step[rows, None, None]
-        middle = np.take_along_axis(s[rows], np.argsort(gap[rows], axis=1)[:, :WINDOWS], axis=1)
+        middle = np.take_along_axis(s[rows], np.argsort(gap[rows], axis=1)[:, : self.effort.windows], axis=1)
         for _ in range(2):
-            near = middle[..., None] + np.linspace(-1, 1, INSIDE) * step
+            near = middle[..., None] + np.linspace(-1, 1, self.effort.window_points) * step
             near = np.clip(near, 0.0, s[rows, -1, None, None]).reshape(len(rows), -1)
             gap = self._gap(arms, near, arms.at(near, rows), rows)
             least[rows] = np.minimum(least[rows], gap.min(1))
             middle = np.take_along_axis(near, gap.argmin(1)[:, None], axis=1)
-            step = step * 2 / (INSIDE - 1)
+            step = step * 2 / (self.effort.window_points - 1)
         return np.asarray(least)
 
     def _gap(self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp], within: float = np.inf) -> Array:
@@ -135,7 +116,7 @@ class Task:
 
     def arms(self, z: Array) -> Arms:
         """The equilibria of points (N, m), `stable` by the margin to keep and its room."""
-        floor = self.min_margin + np.minimum(self.margin_room, MARGIN_SLOPE * self._away(z))
+        floor = self.min_margin + np.minimum(self.margin_room, self.effort.margin_slope * self._away(z))
         return self.chart.arms(z, floor, self.clock)
 
     def _away(self, z: Array) -> Array:
@@ -146,7 +127,7 @@ class Task:
 
     def needed(self, z: Array) -> Array:
         """(N,) clearance (m) that points must have to spare."""
-        return np.minimum(self.floor, CLEARANCE_SLOPE * self._away(z))
+        return np.minimum(self.floor, self.effort.clearance_slope * self._away(z))
 
     def spare(self, z: Array, *, arms: Arms | None = None) -> Array:
         """(N,) what points have to spare of margin and clearance, as a share of the room; negative where they do not
@@ -161,7 +142,7 @@ class Task:
         away = self._away(z)
         known = away < SAME
         allowed = inside & (arms.stable | known)
-        spare = np.minimum(1.0, MARGIN_SLOPE * away / self.margin_room)
+        spare = np.minimum(1.0, self.effort.margin_slope * away / self.margin_room)
         if self.obstacles and allowed.any():
             left = self.clearances(arms, self.clearance + self.clearance_room) - self.clearance
             allowed &= (left >= self.needed(z)) | known
@@ -209,9 +190,9 @@ class Task:
 
     def _halved(self, line: Array, spare: Array) -> int | None:
         """`fineness` of a motion whose points (k, m) have something to spare."""
-        for halvings in range(HALVINGS + 1):
+        for halvings in range(self.effort.step_halvings + 1):
             tight = np.flatnonzero(np.minimum(spare[:-1], spare[1:]) < 0.25**halvings)
-            if not len(tight) or halvings == HALVINGS:
+            if not len(tight) or halvings == self.effort.step_halvings:
                 return halvings
             middle = (line[tight] + line[tight + 1]) / 2
             found = self.spare(middle)
@@ -226,8 +207,8 @@ class Task:
         change = np.abs(end - start)
         turned = self.chart.rotations(np.stack([start, end])) if rotations is None else rotations
         joint = np.abs(turned[1] - turned[0]).max()
-        shift = change[n:].max(initial=0.0) / (SHIFT_STEP * self.chart.space.length)
-        count = int(np.ceil(max(change[:n].max() / TURN_STEP, joint / JOINT_STEP, shift, 1.0)))
+        shift = change[n:].max(initial=0.0) / (self.effort.step_shift * self.chart.space.length)
+        count = int(np.ceil(max(change[:n].max() / self.effort.step_turn, joint / self.effort.step_joint, shift, 1.0)))
         x = np.arange(1, count)[:, None] / count
         return np.asarray(start + x * (end - start))
 

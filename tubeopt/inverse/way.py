@@ -15,23 +15,15 @@ from ..typing import Array
 from .answer import InverseSolution, JointWay
 from .chart import Chart
 from .clock import Clock
+from .goal import Goal
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place
 from .search import find_way
 from .task import Task
 
-LEAST_MARGIN = 2e-3
-"""Margin that the search keeps, or half of what the ends have where that is less."""
-
-FINER = (1, 4)
-"""Into how many parts the motions between the points that the search checks are divided before they are followed."""
-
-SAME_TIP = 1e-6
-"""Distance (m) of the tip at the end of a way from that of the equilibrium that it is to end in."""
-
 
 def snap_free_way(
-    space: JointSpace, start: Equilibrium, goal: Equilibrium, *, seconds: float = 10.0
+    space: JointSpace, start: Equilibrium, goal: Equilibrium, *, seconds: float, least_margin: float
 ) -> tuple[Array, Array] | None:
     """Waypoints of joint values from one equilibrium to another, straight from each to the next, without a snap.
 
@@ -43,6 +35,7 @@ def snap_free_way(
     Args:
         space: the joints of the robot, with their ranges.
         start, goal: stable equilibria.
+        least_margin: that the way keeps, or half of what the ends have where that is less.
 
     Returns:
         (W, n) rotations, rad, and (W, n) translations, m: the first are those of `start`, the last those of `goal`.
@@ -52,7 +45,7 @@ def snap_free_way(
     straight = _followed(space, np.stack([end.q for end in ends]), ends)
     if straight is not None:
         return straight
-    floor = min(LEAST_MARGIN, 0.5 * start.margin, 0.5 * goal.margin)
+    floor = min(least_margin, 0.5 * start.margin, 0.5 * goal.margin)
     task = Task(Chart(space), (), 0.0, 0.0, margin_room=floor)
     try:
         way = find_way(task, task.chart.of(start), [task.chart.of(goal)], clock)
@@ -60,7 +53,7 @@ def snap_free_way(
         return None
     if way.points is None:
         return None
-    for parts in FINER:
+    for parts in (1, 4):  # as the search checks motions, then more finely
         table = _joints(task, way.points, parts)
         table[0], table[-1] = ends[0].q, ends[1].q
         thin = _thinned(table, ends[0])
@@ -111,11 +104,7 @@ def _followed(space: JointSpace, table: Array, ends: tuple[Posture, Posture]) ->
     except (SolveError, InputError):
         return None
     missed = float(np.linalg.norm(path.equilibria[-1].tip_position - ends[1].tip))
-    return None if path.snaps or missed > SAME_TIP else (rotations, translations)
-
-
-SEARCH_SECONDS = 10.0
-"""Seconds for which a way to one answer is looked for at most."""
+    return None if path.snaps or missed > 1e-6 else (rotations, translations)
 
 
 def straight_way(origin: str, begin: Posture | None, end: Posture) -> JointWay | None:
@@ -133,15 +122,14 @@ def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointW
     return JointWay(origin, table[:, :n], table[:, n:])
 
 
-def with_a_way(
-    answer: InverseSolution, begin: Posture | None, space: JointSpace, seconds: float = np.inf
-) -> InverseSolution:
-    """The answer with a way to it from a posture, its `reachable` False where none is found in so many seconds."""
+def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> InverseSolution:
+    """The answer with a way to it from a posture, its `reachable` False where none is found in time."""
     if answer.way is not None:
         return answer
-    found = None
+    found, solver, seconds = None, goal.solver, min(goal.solver.way_seconds, goal.left)
     if begin is not None and seconds > 0:
-        found = snap_free_way(space, begin.equilibrium, answer.equilibrium, seconds=min(SEARCH_SECONDS, seconds))
+        ends = begin.equilibrium, answer.equilibrium
+        found = snap_free_way(goal.space, *ends, seconds=seconds, least_margin=solver.way_margin)
     if found is None:
         return replace(answer, reachable=False)
     way = JointWay("home" if answer.straight_from_seed is None else "seed", *found)
