@@ -85,7 +85,7 @@ from .robots.pieces import Piece, Slots
 from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
-from .shaping import Mold, MoldSpec, plan_mold, predict_tube
+from .shaping import HeatingSolver, Mold, MoldSolver, MoldSpec, RigSolver, plan_mold, predict_tube
 from .shaping.heating.feedback import Feedback
 from .shaping.heating.leading import lead_by
 from .shaping.heating.plan import HeatingPlan
@@ -163,6 +163,7 @@ __all__ = [
     "Friction",
     "FrictionBand",
     "HeatingPlan",
+    "HeatingSolver",
     "HeatingSpec",
     "IkSession",
     "InputError",
@@ -178,6 +179,7 @@ __all__ = [
     "LoadLimit",
     "Material",
     "Mold",
+    "MoldSolver",
     "MoldSpec",
     "Newton",
     "OrderWarning",
@@ -194,6 +196,7 @@ __all__ = [
     "ReachShare",
     "RegionReach",
     "Rig",
+    "RigSolver",
     "Roadmap",
     "SearchedDesign",
     "SearchedPair",

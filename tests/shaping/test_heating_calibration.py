@@ -10,8 +10,9 @@ import pytest
 
 from tubeopt import InputError, Rig
 from tubeopt.shaping.heating.calibration import FACTORS, HeatingLog, calibrate, predict
+from tubeopt.shaping.heating.settings import DEFAULT_RIG_SOLVER
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.shaping.heating.trials import SPREAD, Trial, calibrate_from_trials
+from tubeopt.shaping.heating.trials import Trial, calibrate_from_trials
 
 from .heating_reference import TUBE, integrate, thesis_rig
 
@@ -114,10 +115,10 @@ def test_trials_narrow_the_loss_down() -> None:
     assert narrow.high - narrow.low < 0.6 * (wide.high - wide.low)
     assert narrow.low < narrow.factor < narrow.high
     assert narrow.rig.loss_factor == pytest.approx(narrow.factor)
-    under, good, over = narrow.temperatures
-    assert under < 500 + 2 * SPREAD
-    assert 500 - SPREAD < good < 550 + SPREAD
-    assert over > 550 - 2 * SPREAD
+    (under, good, over), spread = narrow.temperatures, DEFAULT_RIG_SOLVER.trial_spread
+    assert under < 500 + 2 * spread
+    assert 500 - spread < good < 550 + spread
+    assert over > 550 - 2 * spread
     assert narrow.density.sum() == pytest.approx(1.0)
     assert narrow.surprise > 0.1
 

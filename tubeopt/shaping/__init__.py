@@ -1,5 +1,6 @@
 """How the tubes of a robot are made: molds, heating."""
 
+from .heating.settings import HeatingSolver, RigSolver
 from .materials import CALCIUM_SILICATE, GLASS_MICA, MDF, MOLD_MATERIALS, STEEL, MoldMaterial, mold_material
 from .mold.checks import Check
 from .mold.files import write_mold
@@ -13,6 +14,7 @@ from .mold.peg_files import write_pegs
 from .mold.pegs import PegBoard, plan_pegs
 from .mold.prediction import predict_tube, predict_tubes
 from .mold.ranking import MaterialRating, rank_mold_materials
+from .mold.settings import MoldSolver
 from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PegSpec, PlateSpec, VentSpec
 from .mold.springback import Calibration, Springback, calibrate_springback
 
@@ -31,17 +33,20 @@ __all__ = [
     "Groove",
     "GrooveSpec",
     "HeatSpec",
+    "HeatingSolver",
     "Hole",
     "Mandrel",
     "MaterialRating",
     "MillingSpec",
     "Mold",
     "MoldMaterial",
+    "MoldSolver",
     "MoldSpec",
     "Peg",
     "PegBoard",
     "PegSpec",
     "PlateSpec",
+    "RigSolver",
     "Springback",
     "VentSpec",
     "calibrate_springback",

@@ -28,27 +28,6 @@ from .mold.holes import open_area
 from .mold.mold import Groove, Mold, plan_mold
 from .mold.spec import GrooveSpec, MoldSpec
 
-ROUNDS = 5
-"""Molds that are drawn at most."""
-
-SAME = 1e-5
-"""Lengths (m) of mold and heating that count as equal."""
-
-LONGER = 1e-3
-"""What leads get beyond the cold ends, m, where these reach into the curved part."""
-
-PEAK_KEPT = 0.98
-"""Part of the circuit's peak current for which leads are made longer, where a shorter tube would draw more."""
-
-LEAST_METAL = 10e9
-"""Young's modulus (Pa) of no metal: below it a material has no thermal constants but those that are said."""
-
-UNLIKE = 0.25
-"""Part by which the even gap of a rig's file may differ from the one computed before that is remarked."""
-
-VENT_CELLS = 5
-"""Cells in half of the bend by which the lid's vents follow the rig's profile."""
-
 VENT_PLACES = 41
 """Places from the end of the mold to its middle at which the rig as drawn says how far it is vented."""
 
@@ -114,7 +93,7 @@ def plan_tube(
     heated, remarks = _with_thermal_data(tube)
     remarks += _air(heated, rig)
     on, known, plan, drawn = rig, None, None, None
-    for round_ in range(1, ROUNDS + 1):
+    for round_ in range(1, heating.solver.molds + 1):
         try:
             following = plan_mold(heated, mold_spec_for(on, heated, asked, heating, known, rig), numbers=[number])
         except InputError as error:
@@ -122,16 +101,18 @@ def plan_tube(
                 raise
             return TubeFabrication(tube, drawn, on, plan, round_ - 1, f"{_needed(plan)}: {error}", remarks)
         drawn, before, on = following, on, rig_as_drawn(rig, following)
-        if plan is None or not _alike(before, on):
+        if plan is None or not _alike(before, on, heating.solver.same_length):
             plan = plan_heating(heated_tube(following.grooves[0]), on, heating)
         elif _settled(drawn, plan):
             return TubeFabrication(tube, drawn, on, plan, round_, "", (*remarks, *ageing_words(plan)))
         known = _known(drawn.grooves[0], plan, heating)
     assert drawn is not None
     assert plan is not None
-    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + SAME
+    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + heating.solver.same_length
     words = _needed(plan) if short else "the mold as drawn still changes"
-    return TubeFabrication(tube, drawn, on, plan, ROUNDS, f"{words} after {ROUNDS} rounds", remarks)
+    return TubeFabrication(
+        tube, drawn, on, plan, heating.solver.molds, f"{words} after {heating.solver.molds} rounds", remarks
+    )
 
 
 def heating_for(heat: HeatSpec) -> HeatingSpec:
@@ -198,7 +179,7 @@ def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
     """
     if not any(rig.mold.vents):
         return (0.0,)
-    ends = np.linspace(0.0, 1.0, 2 * VENT_CELLS + 1)
+    ends = np.linspace(0.0, 1.0, 2 * 5 + 1)
     middle = 0.5 * (ends[1:] + ends[:-1])
     half = 0.5 * tube.curved_length
     inward = (rig.mold.lead + half * (1 - np.abs(2 * middle - 1))) / (rig.mold.lead + half)
@@ -252,7 +233,7 @@ def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
     if tube.material.thermal is not None:
         return tube, ()
     name, stiffness = tube.material.name, tube.material.youngs_modulus
-    if stiffness < LEAST_METAL:
+    if stiffness < 10e9:
         raise InputError(
             f"the thermal constants of {name} are not known, and its Young's modulus of {1e-9 * stiffness:.2g} GPa is "
             "that of no metal; a rig heats a tube by the current through it: say constants (thermal) of what conducts"
@@ -265,7 +246,7 @@ def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
     """Whether the even gap that the rig's file says is that of its groove."""
     said, side = gap_of(tube, rig), tube.outer_diameter + 2 * rig.mold.play
     computed = groove_gap(tube, rig, side, side)
-    if abs(said / computed - 1) < UNLIKE:
+    if abs(said / computed - 1) < 0.25:
         return ()
     return (
         f"the rig's file says that the groove's air conducts like an even gap of {1e6 * said:.0f} um (gap_um); one "
@@ -276,7 +257,7 @@ def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
 
 def _known(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> Known:
     """What the heating tells the next mold; leads that are too short, or let too much current flow, get longer."""
-    held, end = _lead_and_gap(groove), plan.cold_end
+    held, end, solver = _lead_and_gap(groove), plan.cold_end, spec.solver
     if math.isinf(end):
         # The whole tube is cold, for which no lead helps.
         end = groove.cold.length
@@ -284,7 +265,7 @@ def _known(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> Known:
     clamps = float(plan.clamp_temperature[hot]) + ZERO_CELSIUS
     # The plate makes leads longer than they are asked to be, by as much again next time.
     asked = groove.cold.length + _length_for_peak(plan, spec) - held
-    return Known(max(end if end <= held + SAME else end + LONGER, asked), plan.growth, clamps)
+    return Known(max(end if end <= held + solver.same_length else end + solver.longer_lead, asked), plan.growth, clamps)
 
 
 def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
@@ -293,7 +274,7 @@ def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
     The current is greatest through the cold tube at rest, whose resistance grows as its length.
     """
     tube, rig = plan.tube, plan.rig
-    now, most = full_current(tube, rig, leaking=False), PEAK_KEPT * rig.circuit.peak_limit
+    now, most = full_current(tube, rig, leaking=False), spec.solver.lead_peak * rig.circuit.peak_limit
     whole = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
     ohm = rig.battery.voltage / now - rig.battery.internal_resistance - rig.circuit.resistance
     needed = whole * (1 + rig.battery.voltage * (1 / most - 1 / now) / ohm)
@@ -306,12 +287,12 @@ def _lead_and_gap(groove: Groove) -> float:
     return groove.gaps[0] + groove.centreline.lead_in.length
 
 
-def _alike(a: Rig, b: Rig) -> bool:
-    """Whether two rigs as drawn are the same to the heating."""
+def _alike(a: Rig, b: Rig, same: float) -> bool:
+    """Whether two rigs as drawn are the same to the heating, to lengths of `same`, m."""
     lengths = [abs(getattr(a.mold, name) - getattr(b.mold, name)) for name in ("lead", "gap", "width", "thickness")]
     lengths.append(abs(a.clamps.clearance - b.clamps.clearance))
     vents = (vent_profile(rig, np.linspace(0.0, 1.0, VENT_PLACES)) for rig in (a, b))
-    return max(lengths) < SAME and float(np.abs(next(vents) - next(vents)).max()) < SAME
+    return max(lengths) < same and float(np.abs(next(vents) - next(vents)).max()) < same
 
 
 def _settled(mold: Mold, plan: HeatingPlan) -> bool:
@@ -320,10 +301,11 @@ def _settled(mold: Mold, plan: HeatingPlan) -> bool:
     uneven = abs(groove.centreline.lead_in.length - groove.centreline.lead_out.length)
     differences = [groove.free_length - plan.free_length, uneven, groove.growth - plan.growth]
     short = 0.0 if math.isinf(plan.cold_end) else plan.cold_end - _lead_and_gap(groove)
-    return max(abs(x) for x in differences) < SAME and short < SAME
+    same = plan.spec.solver.same_length
+    return max(abs(x) for x in differences) < same and short < same
 
 
 def _needed(plan: HeatingPlan) -> str:
-    need = 1e3 * (plan.cold_end + LONGER)
+    need = 1e3 * (plan.cold_end + plan.spec.solver.longer_lead)
     have = 1e3 * (plan.rig.clamps.clearance + plan.rig.mold.lead)
     return f"the heating needs {need:.1f} mm from clamp to bend, the mold has {have:.1f} mm"

@@ -27,21 +27,12 @@ from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of
 from .rates import State, at_rest, current
 from .rig import COUNTS, Rig
 from .sensors import followed
+from .settings import DEFAULT_RIG_SOLVER, RigSolver
 from .simulation import advance
 from .thermal import COARSE, FINE, ThermalModel, stack, thermal_model, with_gap
 
-STEP = 0.5
-"""Longest time step of the simulation, s."""
-
-PERTURBATION = 1e-3
 BIAS = "bias"
 """What can be fitted besides factors: by how much every thermometer is off, K."""
-
-BIAS_SCALE = 25.0
-"""Bias, K, that counts as much as a factor of e."""
-
-WEAK = 0.4
-"""A factor known to less than this standard error of its logarithm is held: the log does not determine it."""
 
 
 def _scaled(part: str, name: str) -> Callable[[Rig, float], Rig]:
@@ -100,15 +91,17 @@ class RigFit(Displayed):
     remarks: tuple[str, ...]
 
 
-def predict(tube: Tube, rigs: Sequence[Rig], log: HeatingLog, grid: Resolution = FINE) -> dict[str, Array]:
-    """(T, B) what the log's channels would show on each rig."""
+def predict(
+    tube: Tube, rigs: Sequence[Rig], log: HeatingLog, grid: Resolution = FINE, *, step: float = DEFAULT_RIG_SOLVER.step
+) -> dict[str, Array]:
+    """(T, B) what the log's channels would show on each rig, simulated in steps of at most `step`, s."""
     model = stack([thermal_model(tube, rig, grid) for rig in rigs])
     state = at_rest(model)
     lags = np.broadcast_to(log.lag, len(log.positions))[:, None]
     touched = shown = _touched(model, state, log)
     rows = [_seen(model, state, shown)]
     for duty, span in zip(log.duty.tolist(), np.diff(log.time).tolist(), strict=False):
-        steps = math.ceil(span / STEP)
+        steps = math.ceil(span / step)
         for _ in range(steps):
             state = advance(model, state, duty / COUNTS, span / steps, 1)
             before, touched = touched, _touched(model, state, log)
@@ -137,6 +130,7 @@ def calibrate(
     *,
     noise: Mapping[str, float] | None = None,
     confidence: float = 0.95,
+    solver: RigSolver = DEFAULT_RIG_SOLVER,
 ) -> RigFit:
     """The rig that explains a log, from any subset of temperature, voltage and current.
 
@@ -146,6 +140,7 @@ def calibrate(
     Args:
         parameters: names of FACTORS, and "bias" for that of every thermometer.
         noise: stated standard deviations by "temperature", "voltage", "current", K, V, A.
+        solver: how it is calibrated.
 
     Raises:
         InputError: an unknown factor, none, a confidence outside of (0, 1), or a thermometer that is dead.
@@ -158,17 +153,17 @@ def calibrate(
         raise InputError(f"parameters is empty; it must name some of {', '.join(FACTORS)}")
     if not 0 < confidence < 1:
         raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
-    expected = {name: values[:, 0] for name, values in predict(tube, [rig], log).items()}
-    log, doubts = believable(log, rig, expected)
+    expected = {name: values[:, 0] for name, values in predict(tube, [rig], log, step=solver.step).items()}
+    log, doubts = believable(log, rig, expected, solver)
     names = [
         each for name in names for each in ((f"{BIAS} of {t}" for t in log.thermometers) if name == BIAS else (name,))
     ]
-    problem = _Problem(tube, rig, log)
+    problem = _Problem(tube, rig, log, solver)
     free, remarks = list(names), list(doubts)
     while True:
         x, sigma, errors = problem.solve(free)
         weak = int(np.argmax(errors)) if len(free) else 0
-        if not len(free) or errors[weak] < WEAK:
+        if not len(free) or errors[weak] < solver.weak:
             break
         remarks.append(f"{free[weak]} is not determined by the log; it is held at what the file says")
         free.pop(weak)
@@ -176,30 +171,32 @@ def calibrate(
     reach = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))
     room = reach * errors + np.abs(problem.shift(free, x, sigma))
     values = dict(zip(free, zip(x, room, strict=True), strict=True))
-    estimates = tuple(_estimate(name, values.get(name)) for name in names)
+    estimates = tuple(_estimate(name, values.get(name), solver.bias) for name in names)
     before, after = problem.before_and_after(free, x)
     for channel, read in problem.read.items():
         share = len(free) * float(read.sum()) / problem.count
         logged = log.channels[channel][read]
         residual = after[channel][read] - logged
-        remarks += unexplained(channel, residual, stated.get(kind_of(channel)), share, step_of(logged))
+        remarks += unexplained(
+            channel, residual, stated.get(kind_of(channel)), share, step_of(logged), rare=solver.rare
+        )
     return RigFit(problem.rig(free, x), estimates, confidence, sigma, before, after, log, tuple(remarks))
 
 
-def _estimate(name: str, value: tuple[float, float] | None) -> Estimate:
+def _estimate(name: str, value: tuple[float, float] | None, bias: float) -> Estimate:
     if value is None:
         return Estimate(name, *((0.0, -math.inf) if name.startswith(BIAS) else (1.0, 0.0)), math.inf, True)
     x, room = value
     if name.startswith(BIAS):
-        return Estimate(name, BIAS_SCALE * x, BIAS_SCALE * (x - room), BIAS_SCALE * (x + room), False)
+        return Estimate(name, bias * x, bias * (x - room), bias * (x + room), False)
     return Estimate(name, float(np.exp(x)), float(np.exp(x - room)), float(np.exp(x + room)), False)
 
 
 class _Problem:
     """Residuals of a log over logarithms of factors."""
 
-    def __init__(self, tube: Tube, rig: Rig, log: HeatingLog) -> None:
-        self.tube, self.given, self.log = tube, rig, log
+    def __init__(self, tube: Tube, rig: Rig, log: HeatingLog, solver: RigSolver) -> None:
+        self.tube, self.given, self.log, self.solver = tube, rig, log, solver
         self.read = {name: np.isfinite(values) for name, values in log.channels.items()}
         self.count = int(sum(read.sum() for read in self.read.values()))
 
@@ -211,22 +208,25 @@ class _Problem:
                 rig = FACTORS[name](rig, float(np.exp(value)))
         return rig
 
+    def _predicted(self, rigs: Sequence[Rig], grid: Resolution = FINE) -> dict[str, Array]:
+        return predict(self.tube, rigs, self.log, grid, step=self.solver.step)
+
     def biases(self, names: Sequence[str], x: Array) -> dict[str, float]:
         """What each thermometer shows too much, K."""
         start = f"{BIAS} of "
         found = zip(names, x, strict=True)
-        return {name.removeprefix(start): BIAS_SCALE * float(v) for name, v in found if name.startswith(start)}
+        return {name.removeprefix(start): self.solver.bias * float(v) for name, v in found if name.startswith(start)}
 
     def before_and_after(self, names: Sequence[str], x: Array) -> tuple[dict[str, Array], dict[str, Array]]:
         """(T,) channels as the rig's file predicts them, and as at x."""
-        seen = predict(self.tube, [self.given, self.rig(names, x)], self.log)
+        seen = self._predicted([self.given, self.rig(names, x)])
         before, after = ({c: seen[c][:, side] for c in self.log.channels} for side in (0, 1))
         return before, after | {c: after[c] + off for c, off in self.biases(names, x).items()}
 
     def differences(self, names: Sequence[str], x: Array) -> dict[str, Array]:
         """(T, 1 + P) model less log of every channel, at x and with each unknown perturbed."""
-        shifted = [x, *(x + PERTURBATION * unit for unit in np.eye(len(x)))]
-        seen = predict(self.tube, [self.rig(names, at) for at in shifted], self.log)
+        shifted = [x, *(x + self.solver.perturbation * unit for unit in np.eye(len(x)))]
+        seen = self._predicted([self.rig(names, at) for at in shifted])
         for k, at in enumerate(shifted):
             for channel, off in self.biases(names, at).items():
                 seen[channel][:, k] += off
@@ -246,7 +246,7 @@ class _Problem:
                 c: max(float(np.sqrt((d[:, 0] ** 2).sum() / max(len(d) * (1 - share), 1.0))), LEAST_NOISE[kind_of(c)])
                 for c, d in now.items()
             }
-        J = _jacobian(now, sigma)
+        J = self._jacobian(now, sigma)
         information = J.T @ J
         values, vectors = np.linalg.eigh(information) if names else (np.zeros(0), np.zeros((0, 0)))
         floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
@@ -257,9 +257,9 @@ class _Problem:
         """By how much the grid's own error moves the logarithms: grids are of second order, so that it is a third of
         the difference from one of half as many cells."""
         rig = [self.rig(names, x)]
-        fine, coarse = (predict(self.tube, rig, self.log, grid) for grid in (FINE, COARSE))
+        fine, coarse = (self._predicted(rig, grid) for grid in (FINE, COARSE))
         error = np.concatenate([(fine[c] - coarse[c])[read, 0] / 3 / sigma[c] for c, read in self.read.items()])
-        J = _jacobian(self.differences(names, x), sigma)
+        J = self._jacobian(self.differences(names, x), sigma)
         return np.asarray(np.linalg.lstsq(J, error, rcond=None)[0])
 
     def _fit(self, names: Sequence[str], x: Array, sigma: dict[str, float]) -> Array:
@@ -270,7 +270,7 @@ class _Problem:
             if key not in cache:
                 now = self.differences(names, at)
                 r = np.concatenate([d[:, 0] / sigma[c] for c, d in now.items()])
-                cache[key] = r, _jacobian(now, sigma)
+                cache[key] = r, self._jacobian(now, sigma)
             return cache[key]
 
         found = scipy.optimize.least_squares(
@@ -278,7 +278,6 @@ class _Problem:
         )
         return np.asarray(found.x)
 
-
-def _jacobian(now: dict[str, Array], sigma: dict[str, float]) -> Array:
-    """(N, P) of the residuals by the unknowns, of differences at x and with each unknown perturbed."""
-    return np.vstack([(d[:, 1:] - d[:, :1]) / PERTURBATION / sigma[c] for c, d in now.items()])
+    def _jacobian(self, now: dict[str, Array], sigma: dict[str, float]) -> Array:
+        """(N, P) of the residuals by the unknowns, of differences at x and with each unknown perturbed."""
+        return np.vstack([(d[:, 1:] - d[:, :1]) / self.solver.perturbation / sigma[c] for c, d in now.items()])

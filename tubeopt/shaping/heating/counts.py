@@ -15,15 +15,6 @@ from .simulation import advance
 from .spec import HeatingSpec
 from .thermal import ThermalModel, cross_section, leak_resistance, thermal_data
 
-MOST_COLDER = 4.0
-"""What counts held back for the sake of the ramp may cost, K."""
-
-SETTLED = 10.0
-"""Time of the hold, s, after which no duty comes near the ramp any more, and counts follow without a look."""
-
-SPARED = 0.005
-"""Part of ramp and current limit that counts leave unused, for what the quick simulation beside them gets wrong."""
-
 
 def full_current(tube: Tube, rig: Rig, *, leaking: bool = True) -> float:
     """Current while the MOSFET conducts and the tube is cold, A; with or without what a mold that conducts takes."""
@@ -47,9 +38,9 @@ def guarded_counts(
     """Counts (T,) of sum-up rounding, fewer in a slot where they would break ramp or current limit as it begins.
 
     What is left out is given in later slots, but for what the tube has forgotten by then: the sum falls behind by no
-    more than half a count and what makes the tube `MOST_COLDER` colder. One count is worth several K/s: without the
-    guard rounding alone breaks the ramp by as much. Where not even one count keeps the ramp from rest, nothing would
-    ever be heated: there the counts are those that break it least without falling behind, by a quick look.
+    more than half a count and what makes the tube colder by what the solver allows. One count is worth several K/s:
+    without the guard rounding alone breaks the ramp by as much. Where not even one count keeps the ramp from rest,
+    nothing would ever be heated: there the counts break it least without falling behind, by a quick look.
 
     Args:
         model: one member, whose temperatures are simulated along. duty: (T,) in [0, 1], mean over each slot.
@@ -59,12 +50,12 @@ def guarded_counts(
     counts = np.zeros(len(duty), dtype=np.int64)
     state, given = at_rest(model), 0.0
     slow, fast, _ = extremes(model, state)
-    owed = 0.5 + MOST_COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
+    owed = 0.5 + spec.solver.colder * COUNTS / (spec.slot * float((fast - slow).max()))
     hopeless = most_count(model, state, spec, rig) < 1 + COUNTS * rig.circuit.lost_share
     heated = int(np.count_nonzero(duty))
     if hopeless and rough is not None:
         model, state = rough, at_rest(rough)
-    watched = min(heated, heated - spec.hold_slots + math.ceil(SETTLED / spec.slot))
+    watched = min(heated, heated - spec.hold_slots + math.ceil(spec.solver.watched / spec.slot))
     for k in range(watched):
         due = math.floor(sums[k] - given + 0.5)
         least = math.ceil(sums[k] - given - owed - 1e-9) if hopeless else 0
@@ -81,9 +72,9 @@ def guarded_counts(
 
 
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
-    """Greatest count that keeps ramp and mean current, less `SPARED` of them, at a state."""
+    """Greatest count that keeps ramp and mean current, less what is `spared`, at a state."""
     slow, fast, now = extremes(model, state)
-    kept = 1 - SPARED
+    kept = 1 - spec.solver.spared
     room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
     # What a pulse loses does not warm, but it flows.
     return int(COUNTS * max(min(room + rig.circuit.lost_share, kept * rig.circuit.current_limit / now, 1.0), 0.0))

@@ -17,23 +17,6 @@ from .outcome import Outcome, broken
 from .rig import Rig
 from .spec import LONGEST, HeatingSpec
 
-ENOUGH = 0.05
-"""A window missed by less than this, K, by the program is worth a schedule of counts to see whether it is held."""
-
-WORTH = 0.1
-"""A change that takes away less than this part of the miss is not worth telling."""
-
-TRIES = 3
-SHORT_SLOT, MORE_CURRENT, MORE_TIME, LONG_LEAD, WIDER = 0.1, 2.0, 3.0, 1.5, 25.0
-
-LONG_SLOT, SWING = 0.5, 0.1
-"""To see that a change cures, duties are kept for up to this long, s, where half a count warms by no more than this
-part of the window in that time."""
-
-FINE_COUNT, LESS_PEAK, OHM_STEP = 0.4, 0.95, 1e-3
-"""Parts of the ramp that a count should warm the tube by, and of the circuit's peak current that should flow; ohm by
-which resistors are rounded up."""
-
 
 @dataclass(frozen=True, eq=False)
 class Programmed:
@@ -109,7 +92,7 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
     assert said is not None
     near = said
     answers = [] if spec.free or spec != plain else [(rig, spec, said.ideal)]
-    for change in _candidates(rig, plain, said.ideal, said.shift)[:TRIES]:
+    for change in _candidates(rig, plain, said.ideal, said.shift)[: spec.solver.cures]:
         if _in_vain(change, answers):
             continue
         cure = _kept(change, tube, by, limited)
@@ -119,7 +102,7 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
                 # What frees more begins with what less has made of it.
                 near = replace(near, ideal=tried[1])
             cure = _settled(change, tube, tried, limited, by)
-        if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
+        if cure is not None and cure.shortfall < (1 - spec.solver.cure_worth) * best.outcome.shortfall:
             found.append(cure)
             # No change for the window is one for limits.
             if cure.cures or (limited and cure.shortfall <= 0):
@@ -160,18 +143,18 @@ def _kept(change: Change, tube: Tube, by: Search, anyway: bool) -> Cure | None:
 def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
     """What is asked for with slots several times as long, where these fill the hold and half a count does not warm by
     much in one; and as it is."""
-    longer = spec.slot * math.floor(LONG_SLOT / spec.slot + 1e-9)
+    longer = spec.slot * math.floor(spec.solver.cure_slot / spec.slot + 1e-9)
     if longer <= spec.slot or abs(spec.hold_time / longer - round(spec.hold_time / longer)) > 1e-9:
         return (spec,)
     low, high = spec.window_degC
     swing = 0.5 * longer * count_rate(tube, rig)
-    return (replace(spec, slot=longer), spec) if swing < SWING * (high - low) else (spec,)
+    return (replace(spec, slot=longer), spec) if swing < spec.solver.cure_swing * (high - low) else (spec,)
 
 
 def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: bool, by: Search) -> Cure:
     """What the program makes of a change, and whole counts of what it would cure."""
     cure, answer = tried
-    if cure.shortfall >= ENOUGH:
+    if cure.shortfall >= change[2].solver.cure_miss:
         return cure
     fixed = replace(change[2], free=())
     if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, by, limited)) is not None:
@@ -234,11 +217,11 @@ def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
 def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome, by: Search) -> list[Cure | None]:
     """Changes where the window is held but ramp or currents are not: less current, or another limit."""
     now, count = full_current(tube, rig), count_rate(tube, rig)
-    most = now * math.sqrt(min(FINE_COUNT * spec.ramp / count, 1.0))
-    most = min(most, LESS_PEAK * rig.circuit.peak_limit)
+    # One count should warm the tube by less than half of the ramp, and the peak stay below the circuit's.
+    most = min(now * math.sqrt(min(0.4 * spec.ramp / count, 1.0)), 0.95 * rig.circuit.peak_limit)
     found: list[Cure | None] = []
     if most < now:
-        ohm = OHM_STEP * math.ceil(rig.battery.voltage * (1 / most - 1 / now) / OHM_STEP)
+        ohm = 1e-3 * math.ceil(rig.battery.voltage * (1 / most - 1 / now) / 1e-3)
         circuit = replace(rig.circuit, cable_resistance=rig.circuit.cable_resistance + ohm)
         change = f"a resistor of {1e3 * ohm:.0f} mohm in series", replace(rig, circuit=circuit), spec
         found.append(_confirmed(change, tube, by))
@@ -257,14 +240,14 @@ def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) 
     if last.max() < low:
         return _for_power(rig, spec)
     # A mold that had no time to get warm is told by a heating as long as it may be.
-    soon = _more_time(rig, spec) if ideal.heating > (1 - WORTH) * spec.longest_heating else []
+    soon = _more_time(rig, spec) if ideal.heating > (1 - spec.solver.cure_worth) * spec.longest_heating else []
     if last.max() - last.min() > 0.5 * (high - low):
         return soon + _for_ends(rig, spec)
     return soon + _for_narrow_window(rig, spec)
 
 
 def _more_time(rig: Rig, spec: HeatingSpec) -> list[Change]:
-    longer = replace(spec, longest_heating=min(MORE_TIME * spec.longest_heating, LONGEST))
+    longer = replace(spec, longest_heating=min(3.0 * spec.longest_heating, LONGEST))
     if longer == spec:
         return []
     return [(f"a heating of up to {longer.longest_heating:g} s", rig, longer)]
@@ -276,7 +259,7 @@ def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
         silicate = replace(rig, mold=replace(rig.mold, material=CALCIUM_SILICATE))
         name = rig.mold.material.name.replace("_", " ")
         found.append((f"a mold of calcium silicate in place of {name}", silicate, spec))
-    circuit = replace(rig.circuit, current_limit=MORE_CURRENT * rig.circuit.current_limit)
+    circuit = replace(rig.circuit, current_limit=2.0 * rig.circuit.current_limit)
     words = f"a circuit that bears a mean current of {circuit.current_limit:g} A"
     found.append((words, replace(rig, circuit=circuit), spec))
     if rig.battery.state_of_charge < 0.95:
@@ -286,7 +269,7 @@ def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
 
 def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:
     lead, clearance = rig.mold.lead, rig.clamps.clearance
-    longer = replace(spec, free=("lead",), lead_range=(lead, max(60e-3, LONG_LEAD * lead)))
+    longer = replace(spec, free=("lead",), lead_range=(lead, max(60e-3, 1.5 * lead)))
     room = min(1e-3, 0.5 * clearance), max(20e-3, 1.01 * clearance)
     return [
         ("{chosen}", rig, longer),
@@ -296,10 +279,10 @@ def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:
 
 def _for_narrow_window(rig: Rig, spec: HeatingSpec) -> list[Change]:
     lead = _for_ends(rig, spec)[0]
-    wider = replace(spec, window_degC=(spec.window_degC[0] - WIDER, spec.window_degC[1]))
+    wider = replace(spec, window_degC=(spec.window_degC[0] - 25.0, spec.window_degC[1]))
     wide = (f"a window that begins at {wider.window_degC[0]:g} degC", rig, wider)
-    if spec.slot <= SHORT_SLOT:
+    if spec.slot <= (short := spec.solver.quick_slot):
         return [lead, wide]
-    quick = f"duties kept for {SHORT_SLOT:g} s instead of {spec.slot:g} s"
-    both = (f"{lead[0]}, and {quick}", rig, replace(lead[2], slot=SHORT_SLOT))
-    return [(quick, rig, replace(spec, slot=SHORT_SLOT)), both, wide]
+    quick = f"duties kept for {short:g} s instead of {spec.slot:g} s"
+    both = (f"{lead[0]}, and {quick}", rig, replace(lead[2], slot=short))
+    return [(quick, rig, replace(spec, slot=short)), both, wide]

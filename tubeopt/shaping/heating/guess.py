@@ -20,12 +20,6 @@ from .simulation import History, simulate_feedback
 from .spec import HeatingSpec
 from .thermal import ThermalModel, joined, thermal_model, vent_profile
 
-GUESS_SLOT = 0.25
-"""Slots of the controller, s."""
-
-FAR = 20.0
-"""Miss of the window by a guess, K, from which on the program begins with it."""
-
 
 def first_guess(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
     """Unknowns of a schedule that heats up as fast as the ramp lets it; where that misses the window by far, of one
@@ -55,7 +49,7 @@ def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float)
     s = made.structure
     model = thermal_model(tube, rig, s.resolution)
     target, ramp, hold = _target(spec), _start_ramp(spec), spec.covered_time
-    count = int(np.clip(np.ceil((planned + hold) / GUESS_SLOT), 200, 2000))
+    count = int(np.clip(np.ceil((planned + hold) / spec.solver.guess_slot), 200, 2000))
     slot = (planned + hold) / count
 
     def controller(time: float, state: State) -> float:
@@ -79,7 +73,7 @@ def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array)
     held = joined(model, tube) - ZERO_CELSIUS
     low, high = spec.window_degC
     miss = max(low - float(held.min()), float(held.max()) - high)
-    return 1.1 * miss if miss > FAR else 0.0
+    return 1.1 * miss if miss > spec.solver.guess_miss else 0.0
 
 
 def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:

@@ -21,15 +21,6 @@ from .simulation import advance
 from .spec import HeatingSpec
 from .thermal import ThermalModel, joined
 
-DECIDED = 0.5
-"""Least time, s, for which a duty of the hold is chosen; slots that are shorter share it."""
-
-STALL, SOONER = 10.0, 2.0
-"""Time, s, over which it is looked how fast the coldest point warms, and how many times as fast it may warm later."""
-
-PROBE = 8.0
-"""Counts between which temperatures at the end of a slot are taken to be linear."""
-
 
 def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) -> tuple[Counts, Array, float] | None:
     """Counts and mean duties (T,) of heating and hold, and when the hold begins, s; None where the window is not
@@ -40,17 +31,17 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
     """
     low, high = spec.window_degC[0] + reserve, min(spec.window_degC[1], spec.limit) - reserve
     state, counts, seen = at_rest(model), [], []
-    slots, apart = int(spec.longest_heating / spec.slot), max(round(STALL / spec.slot), 1)
+    slots, apart = int(spec.longest_heating / spec.slot), max(round(spec.solver.stall / spec.slot), 1)
     for k in range(slots):
         coldest = _curved(model, state)[0]
         if coldest >= low:
             break
         if k % apart == 0:
             seen.append(coldest)
-            if _stalls(seen, low, (slots - k) / apart):
+            if _stalls(seen, low, spec.solver.sooner * (slots - k) / apart):
                 return None
         most = most_count(model, state, spec, rig)
-        count, state = _greatest(model, state, most, (spec.slot, high))
+        count, state = _greatest(model, state, most, (spec.slot, high, spec.solver.probe))
         counts.append(count)
     else:
         return None
@@ -61,17 +52,17 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
 
 
 def _stalls(seen: Sequence[float], goal: float, left: float) -> bool:
-    """Whether temperatures at equal distances in time, which rise less and less, would not reach a goal in as many more
-    of them as are left, not even `SOONER` times as fast as between the last two."""
+    """Whether temperatures at equal distances in time, which rise less and less, would not reach a goal by as many more
+    rises as there are left, no smaller than the last one."""
     if len(seen) < 3:
         return False
     before, rise = seen[-2] - seen[-3], seen[-1] - seen[-2]
-    return rise <= before and seen[-1] + SOONER * left * rise < goal
+    return rise <= before and seen[-1] + left * rise < goal
 
 
-def _greatest(model: ThermalModel, state: State, most: int, goal: tuple[float, float]) -> tuple[int, State]:
-    """Greatest count, up to `most`, that keeps every point below a temperature after a time (`goal`: s, degC), and the
-    state then."""
+def _greatest(model: ThermalModel, state: State, most: int, goal: tuple[float, float, float]) -> tuple[int, State]:
+    """Greatest count, up to `most`, that keeps every point below a temperature after a time (`goal`: s, degC, and
+    counts between which it is taken to be linear), and the state then."""
     after = advance(model, state, most / COUNTS, goal[0])
     if _hottest(after) <= goal[1]:
         return most, after
@@ -82,7 +73,7 @@ def _greatest(model: ThermalModel, state: State, most: int, goal: tuple[float, f
 def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: float) -> Array:
     """(H,) duties that bring the curved part to the middle of the window and keep it there."""
     middle = 0.5 * sum(spec.window_degC)
-    together = max(round(DECIDED / spec.slot), 1)
+    together = max(round(spec.solver.decided / spec.slot), 1)
     levels: list[float] = []
     while len(levels) < spec.hold_slots:
         span = together * spec.slot
@@ -92,7 +83,7 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
         most = most_count(model, state, spec, rig)
         # One count is left for what changes within the slots that share a duty, but the tube need not cool for it.
         for spared in (1, 0):
-            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target))
+            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target, spec.solver.probe))
             after = advance(model, state, level, span)
             if level < (most - spared) / COUNTS or _curved(model, after)[0] >= coldest:
                 break
@@ -112,10 +103,10 @@ def _hottest(state: State) -> float:
     return float(state.cells[0, :, 0].max()) - ZERO_CELSIUS
 
 
-def _level(model: ThermalModel, state: State, most: float, goal: tuple[float, float]) -> float:
-    """Duty up to `most` with which the hottest point has a temperature after a time (`goal`: s, degC), or less."""
-    span, target = goal
-    less = max(most - PROBE / COUNTS, 0.0)
+def _level(model: ThermalModel, state: State, most: float, goal: tuple[float, float, float]) -> float:
+    """Duty up to `most` with which the hottest point has a temperature after a time (`goal` as above), or less."""
+    span, target, probe = goal
+    less = max(most - probe / COUNTS, 0.0)
     top, bottom = (_hottest(advance(model, state, level, span)) for level in (most, less))
     if top <= target or most <= less:
         return most

@@ -22,15 +22,6 @@ from .simulation import History, simulate
 from .spec import HeatingSpec
 from .thermal import PROGRAM, ThermalModel, curve_start, joined, thermal_model, vent_profile
 
-DUTY_POINTS = 401
-"""Points between which the ideal duty is taken to be linear, over heating and hold."""
-
-COARSE_RAMP, LEAST_RAMP = 0.03, 0.15
-"""Part of the ramp that is kept for the fine grid, and the part that is left when room is made for whole counts."""
-
-MOST_MISS = 1500.0
-"""The program is always solvable: the window may be missed by this much, K, at a price."""
-
 WEIGHTS = {
     "time": {"w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
     "energy": {"w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_drive": 0.01},
@@ -186,9 +177,9 @@ def _solved(
 
 def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> float:
     """The ramp less what the fine grid takes of it and `room` counts, K/s."""
-    ramp, count = (1 - COARSE_RAMP) * spec.ramp, count_rate(tube, rig)
+    ramp, count = (1 - spec.solver.ramp_kept) * spec.ramp, count_rate(tube, rig)
     # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
-    return max(ramp - room * count, LEAST_RAMP * spec.ramp) if count < ramp else ramp
+    return max(ramp - room * count, spec.solver.ramp_left * spec.ramp) if count < ramp else ramp
 
 
 def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], room: float) -> Array:
@@ -235,7 +226,7 @@ def _unknown_bounds(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> t
     ]  # fmt: skip
     upper = [
         hot.ravel(), np.full(2 * s.points, np.inf), drives, np.full(intervals, longest / DURATION),
-        np.full(s.points, MOST_MISS), tail[1], vent_high, np.full(s.copies, np.inf),
+        np.full(s.points, spec.solver.most_miss), tail[1], vent_high, np.full(s.copies, np.inf),
     ]  # fmt: skip
     return np.concatenate(lower), np.concatenate(upper)
 
@@ -271,7 +262,7 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
     nodes = tableau("radau", made.structure.mesh.degree).nodes
     points = (faces[:-1, None] + np.diff(faces)[:, None] * nodes).ravel()
     # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
-    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], DUTY_POINTS)]))
+    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.duty_points)]))
     ampere = AMPERE * np.interp(fine, points, circuit[0])
     duty = DRIVE * np.interp(fine, faces, u.ravel()) / ampere**2
     changes: dict[str, Any] = {}

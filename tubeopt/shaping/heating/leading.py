@@ -21,17 +21,8 @@ from .sensors import Sensor
 from .thermal import FINE, thermal_model
 from .uncertainty import Uncertainty
 
-SHARES = (0.002, 0.005, 0.01, 0.02, 0.04)
-"""Shares per K that the regulator is tried with, from gentle to quick."""
-
 SHIFTS = np.linspace(-15.0, 15.0, 121)
 """Set-points that are looked at, K from the plan's."""
-
-INSIDE = 0.25
-"""Part of the window's width by which the coldest point of the plan is inside where the law's hold begins."""
-
-TUNING = 48
-"""Rigs on which gains and set-point are chosen; others tell how well they do."""
 
 
 @small
@@ -94,13 +85,13 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
     """The plan's schedule and what the sensor should read of it, not yet corrected.
 
     The soonest hold begins where the coldest point has just reached the window, which another rig's has not: the law's
-    begins once it is `INSIDE`, or, where the plan never gets there, when the plan's does; the last duty goes on for as
-    long as it began later.
+    begins once it is inside by `law_inside`, or, where the plan never gets there, when the plan's does; the last duty
+    goes on for as long as it began later.
     """
     slot, planned = plan.spec.slot, round(plan.hold_start / plan.spec.slot)
     low, high = plan.spec.window_degC
     coldest = plan.temperature[planned : planned + plan.spec.hold_slots // 2][:, plan.curved].min(1)
-    well = coldest >= low + INSIDE * (high - low)
+    well = coldest >= low + plan.spec.solver.law_inside * (high - low)
     later = int(np.argmax(well)) if well.any() else 0
     last = planned + plan.spec.hold_slots
     model = thermal_model(plan.tube, plan.rig, FINE)
@@ -128,9 +119,9 @@ def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -
     law = nominal_law(plan, sensor)
     nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
     found = response(nominal, sensor, law.slot, (law.planned + law.lost * (law.planned > 0)) / COUNTS, law.hold)
-    fleet, _ = fleet_of(plan, sensor, unknown, TUNING, seed)
+    fleet, _ = fleet_of(plan, sensor, unknown, plan.spec.solver.law_rigs, seed)
     best: tuple[float, HeatingLaw] | None = None
-    for share in SHARES:
+    for share in (0.002, 0.005, 0.01, 0.02, 0.04):  # per K, from gentle to quick
         proportional, integral = regulator(found, law.slot, share)
         trial = replace(law, proportional=proportional, integral=integral)
         history = corrected(plan, trial, sensor, run_loop(fleet, trial, sensor, seed=seed))

@@ -16,6 +16,7 @@ import scipy
 from ...errors import InputError, finite
 from ...typing import Array
 from .rig import COUNTS, Rig
+from .settings import DEFAULT_RIG_SOLVER, RigSolver
 
 NOISE = {"temperature": 5.0, "voltage": 0.05, "current": 0.5}
 """Noise of the channels to begin with, K, V, A."""
@@ -24,18 +25,6 @@ LEAST_NOISE = {"temperature": 0.05, "voltage": 1e-3, "current": 1e-2}
 """No instrument is better."""
 
 UNITS = {"temperature": "K", "voltage": "V", "current": "A"}
-
-FLAT = 3
-"""Readings in a row at a channel's greatest value that are more than chance."""
-
-HEATED = 30.0
-"""Rise, K, that the rig's file must expect of a thermometer before it is called dead or saturated."""
-
-SHIFTED = 5.0
-"""What a thermometer may be off the ambient temperature before heating, K, before that is remarked."""
-
-RARE = 1e-4
-"""Probability below which what is seen is no accident of noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +155,9 @@ def kind_of(channel: str) -> str:
     return channel.split()[0]
 
 
-def believable(log: HeatingLog, rig: Rig, expected: dict[str, Array]) -> tuple[HeatingLog, tuple[str, ...]]:
+def believable(
+    log: HeatingLog, rig: Rig, expected: dict[str, Array], solver: RigSolver = DEFAULT_RIG_SOLVER
+) -> tuple[HeatingLog, tuple[str, ...]]:
     """The log without readings of a saturated thermometer, and what to know of its thermometers.
 
     Args:
@@ -180,17 +171,17 @@ def believable(log: HeatingLog, rig: Rig, expected: dict[str, Array]) -> tuple[H
     channels, words = dict(log.channels), []
     for name in log.thermometers:
         read = np.flatnonzero(np.isfinite(channels[name]))
-        if len(read) < 2 * FLAT:
+        if len(read) < 2 * solver.flat:
             continue
         values, rise = channels[name][read], float(np.ptp(expected[name][read]))
-        if rise > HEATED and np.ptp(values) == 0:
+        if rise > solver.heated and np.ptp(values) == 0:
             raise InputError(
                 f"{name} of the log is {values[0] - 273.15:.1f} degC in all of its {len(values)} readings, while the "
                 f"rig's file expects a rise of {rise:.0f} K: the thermometer is dead; leave it out"
             )
         top = np.flatnonzero(values == values.max())
-        stays = len(top) >= FLAT and len(top) == top[-1] - top[0] + 1
-        if stays and float(np.ptp(expected[name][read[top]])) > 0.2 * HEATED and rise > HEATED:
+        stays = len(top) >= solver.flat and len(top) == top[-1] - top[0] + 1
+        if stays and float(np.ptp(expected[name][read[top]])) > 0.2 * solver.heated and rise > solver.heated:
             channels[name] = channels[name].copy()
             channels[name][read[top]] = np.nan
             words.append(
@@ -198,7 +189,7 @@ def believable(log: HeatingLog, rig: Rig, expected: dict[str, Array]) -> tuple[H
                 "does: they are left out"
             )
         off = float(values[0] - rig.ambient)
-        if log.time[read[0]] == log.time[0] and abs(off) > SHIFTED:
+        if log.time[read[0]] == log.time[0] and abs(off) > solver.shifted:
             words.append(
                 f"{name} begins {abs(off):.1f} K {'above' if off > 0 else 'below'} the rig's ambient temperature: the "
                 "thermometer is shifted, or the tube was not cold; fit bias tells by how much"
@@ -214,7 +205,13 @@ def step_of(values: Array) -> float:
 
 
 def unexplained(
-    channel: str, residual: Array, stated: float | None, unknowns: float, step: float = 0.0
+    channel: str,
+    residual: Array,
+    stated: float | None,
+    unknowns: float,
+    step: float = 0.0,
+    *,
+    rare: float = DEFAULT_RIG_SOLVER.rare,
 ) -> tuple[str, ...]:
     """What residuals (N,), in time, say against the model: more than the stated noise, or in long waves.
 
@@ -223,11 +220,12 @@ def unexplained(
     Args:
         unknowns: that were fitted to this channel.
         step: in which the channel is read; waves within half of one are what rounding makes of a slow change.
+        rare: probability below which it is no accident.
     """
     words, unit = [], UNITS[kind_of(channel)]
     count = len(residual)
     spread = float(np.sqrt((residual**2).sum() / max(count - unknowns, 1.0)))
-    if stated is not None and scipy.stats.chi2.sf((residual**2).sum() / stated**2, max(count - unknowns, 1.0)) < RARE:
+    if stated is not None and scipy.stats.chi2.sf((residual**2).sum() / stated**2, max(count - unknowns, 1.0)) < rare:
         words.append(
             f"residuals of {channel} are {spread:.3g} {unit}, {spread / stated:.1f} times the stated noise of "
             f"{stated:g} {unit}: the model does not explain the log, and intervals are too narrow"
@@ -238,7 +236,7 @@ def unexplained(
         runs = 1 + int((signs[1:] != signs[:-1]).sum())
         mean = 1 + 2 * above * below / count
         deviation = np.sqrt((mean - 1) * (mean - 2) / (count - 1))
-        if scipy.stats.norm.cdf((runs - mean) / deviation) < RARE:
+        if scipy.stats.norm.cdf((runs - mean) / deviation) < rare:
             words.append(
                 f"residuals of {channel} change sign {runs - 1} times in {count} readings, noise would {mean - 1:.0f} "
                 "times: the model misses something, and intervals are too narrow"

@@ -35,33 +35,6 @@ from .simulation import History, resimulate, simulate
 from .spec import HeatingSpec
 from .thermal import COARSE, FINE, PROGRAM, ThermalModel, joined, thermal_data, thermal_model
 
-COOLING = 10.0
-"""Time for which the simulation goes on after the hold, the tube still in the mold, s."""
-
-ROUNDS = 4
-TRIMS = 8
-NEAR = 0.3
-"""Change of the shift, K, below which another round would change nothing."""
-
-HOPELESS = 5.0
-"""Miss of the window, K, from which on a first round is far from what a correction can mend."""
-
-SETTLED = 2.0
-"""Miss of the window by the corrected program, K, from which on no other round lets it be held."""
-
-FINE_SWING = 0.5
-"""Swing by rounding to counts, K, up to which it is told well enough before it is known."""
-
-FIRST_ERROR = 0.004
-"""Mesh error that is expected before it is known, as a fraction of the rise in temperature."""
-
-LEAST_RESERVE = 0.3
-"""Kept from the window's ends beyond rounding and mesh error, K."""
-
-
-ROOMS = (0.75, 1.0)
-"""Counts of the duty for whose warming the program leaves room below the ramp: tried one after the other."""
-
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -142,19 +115,19 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     """The schedule that keeps everything, or the one that misses the window by least."""
     if spec.objective == "margin":
         # Nothing is farther from the window's ends than what does not fall behind.
-        return _corrected(tube, rig, spec, ROOMS[-1])
+        return _corrected(tube, rig, spec, spec.solver.more_room)
     hasty = spec.objective == "time"
     if hasty and not spec.free and (sooner := _hastened(tube, rig, spec)) is not None:
         return sooner
-    found = _corrected(tube, rig, spec, ROOMS[0])
-    if hasty and spec.free and found.outcome.shortfall <= HOPELESS:
+    found = _corrected(tube, rig, spec, spec.solver.room)
+    if hasty and spec.free and found.outcome.shortfall <= spec.solver.hopeless:
         sooner = _hastened(tube, found.run.rig, spec)
         if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
             return sooner
-    first, second = (planned_ramp(tube, rig, spec, room) for room in ROOMS)
+    first, second = (planned_ramp(tube, rig, spec, room) for room in (spec.solver.room, spec.solver.more_room))
     if found.kept or first == second or not _behind(found, spec):
         return found
-    other = _corrected(tube, rig, spec, ROOMS[1])
+    other = _corrected(tube, rig, spec, spec.solver.more_room)
     return other if other.outcome.shortfall < found.outcome.shortfall else found
 
 
@@ -177,7 +150,7 @@ def _foreseen(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
 def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, float] | None:
     """Counts and mean duties of the soonest schedule, and when the hold begins, s; None where it misses the window."""
     # Other charges are rounded anew: half a count is left for that.
-    least, model = LEAST_RESERVE + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
+    least, model = spec.solver.reserve + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
     # What the mesh adds is told by the same on a coarse one.
     rough = soonest(model, spec, rig, least)
     if rough is None:
@@ -189,7 +162,7 @@ def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, fl
     answer = soonest(fine, spec, rig, error + least)
     if answer is None:
         return None
-    cooling = np.zeros(math.ceil(COOLING / spec.slot))
+    cooling = np.zeros(math.ceil(spec.solver.cooling / spec.slot))
     return np.concatenate([answer[0], cooling.astype(np.int64)]), np.concatenate([answer[1], cooling]), answer[-1]
 
 
@@ -197,7 +170,7 @@ def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float)
     """Whether the window is missed by so much that no grid would change it."""
     (low, high), (first, last) = spec.window_degC, hold_slots(spec, start)
     held = joined(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
-    return bool(max(low - held.min(), held.max() - high) > HOPELESS)
+    return bool(max(low - held.min(), held.max() - high) > spec.solver.hopeless)
 
 
 def _run(asked: tuple[Tube, Rig, HeatingSpec], levels: Array, start: float) -> Run:
@@ -219,36 +192,36 @@ def _behind(found: Schedule, spec: HeatingSpec) -> bool:
     run = found.run
     start = round(run.start / spec.slot)
     lag = joined(run.model, run.exact.tube[start, 0] - found.checked.tube[start, 0])
-    return 0 < found.outcome.shortfall < float(lag.max()) + HOPELESS
+    return 0 < found.outcome.shortfall < float(lag.max()) + spec.solver.hopeless
 
 
 def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule:
     """The schedule after as many corrections as it takes, with `room` below the ramp."""
-    swing = ripple(tube, rig, spec)
-    error = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    swing, solver = ripple(tube, rig, spec), spec.solver
+    error = solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
     reserve = (swing + error, swing + error)
     said: Programmed | None = None
     shift: Shift | None = None
     best: Schedule | None = None
-    for round_ in range(ROUNDS):
+    for round_ in range(solver.rounds):
         said = _programmed(tube, rig, spec, room, (said, shift, reserve))
         ideal, run = said.ideal, _exactly(tube, spec, said.ideal)
         lost = (swing, 4 * swing)
         # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
-        if round_ or swing > FINE_SWING or not _hopeless(ideal, run, spec):
+        if round_ or swing > solver.fine_swing or not _hopeless(ideal, run, spec):
             found = replace(_counted(spec, run), program=said)
             # The margin is that of the fine grid only after a correction.
             if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
                 best = found
             if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
                 break
-            if ideal.miss > (SETTLED if round_ else 10 * HOPELESS):
+            if ideal.miss > (solver.settled if round_ else 10 * solver.hopeless):
                 break
             lost = _rounded(run.model, run.exact, found.checked, spec, ideal)
         before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
-        if before is not None and before.near(shift, NEAR):
+        if before is not None and before.near(shift, solver.same_shift):
             break
-        reserve = (lost[0] + run.error + LEAST_RESERVE, lost[1] + run.error + LEAST_RESERVE)
+        reserve = (lost[0] + run.error + solver.reserve, lost[1] + run.error + solver.reserve)
     assert best is not None
     return trimmed(spec, best) if best.outcome.hottest + best.run.error > spec.limit else best
 
@@ -256,8 +229,8 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
 def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
     """Whether the window is missed by far, but by so little, or with so hot a point, that a correction changes much."""
     hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error
-    corrigible = ideal.miss <= 10 * HOPELESS or hottest > spec.limit
-    return ideal.miss > HOPELESS and corrigible and _far(run.model, spec, run.exact, run.start)
+    corrigible = ideal.miss <= 10 * spec.solver.hopeless or hottest > spec.limit
+    return ideal.miss > spec.solver.hopeless and corrigible and _far(run.model, spec, run.exact, run.start)
 
 
 def _programmed(
@@ -313,12 +286,12 @@ def mesh_error(coarse: History, fine: History, schedule: Array | Counts) -> floa
 def trimmed(spec: HeatingSpec, found: Schedule) -> Schedule:
     """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
     run, scale = found.run, 1.0
-    for _ in range(TRIMS):
+    for _ in range(spec.solver.trims):
         excess = found.outcome.hottest + run.error - spec.limit
         if excess <= 0:
             break
         # Temperatures rise nearly in proportion to the duty.
-        scale *= 1 - (excess + LEAST_RESERVE) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
+        scale *= 1 - (excess + spec.solver.reserve) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
         counts = guarded_counts(run.model, spec, run.rig, scale * run.levels, rough=run.rough)
         found = replace(_checked(spec, run, counts), program=found.program)
     return found
@@ -340,7 +313,7 @@ def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
 def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
     """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
     levels = ideal.duty(spec.slot, slots_on(ideal, spec))
-    return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
+    return np.concatenate([levels, np.zeros(math.ceil(spec.solver.cooling / spec.slot))])
 
 
 def commanded(duty: Array, rig: Rig) -> Array:

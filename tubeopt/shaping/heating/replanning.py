@@ -21,18 +21,9 @@ from .plan import HeatingPlan
 from .rates import State, at_rest
 from .rig import COUNTS
 from .sensors import Sensor
+from .settings import HeatingSolver
 from .simulation import advance
 from .thermal import PROGRAM, ThermalModel, thermal_model
-
-STRENGTH, DRIFT, ROUGH = 0.01, 1.0, 2.0
-"""What the observer expects of a slot: change of the share, drift of the temperature, K, and what the model gets wrong
-of a reading, K, beside the sensor's noise."""
-
-MOST_SHARE = 0.5
-"""Greatest share by which the heating may be stronger or weaker than the model says."""
-
-PROBE = 0.05
-"""Part of a planned duty by which it is raised to see what the reading does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +68,17 @@ def planner_for(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor) -> Planner:
     """The planner for a rig that a law leads."""
     model = thermal_model(plan.tube, plan.rig, PROGRAM)
     found = response(model, sensor, law.slot, (law.planned + law.lost * (law.planned > 0)) / COUNTS, law.hold)
-    return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise))
+    return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise, plan.spec.solver))
 
 
-def observer_gains(found: Response, slot: float, noise: float) -> tuple[float, float]:
+def observer_gains(found: Response, slot: float, noise: float, solver: HeatingSolver) -> tuple[float, float]:
     """Gains of the Kalman filter in the long run, of temperature and strength."""
     kept = float(np.exp(-slot / found.time_constant))
     A = np.array([[kept, found.gain * (1 - kept)], [0.0, 1.0]])
     C = np.array([[1.0, 0.0]])
-    P = scipy.linalg.solve_discrete_are(A.T, C.T, np.diag([DRIFT**2, STRENGTH**2]), [[noise**2 + ROUGH**2]])
-    gain = P @ C.T / (C @ P @ C.T + noise**2 + ROUGH**2)
+    drift, strength, rough = solver.replanned_drift, solver.replanned_strength, solver.replanned_rough
+    P = scipy.linalg.solve_discrete_are(A.T, C.T, np.diag([drift**2, strength**2]), [[noise**2 + rough**2]])
+    gain = P @ C.T / (C @ P @ C.T + noise**2 + rough**2)
     return float(gain[0, 0]), float(gain[1, 0])
 
 
@@ -106,7 +98,8 @@ def observed(planner: Planner, before: Estimate, reading: float, count: float, s
     change = planner.gains[0] * error
     cells = before.state.cells.copy()
     cells[0, :, 0] += change * rise
-    strength = float(np.clip(before.strength + planner.gains[1] * error * rise.max(), -MOST_SHARE, MOST_SHARE))
+    most = planner.plan.spec.solver.replanned_share
+    strength = float(np.clip(before.strength + planner.gains[1] * error * rise.max(), -most, most))
     part = float(rise.max()) * change
     now = replace(
         before,
@@ -131,7 +124,7 @@ def _after(planner: Planner, now: Estimate, planned: float, span: float) -> Esti
 def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
     """The rest of the heating from a slot of the schedule on: counts with which the sensor reads what the law wants as
     each slot ends, within what the law may change and what ramp and current allow."""
-    law, share = planner.law, planner.law.share
+    law, share, probe = planner.law, planner.law.share, planner.plan.spec.solver.replanned_probe
     planned, reading = [], []
     for k in range(place, len(law.planned)):
         ends, begins = (float(law.reference[min(at, len(law.reference) - 1)]) for at in (k + 1, k))
@@ -139,9 +132,9 @@ def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
         wanted = ends + planner.sensor.lag * (ends - begins) / law.slot
         usual = float(law.planned[k])
         low, high = usual * (1 - share), usual * (1 + share)
-        probes = usual, usual * (1 + PROBE)
+        probes = usual, usual * (1 + probe)
         first, second = (float(_after(planner, now, level, law.slot).target[0]) for level in probes)
-        slope = (second - first) / max(PROBE * usual, 1e-9)
+        slope = (second - first) / max(probe * usual, 1e-9)
         level = float(np.clip(usual + (wanted - first) / max(slope, 1e-6), low, high))
         if k < law.hold[0]:
             most = most_count(planner.model, now.state, planner.plan.spec, planner.plan.rig)

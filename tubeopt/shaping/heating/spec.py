@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from ...display import Displayed
-from ...errors import InputError, choice, finite, positive
+from ...errors import InputError, choice, finite, instance, positive
 from ...files.marks import POSITIVE, OneOf, Range, Usual, check_fields, key, unit
+from .settings import DEFAULT_HEATING, HeatingSolver
 
 OBJECTIVES = ("time", "energy", "margin")
 QUENCHES = ("water", "air")
@@ -64,10 +65,13 @@ class HeatingSpec(Displayed):
         Range(above=0.0, most=0.5),
         "greatest part of the tube's surface that a vent may leave open where vents are free",
     ] = 0.4
+    solver: HeatingSolver = DEFAULT_HEATING
+    """How hard the schedule is searched for."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         check_fields(self)
+        instance("solver", self.solver, HeatingSolver)
         set_field(self, "window_degC", _pair("window_degC", self.window_degC))
         low, high = self.window_degC
         limit = high if self.limit_degC is None else finite("limit_degC", self.limit_degC)

@@ -20,6 +20,7 @@ from ...robots.tubes import Tube
 from ...typing import Array
 from .colours import NITINOL_COLOURS, ColourTable
 from .rig import COUNTS, Rig
+from .settings import DEFAULT_RIG_SOLVER, RigSolver
 from .simulation import simulate
 from .spec import HeatingSpec
 from .thermal import stack, thermal_model
@@ -27,13 +28,6 @@ from .thermal import stack, thermal_model
 RESULTS = ("under", "good", "over")
 GRID = Resolution(2, 4, 6, 8, 8)
 FACTORS = np.geomspace(0.4, 2.5, 49)
-SPREAD = 15.0
-"""Standard deviation, K, of the temperature at which a trial turns out so or so: tubes and eyes differ; assumed."""
-
-PRIOR = 0.3
-"""Standard deviation of the logarithm of the loss factor before any trial, assumed."""
-
-SLOTS = 120
 
 
 @dataclass(frozen=True)
@@ -97,11 +91,13 @@ def calibrate_from_trials(
     *,
     colours: ColourTable = NITINOL_COLOURS,
     confidence: float = 0.95,
+    solver: RigSolver = DEFAULT_RIG_SOLVER,
 ) -> TrialFit:
     """The loss factor from trial outcomes: Bayes' rule on a grid, with a log-normal prior around the rig's file.
 
     Args:
         colours: temperatures of the oxide's colours; by default wide ones of nitinol.
+        solver: how far trials are trusted.
 
     Raises:
         InputError: no trials, a colour that the table does not know, or knows after another time, or a confidence
@@ -112,9 +108,10 @@ def calibrate_from_trials(
     if not 0 < confidence < 1:
         raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
     window = (spec or HeatingSpec()).window_degC
-    ends = np.array([_end_temperatures(tube, rig, trial) for trial in trials])  # (K, G)
-    chance = np.array([_chance(trial, row, window, colours) for trial, row in zip(trials, ends, strict=True)])
-    log = np.log(np.maximum(chance, 1e-12)).sum(0) + scipy.stats.norm.logpdf(np.log(FACTORS), scale=PRIOR)
+    ends = np.array([_end_temperatures(tube, rig, trial, solver.trial_slots) for trial in trials])  # (K, G)
+    spread = solver.trial_spread
+    chance = np.array([_chance(trial, row, window, colours, spread) for trial, row in zip(trials, ends, strict=True)])
+    log = np.log(np.maximum(chance, 1e-12)).sum(0) + scipy.stats.norm.logpdf(np.log(FACTORS), scale=solver.trial_prior)
     density = np.exp(log - log.max())
     density /= density.sum()
     cumulative = np.cumsum(density) - 0.5 * density
@@ -126,20 +123,22 @@ def calibrate_from_trials(
     return TrialFit(fitted, middle, low, high, confidence, np.array(at), FACTORS, density, surprise)
 
 
-def _end_temperatures(tube: Tube, rig: Rig, trial: Trial) -> Array:
+def _end_temperatures(tube: Tube, rig: Rig, trial: Trial, slots: int) -> Array:
     """(G,) temperature of the middle at the end of a trial for every factor of the grid, degC."""
     rigs = [replace(rig, loss_factor=rig.loss_factor * factor) for factor in FACTORS]
     model = stack([thermal_model(tube, each, GRID) for each in rigs])
-    slot = trial.duration / SLOTS
-    at = (np.arange(SLOTS) + 0.5) * slot
-    duty = trial.duty / COUNTS * np.minimum(at / trial.ramp if trial.ramp else 1.0, 1.0) * np.ones(SLOTS)
+    slot = trial.duration / slots
+    at = (np.arange(slots) + 0.5) * slot
+    duty = trial.duty / COUNTS * np.minimum(at / trial.ramp if trial.ramp else 1.0, 1.0) * np.ones(slots)
     history = simulate(model, slot, duty, steps=3)
     return np.asarray(history.tube[-1, :, -1]) - ZERO_CELSIUS
 
 
-def _chance(trial: Trial, temperature: Array, window: tuple[float, float], colours: ColourTable) -> Array:
+def _chance(
+    trial: Trial, temperature: Array, window: tuple[float, float], colours: ColourTable, spread: float
+) -> Array:
     """Probability of what a trial showed at temperatures, degC: of its result, and of its colour."""
-    set_, over = (scipy.stats.norm.cdf((temperature - edge) / SPREAD) for edge in window)
+    set_, over = (scipy.stats.norm.cdf((temperature - edge) / spread) for edge in window)
     results = {"under": 1 - set_, "good": set_ - over, "over": over, "set": set_, "": np.ones_like(set_)}
     found = np.asarray(results[trial.result])
     if trial.colour is not None:

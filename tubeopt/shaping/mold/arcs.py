@@ -17,26 +17,15 @@ from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import Arc, Line, Piece, bend_at, chain_bounds
 from .setting import signed_curvature
-
-TOLERANCE = 0.5e-6
-"""Greatest distance (m) of arcs from the curve, at the places where it is looked at."""
-
-PLACES = 17
-"""Places on a biarc at which it is looked at."""
-
-MOST_TURN = 0.5
-"""Angle (rad) through which a biarc turns at most."""
+from .settings import DEFAULT_MOLD, MoldSolver
 
 FLAT = 1e-9
 """Arcs that rise less than this (m) above their chord are lines: few cutters take a radius of kilometres."""
 
-NOTHING = 1e-12
-"""Length (m) below which a stretch is none: round-off may put a kink and a change of sign beside each other."""
-
 _GAUSS = np.polynomial.legendre.leggauss(16)
 
 
-def bend_of(held: Tube) -> tuple[Piece, ...]:
+def bend_of(held: Tube, solver: MoldSolver = DEFAULT_MOLD) -> tuple[Piece, ...]:
     """The bend of a groove that holds a planar tube so, from left to right.
 
     The headings of its ends are opposite, and on the whole it turns to the right: one arc stands symmetrically about
@@ -51,7 +40,7 @@ def bend_of(held: Tube) -> tuple[Piece, ...]:
     pieces: list[Piece] = []
     for length, coefficients in panels:
         stretch = Stretch(length, side * coefficients, at, heading)
-        pieces += stretch.arcs()
+        pieces += stretch.arcs(solver)
         end = np.array([length])
         at, heading = stretch.points(end)[0], float(stretch.headings(end)[0])
     low, high = chain_bounds(pieces)
@@ -68,7 +57,7 @@ def _merged(panels: list[tuple[float, Array]]) -> list[tuple[float, Array]]:
     """Neighbouring panels of the same constant curvature as one, without those that round-off has cut."""
     out: list[tuple[float, Array]] = []
     for length, coefficients in panels:
-        if length < NOTHING:
+        if length < 1e-12:  # a kink and a change of sign beside each other
             continue
         if out and len(coefficients) == len(out[-1][1]) == 1 and coefficients[0] == out[-1][1][0]:
             out[-1] = (out[-1][0] + length, coefficients)
@@ -104,7 +93,7 @@ class Stretch:
         corners = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
         return self.start + corners[np.searchsorted(knots, s)]
 
-    def arcs(self) -> list[Piece]:
+    def arcs(self, solver: MoldSolver) -> list[Piece]:
         """The stretch as tangent arcs."""
         if len(self.coefficients) == 1:
             return [_one_arc(self.start, self.heading, float(self.coefficients[0]), self.length)]
@@ -112,11 +101,11 @@ class Stretch:
         stack = [(0.0, self.length)]
         while stack:
             low, high = stack.pop()
-            s = np.linspace(low, high, PLACES)
+            s = np.linspace(low, high, solver.arc_places)
             points, headings = self.points(s), self.headings(s)
-            if np.ptp(headings) <= MOST_TURN:
+            if np.ptp(headings) <= solver.arc_turn:
                 pair = _biarc(points[0], float(headings[0]), points[-1], float(headings[-1]))
-                if np.min([piece.distance(points) for piece in pair], axis=0).max() <= TOLERANCE:
+                if np.min([piece.distance(points) for piece in pair], axis=0).max() <= solver.arc_tolerance:
                     pieces += pair
                     continue
             stack += [((low + high) / 2, high), (low, (low + high) / 2)]

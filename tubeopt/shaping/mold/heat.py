@@ -30,9 +30,6 @@ AMBIENT = 20.0 + ZERO_CELSIUS
 USUAL_GAP = 75e-6
 """Even gap of air, m, that stands for a groove of 2 mm in board around a tube of 1.92 mm (`heating.groove_air`)."""
 
-TALBOT_POINTS = 24
-"""Points of the contour: more gains nothing in double precision."""
-
 Transform = Callable[[Array], Array]
 
 
@@ -164,13 +161,14 @@ def _flow_transform(diameter: float, material: MoldMaterial, heat: HeatSpec) -> 
 
 def _invert(transform: Transform, times: Array) -> Array:
     """Inverse Laplace transform at `times` (N,) > 0 on the fixed Talbot contour."""
-    angle = np.arange(1, TALBOT_POINTS) * math.pi / TALBOT_POINTS
+    points = 24  # more gains nothing in double precision
+    angle = np.arange(1, points) * math.pi / points
     cot = 1 / np.tan(angle)
     values = []
     for time in np.asarray(times, dtype=float):
-        r = 2 * TALBOT_POINTS / (5 * time)
+        r = 2 * points / (5 * time)
         s = r * angle * (cot + 1j)
         weight = 1 + 1j * (angle + (angle * cot - 1) * cot)
         first = 0.5 * math.exp(r * time) * transform(np.array([r + 0j]))[0].real
-        values.append(r / TALBOT_POINTS * (first + np.sum((np.exp(s * time) * transform(s) * weight).real)))
+        values.append(r / points * (first + np.sum((np.exp(s * time) * transform(s) * weight).real)))
     return np.array(values)

@@ -20,12 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...typing import Array
-
-ELEMENT = 1.5e-3
-"""Greatest length of an element, m."""
-
-GIVE = 1e-9
-"""Of a support, as a part of what the tube gives way at its softest place."""
+from .settings import DEFAULT_MOLD
 
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
@@ -47,16 +42,25 @@ class Held:
     force: Array
 
 
-def held_between(lengths: Array, curvatures: Array, places: Array, sides: Array, rooms: Array) -> Held:
+def held_between(
+    lengths: Array,
+    curvatures: Array,
+    places: Array,
+    sides: Array,
+    rooms: Array,
+    *,
+    element: float = DEFAULT_MOLD.peg_element,
+) -> Held:
     """The tube along a chain of pieces of one curvature each, clamped at both ends.
 
     Args:
         lengths, curvatures: (P,) of the pieces, m, and positive to the left, 1/m.
         places: (M,) arc lengths of the supports, m, within the chain. sides: (M,) 1 for those on the left, -1.
         rooms: (M,) way from the wanted curve's tube to each, m; negative where it reaches into it.
+        element: greatest length of one, m.
     """
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    nodes = _nodes(ends, places)
+    nodes = _nodes(ends, places, element)
     middle = 0.5 * (nodes[1:] + nodes[:-1])
     kappa = curvatures[np.clip(np.searchsorted(ends, middle) - 1, 0, len(lengths) - 1)]
     rows, weight, index = _rows(np.diff(nodes), kappa)
@@ -77,9 +81,9 @@ def held_between(lengths: Array, curvatures: Array, places: Array, sides: Array,
     return _shape(nodes, w, kappa, force)
 
 
-def _nodes(ends: Array, places: Array) -> Array:
+def _nodes(ends: Array, places: Array, element: float) -> Array:
     fixed = np.unique(np.round(np.concatenate([ends, places]), 9))
-    parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / ELEMENT)) + 1))[:-1] for a, b in pairwise(fixed)]
+    parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / element)) + 1))[:-1] for a, b in pairwise(fixed)]
     return np.append(np.concatenate(parts), fixed[-1])
 
 
@@ -122,7 +126,7 @@ def _forces(answer: Array, rooms: Array) -> Array:
     gap, give = rooms - answer[:, 0], -answer[:, 1:]
     # Supports at one place, one on either side, share what they bear: a little give of their own decides how.
     values, vectors = np.linalg.eigh(0.5 * (give + give.T))
-    root = np.sqrt(np.maximum(values, GIVE * values[-1]))
+    root = np.sqrt(np.maximum(values, 1e-9 * values[-1]))
     return np.asarray(scipy.optimize.nnls(root[:, None] * vectors.T, -(vectors.T @ gap) / root)[0])
 
 

@@ -14,9 +14,6 @@ from .groove import Centreline, Point
 from .spec import MoldSpec, VentSpec
 
 LEAST_BOLTS = 4
-SPOT = 0.5e-3
-"""Places for holes along the edge are tried at this distance, m."""
-
 DOWEL_PLACES = ((0.22, 0.0), (0.65, 1.0))
 """Where the dowels are aimed at, in parts of width and height: not point symmetric, so that the lid goes on one way."""
 
@@ -43,7 +40,7 @@ def place_fasteners(
     """
     plate, wall = spec.plate, spec.groove.wall
     inset = max(plate.bolt_diameter, plate.dowel_diameter) / 2 + wall
-    rim = _rim(size, inset)
+    rim = _rim(size, inset, spec.solver.fastener_step)
     holes: list[Hole] = []
     aims = [("bolt", plate.bolt_diameter, aim, math.inf) for aim in _corners(size, inset)]
     aims += [
@@ -102,15 +99,15 @@ def open_area(width: float, diameter: float) -> float:
     return 2 * (half * math.sqrt(radius**2 - half**2) + radius**2 * math.asin(half / radius))
 
 
-def _rim(size: Point, inset: float) -> Array:
-    """(N, 2) places for holes: a rectangle, `inset` from the edge."""
+def _rim(size: Point, inset: float, step: float) -> Array:
+    """(N, 2) places for holes, `step` (m) apart: a rectangle, `inset` from the edge."""
     (x0, y0), (x1, y1) = (inset, inset), (size[0] - inset, size[1] - inset)
     if x1 <= x0 or y1 <= y0:
         raise InputError(
             f"the plate is {size[0] * 1e3:g} x {size[1] * 1e3:g} mm; that leaves no room for bolts {inset * 1e3:g} mm "
             "from its edges"
         )
-    across, up = np.arange(x0, x1 + SPOT / 2, SPOT), np.arange(y0, y1 + SPOT / 2, SPOT)
+    across, up = np.arange(x0, x1 + step / 2, step), np.arange(y0, y1 + step / 2, step)
     sides = [[(x, y) for x in across] for y in (y0, y1)] + [[(x, y) for y in up] for x in (x0, x1)]
     return np.array([place for side in sides for place in side])
 

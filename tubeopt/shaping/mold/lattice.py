@@ -15,13 +15,8 @@ from numpy.typing import NDArray
 from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import Centreline, Point
+from .settings import DEFAULT_MOLD
 from .spec import PegSpec
-
-REACH = 0.97
-"""Part of a pin's circle within which it is set: near its ends an angle decides little."""
-
-SAMPLE = 0.1e-3
-"""Distance of the places on the curve at which it is looked at, m."""
 
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
@@ -58,7 +53,7 @@ class Sampled:
     tree: scipy.spatial.cKDTree
 
     @classmethod
-    def of(cls, curve: Centreline, step: float = SAMPLE) -> Sampled:
+    def of(cls, curve: Centreline, step: float) -> Sampled:
         """A curve, `step` (m) apart."""
         lengths, points, normals, begin = [], [], [], 0.0
         for piece in curve.pieces:
@@ -81,13 +76,14 @@ class Sampled:
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The holes of a board.   places: (N, 2), m. names: in this order."""
+    """The holes of a board.   places: (N, 2), m. names: in this order. reach: part of a pin's circle that is used."""
 
     places: Array
     names: tuple[str, ...]
+    reach: float
 
     @classmethod
-    def of(cls, size: Point, spec: PegSpec) -> Lattice:
+    def of(cls, size: Point, spec: PegSpec, reach: float = DEFAULT_MOLD.peg_reach) -> Lattice:
         """Rows half a diagonal of the lattice apart, every other one shifted by as much; as far as the margin."""
         half, margin = spec.pitch / math.sqrt(2), 0.5 * spec.pitch + 0.5 * spec.shank
         rows = int((size[1] - 2 * margin) / half + 1e-9) + 1
@@ -99,7 +95,7 @@ class Lattice:
             for column in range(count):
                 found.append((first + 2 * half * column, margin + half * row))
                 names.append(f"{letter}{column + 1}")
-        return cls(np.array(found), tuple(names))
+        return cls(np.array(found), tuple(names), reach)
 
     @property
     def named(self) -> dict[str, Point]:
@@ -109,7 +105,7 @@ class Lattice:
     def serving(self, curve: Sampled, tube: Tube, spec: PegSpec, side: int) -> tuple[NDArray[np.intp], Array]:
         """Holes from which a pin reaches the tube from one side, and the arc lengths (m) where it does."""
         s, left = curve.seen(self.places)
-        near = np.abs(side * left - spec.reach(tube.outer_diameter)) <= REACH * spec.eccentricity
+        near = np.abs(side * left - spec.reach(tube.outer_diameter)) <= self.reach * spec.eccentricity
         inside = (s > spec.pitch) & (s < curve.s[-1] - spec.pitch)
         chosen = np.flatnonzero(near & inside)
         return chosen, s[chosen]

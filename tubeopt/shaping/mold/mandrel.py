@@ -25,12 +25,6 @@ from .winding import Winding, bend_in_space, helix_of
 SHANK = 25e-3
 """Length of a turned mandrel that the chuck takes, m."""
 
-DIRECTIONS = 200
-"""Sides from which a block may be open that are tried."""
-
-STEEPEST = 0.8
-"""Greatest slope (sine) of a groove in a block towards its open side."""
-
 
 @dataclass(frozen=True)
 class Cylinder:
@@ -217,10 +211,12 @@ def _turns_apart(
 
 def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -> tuple[Block, Winding]:
     """The block of least volume over the sides from which all of the groove can be reached."""
-    bend = bend_in_space(held).with_leads(lead, lead)
+    bend = bend_in_space(held, spec.solver).with_leads(lead, lead)
     best: tuple[float, Block, Winding] | None = None
-    for up in _sides(bend.points):
-        if np.abs(bend.tangents @ up).max() > STEEPEST or _meets_itself(bend, up, width + spec.groove.wall):
+    for up in _sides(bend.points, spec.solver.block_sides):
+        if np.abs(bend.tangents @ up).max() > spec.solver.block_slope or _meets_itself(
+            bend, up, width + spec.groove.wall
+        ):
             continue
         along = bend.points[-1] - bend.points[0]
         x = along - (along @ up) * up
@@ -248,11 +244,11 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
     return best[1], best[2]
 
 
-def _sides(points: Array) -> Array:
-    """(N, 3) unit directions: the principal axes of the curve, then evenly about the sphere (Fibonacci)."""
+def _sides(points: Array, count: int) -> Array:
+    """(N, 3) unit directions: the principal axes of the curve, then `count` evenly about the sphere (Fibonacci)."""
     axes = np.linalg.svd(points - points.mean(axis=0))[2][::-1]
-    k = np.arange(DIRECTIONS) + 0.5
-    z, angle = 1 - 2 * k / DIRECTIONS, math.pi * (1 + math.sqrt(5)) * k
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, math.pi * (1 + math.sqrt(5)) * k
     ring = np.sqrt(1 - z**2)
     return np.vstack([axes, -axes, np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])])
 

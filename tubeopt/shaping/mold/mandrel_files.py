@@ -21,7 +21,6 @@ from ...files.units import TO_MM
 from ...typing import Array
 from .mandrel import Cylinder, Mandrel
 from .stl import manifold, trimesh, write_solid
-from .winding import SAGITTA
 
 TOLERANCE = 1e-5
 """Greatest distance (m) of the groove in a file from the curve."""
@@ -161,33 +160,34 @@ def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str 
 
 def _solid(mandrel: Mandrel) -> Any:
     library, w, body = manifold().Manifold, mandrel.winding, mandrel.body
+    sagitta = mandrel.spec.solver.sagitta
     if isinstance(body, Cylinder):
         solid = library.cylinder(body.length * TO_MM, body.radius * TO_MM, -1.0, SIDES).rotate((0.0, 90.0, 0.0))
         radial = w.points * np.array([0.0, 1.0, 1.0])
         away = np.linalg.norm(radial, axis=1)
         heights = np.maximum(body.radius + mandrel.width - away, mandrel.width)
-        return solid - channel(w.points, w.tangents, radial / away[:, None], heights, mandrel.width / 2)
+        return solid - channel(w.points, w.tangents, radial / away[:, None], heights, mandrel.width / 2, sagitta)
     solid = library.cube(tuple(x * TO_MM for x in body.size))
     beyond = w.with_leads(
         -w.arc_length[0] + 10 * mandrel.width, w.arc_length[-1] - w.arc_length[w.bend][-1] + 10 * mandrel.width
     )
     ups = np.tile([0.0, 0.0, 1.0], (len(beyond.points), 1))
     heights = np.maximum(body.size[2] - beyond.points[:, 2], 0.0) + mandrel.width
-    return solid - channel(beyond.points, beyond.tangents, ups, heights, mandrel.width / 2)
+    return solid - channel(beyond.points, beyond.tangents, ups, heights, mandrel.width / 2, sagitta)
 
 
-def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: float) -> Any:
+def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: float, sagitta: float) -> Any:
     """The manifold3d solid swept along `points` (N, 3), m: half a circle below, walls that rise along `ups`.
 
     Args:
         tangents, ups: (N, 3) unit; ups may lean along the curve.
         heights: (N,) of the walls above the points, m.
-        radius: of the circle, m: that of the groove.
+        radius: of the circle, m: that of the groove. sagitta: by which its chords leave it at most, m.
     """
     across = np.cross(tangents, ups)
     across /= np.linalg.norm(across, axis=1)[:, None]
     up = np.cross(across, tangents)
-    count = max(8, math.ceil(math.pi / (2 * math.acos(1 - SAGITTA / radius))))
+    count = max(8, math.ceil(math.pi / (2 * math.acos(1 - sagitta / radius))))
     angle = np.linspace(0.0, math.pi, 2 * math.ceil(count / 2) + 1)
     round_ = np.cos(angle)[:, None] * across[:, None] - np.sin(angle)[:, None] * up[:, None]
     below = points[:, None] + radius * round_

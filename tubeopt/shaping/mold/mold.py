@@ -316,7 +316,7 @@ def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
     if spec.cold_length is not None:
         cold = replace(cold, length=spec.cold_length)
     lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
-    blank = Blank(number, bend_of(held), lead, width)
+    blank = Blank(number, bend_of(held, spec.solver), lead, width)
     nowhere = (Clamp("proximal", (0.0, 0.0), (-1.0, 0.0), 0.0), Clamp("distal", (0.0, 0.0), (1.0, 0.0), 0.0))
     depth = groove_depth(tube, spec)
     groove = Groove(number, tube, blank.core, held, width, depth, mill, cold, 0.0, nowhere, spec.clamps.grip)

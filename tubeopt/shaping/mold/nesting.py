@@ -25,13 +25,6 @@ from .groove import (
 )
 from .spec import MoldSpec
 
-STEP = 0.5e-3
-"""Grooves are moved by steps of this size until they are apart."""
-
-MOST_STEPS = 1024
-ROUNDED = 5e-3
-"""Plates of free size are a multiple of this wide and high."""
-
 DIRECTIONS = {"one above the other": (0.0, 1.0), "side by side": (1.0, 0.0)}
 
 
@@ -106,19 +99,19 @@ def _arrange(blanks: Sequence[Blank], spec: MoldSpec, way: Array) -> Layout | No
         start = shifts[-1] + way * ((before.width + here.width) / 2 + spec.groove.wall)
 
         def tried(steps: int, count: int = count, start: Array = start) -> Layout | None:
-            return _placed(blanks[:count], [*shifts, start + steps * STEP * way], spec)
+            return _placed(blanks[:count], [*shifts, start + steps * spec.solver.nest_step * way], spec)
 
         # Doubled until there is room, then halved back: the last place that is too near is one step away.
         near, far = -1, 0
         while (layout := tried(far)) is None:
             near, far = far, max(1, 2 * far)
-            if far > MOST_STEPS:
+            if far > spec.solver.nest_steps:
                 return None
         while far - near > 1:
             middle = (near + far) // 2
             closer = tried(middle)
             near, far, layout = (near, middle, closer) if closer is not None else (middle, far, layout)
-        shifts.append(start + far * STEP * way)
+        shifts.append(start + far * spec.solver.nest_step * way)
     return layout
 
 
@@ -148,8 +141,9 @@ def _plate(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) -> 
     if spec.plate.size is not None:
         size = spec.plate.size
     else:
-        wide, tall = (math.ceil((x + 2 * spec.plate.margin) / ROUNDED - 1e-9) for x in high - low)
-        size = (round(wide * ROUNDED, 9), round(tall * ROUNDED, 9))
+        step = spec.solver.plate_step
+        wide, tall = (math.ceil((x + 2 * spec.plate.margin) / step - 1e-9) for x in high - low)
+        size = (round(wide * step, 9), round(tall * step, 9))
     return size, (low + high) / 2 - np.array(size) / 2
 
 

@@ -25,26 +25,10 @@ from .checks import pressing_strain
 from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd
 from .held import Held, held_between
-from .lattice import SAMPLE, Lattice, Peg, Sampled
+from .lattice import Lattice, Peg, Sampled
 from .peg_heat import PegHeat, peg_heat, pin_conductance, tube_in_air
 from .setting import bend_direction, tube_in_mold
-from .spec import MoldSpec, PegSpec
-
-SPACINGS = (6.0, 5.0, 4.0, 3.25, 2.75, 2.25, 1.75, 1.4, 1.0, 0.3)
-"""Distances of pegs on one side that are tried, in pitches."""
-
-PLACES_TRIED = 10
-"""Places of the curve on the lattice at which pegs are set, those first that offer holes most evenly."""
-
-OVERRUN = 2.0
-"""By how many pitches a bend goes on where the tube is cut off at its end: a tube between pegs cannot stop bending at
-once."""
-
-SHIFTS = 6
-"""Places of the curve on the lattice that are tried, in x and in y."""
-
-ROOM = 50e-6
-"""Room between a peg and the tube, m, that is as bad as a whole spacing along it."""
+from .spec import MoldSpec
 
 
 class PegStatus(Sentence):
@@ -136,7 +120,7 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
     instance("mold", spec, MoldSpec)
     held = _to_be_held(tube, spec, number)
     cold = tube_in_air(tube, spec.heat)
-    bend, over = _going_on(bend_of(held), tube, OVERRUN * spec.pegs.pitch)
+    bend, over = _going_on(bend_of(held, spec.solver), tube, spec.solver.peg_overrun * spec.pegs.pitch)
     leads = [
         max(spec.clamps.least_lead, (cold.length if spec.cold_length is None else spec.cold_length) - x) for x in over
     ]
@@ -146,8 +130,8 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
     if crosses_itself(curve, tube.outer_diameter + 2 * spec.pegs.pin):
         raise InputError(f"tube {number} comes back to itself: pegs find no room between")
     size, curve = _on_board(curve, spec, number)
-    lattice = Lattice.of(size, spec.pegs)
-    worst, placed, pegs, lying = _pegged(curve, lattice, tube, spec.pegs, kept)
+    lattice = Lattice.of(size, spec.pegs, spec.solver.peg_reach)
+    worst, placed, pegs, lying = _pegged(curve, lattice, tube, spec, kept)
     conductance = pin_conductance(tube, spec.heat, spec.pegs.pin, spec.pegs.height, spec.pegs.conductivity)
     heat = peg_heat(tube, spec.heat, np.array([peg.arc_length for peg in pegs]), conductance)
     return PegBoard(
@@ -156,20 +140,21 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
 
 
 def _pegged(
-    curve: Centreline, lattice: Lattice, tube: Tube, spec: PegSpec, kept: tuple[float, float]
+    curve: Centreline, lattice: Lattice, tube: Tube, spec: MoldSpec, kept: tuple[float, float]
 ) -> tuple[float, Centreline, tuple[Peg, ...], Held]:
     """Greatest deviation (m), the curve where it lies, the pegs that touch the tube, and how it lies."""
-    places = sorted(_shifts(curve, spec), key=lambda c: _unevenness(c, lattice, tube, spec))[:PLACES_TRIED]
+    pegging, solver = spec.pegs, spec.solver
+    places = sorted(_shifts(curve, spec), key=lambda c: _unevenness(c, lattice, tube, spec))[: solver.peg_places]
     found: list[tuple[float, Centreline, tuple[Peg, ...], Held]] = []
     for placed in places:
-        every = lattice.all_pegs(Sampled.of(placed), tube, spec)
-        for spacing in SPACINGS:
-            pegs = _chosen(every, placed.length, spec.pitch, spacing * spec.pitch)
-            lying = _held(placed, pegs)
+        every = lattice.all_pegs(Sampled.of(placed, solver.peg_sampled), tube, pegging)
+        for pitches in (6.0, 5.0, 4.0, 3.25, 2.75, 2.25, 1.75, 1.4, 1.0, 0.3):
+            pegs = _chosen(every, placed.length, pegging.pitch, pitches * pegging.pitch, solver.peg_room)
+            lying = _held(placed, pegs, solver.peg_element)
             found.append((_worst(lying.offset, lying.arc_length, kept), placed, pegs, lying))
-            if found[-1][0] <= spec.most_deviation:
+            if found[-1][0] <= pegging.most_deviation:
                 break
-    good = [one for one in found if one[0] <= spec.most_deviation]
+    good = [one for one in found if one[0] <= pegging.most_deviation]
     touching = [(one, int((one[3].force > 0).sum())) for one in good]
     worst, placed, pegs, lying = (
         min(touching, key=lambda pair: pair[1])[0] if good else min(found, key=lambda one: one[0])
@@ -242,24 +227,26 @@ def _moved(curve: Centreline, shift: Sequence[float]) -> Centreline:
     return Centreline(curve.lead_in.moved(by), tuple(p.moved(by) for p in curve.bend), curve.lead_out.moved(by))
 
 
-def _shifts(curve: Centreline, spec: PegSpec) -> list[Centreline]:
+def _shifts(curve: Centreline, spec: MoldSpec) -> list[Centreline]:
     """The curve at places of one cell of the lattice around the middle of the board."""
-    steps = (np.arange(SHIFTS) - SHIFTS // 2) / SHIFTS
-    return [_moved(curve, (x * math.sqrt(2) * spec.pitch, y * spec.pitch / math.sqrt(2))) for x in steps for y in steps]
+    count, pitch = spec.solver.peg_shifts, spec.pegs.pitch
+    steps = (np.arange(count) - count // 2) / count
+    return [_moved(curve, (x * math.sqrt(2) * pitch, y * pitch / math.sqrt(2))) for x in steps for y in steps]
 
 
-def _unevenness(curve: Centreline, lattice: Lattice, tube: Tube, spec: PegSpec) -> float:
+def _unevenness(curve: Centreline, lattice: Lattice, tube: Tube, spec: MoldSpec) -> float:
     """The longest stretch (m) without a hole that serves, on either side."""
-    sampled = Sampled.of(curve, 5 * SAMPLE)
+    sampled = Sampled.of(curve, 5 * spec.solver.peg_sampled)
     gaps = []
     for side in (1, -1):
-        s = np.sort(lattice.serving(sampled, tube, spec, side)[1])
+        s = np.sort(lattice.serving(sampled, tube, spec.pegs, side)[1])
         gaps.append(np.diff(np.concatenate([[0.0], s, [curve.length]])).max())
     return float(max(gaps))
 
 
-def _chosen(pegs: Sequence[Peg], length: float, margin: float, spacing: float) -> tuple[Peg, ...]:
-    """Of all pegs those on either side in turn, on one side about a spacing (m) apart, that leave the least room."""
+def _chosen(pegs: Sequence[Peg], length: float, margin: float, spacing: float, room: float) -> tuple[Peg, ...]:
+    """Of all pegs those on either side in turn, on one side about a spacing (m) apart, that leave the least room:
+    `room` (m) is as bad as a whole spacing along the tube."""
     found: dict[str, Peg] = {}
     count = max(2, round((length - 2 * margin) / spacing) + 1)
     for left in (True, False):
@@ -267,12 +254,12 @@ def _chosen(pegs: Sequence[Peg], length: float, margin: float, spacing: float) -
             target = margin + (k + 0.5 * (not left)) * (length - 2 * margin) / count
             some = [p for p in pegs if p.left == left and p.hole not in found and abs(p.arc_length - target) <= spacing]
             if some:
-                best = min(some, key=lambda p: abs(p.arc_length - target) / spacing + p.room / ROOM)
+                best = min(some, key=lambda p: abs(p.arc_length - target) / spacing + p.room / room)
                 found[best.hole] = best
     return tuple(sorted(found.values(), key=lambda peg: peg.arc_length))
 
 
-def _held(curve: Centreline, pegs: Sequence[Peg]) -> Held:
+def _held(curve: Centreline, pegs: Sequence[Peg], element: float) -> Held:
     kappa = [math.copysign(1 / piece.radius, piece.sweep) if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
     return held_between(
         np.array([piece.length for piece in curve.pieces]),
@@ -280,6 +267,7 @@ def _held(curve: Centreline, pegs: Sequence[Peg]) -> Held:
         np.array([peg.arc_length for peg in pegs]),
         np.array([1.0 if peg.left else -1.0 for peg in pegs]),
         np.array([peg.room for peg in pegs]),
+        element=element,
     )
 
 

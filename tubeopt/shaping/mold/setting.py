@@ -21,9 +21,6 @@ from .springback import Springback
 ORDER = 24
 """Degree of the polynomials by which a curvature that springs back unevenly is drawn."""
 
-HALVINGS = 8
-"""How often a stretch may be halved for them."""
-
 PLANAR = 1e-9
 """Part of the largest curvature that may point out of the plane of a planar bend."""
 
@@ -127,7 +124,7 @@ def _fitted(function: Callable[[Array], Array], breaks: list[float]) -> Series:
     while stack:
         a, b, depth = stack.pop()
         c = _INTERPOLATE @ function((a + b) / 2 + _NODES * (b - a) / 2)
-        if depth < HALVINGS and (np.abs(c[-3:]) > 1e-12 * scale).any():
+        if depth < 8 and (np.abs(c[-3:]) > 1e-12 * scale).any():
             stack += [((a + b) / 2, b, depth + 1), (a, (a + b) / 2, depth + 1)]
             continue
         ends.append(float(b))

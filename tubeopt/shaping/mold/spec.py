@@ -11,6 +11,7 @@ from ...errors import InputError, instance, numbers, positive
 from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, check_fields, key, unit
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .heat import HeatSpec
+from .settings import DEFAULT_MOLD, MoldSolver
 from .springback import Springback
 
 ENDS = ("proximal", "distal")
@@ -279,6 +280,8 @@ class MoldSpec(Displayed):
     vents: Annotated[VentSpec, "of the top plate over the bend"] = field(default_factory=VentSpec)
     pegs: Annotated[PegSpec, "of an adjustable mold, in place of grooves"] = field(default_factory=PegSpec)
     heat: Annotated[HeatSpec, "the heating that the mold is laid out for"] = field(default_factory=HeatSpec)
+    solver: MoldSolver = DEFAULT_MOLD
+    """How finely it is searched for and drawn."""
 
     def __post_init__(self) -> None:
         if isinstance(self.material, str):
@@ -286,3 +289,4 @@ class MoldSpec(Displayed):
         if isinstance(self.springback, (int, float)):
             object.__setattr__(self, "springback", Springback(self.springback))
         check_fields(self, "the mold")
+        instance("solver", self.solver, MoldSolver)

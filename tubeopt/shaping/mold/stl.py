@@ -16,15 +16,6 @@ from .drawing import PARTS
 from .groove import polygon
 from .mold import Mold
 
-SAGITTA = 1e-6
-"""Chords leave the bends of grooves by at most this much, m."""
-
-HOLE_SIDES = 192
-"""Corners of a hole: its area is 0.02 % small."""
-
-VOLUME_TOLERANCE = 1e-3
-"""Greatest relative difference of the solid's volume from plate less grooves less holes."""
-
 ABOVE = 1e-3
 """Cutters reach this far (m) beyond the faces, so that no faces coincide."""
 
@@ -67,7 +58,7 @@ def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name
         raise SolveError(f"{name or path}: the solid of the {part} is not watertight")
     wanted = mold.base_volume if part == "base" else mold.lid_volume
     off = float(mesh.volume) / TO_MM**3 / wanted - 1
-    if abs(off) > VOLUME_TOLERANCE:
+    if abs(off) > 1e-3:
         raise SolveError(f"{name or path}: the volume of the {part} is off by {off * 100:.3g} %")
     return off
 
@@ -79,15 +70,16 @@ def _base(mold: Mold) -> Any:
     for groove in mold.grooves:
         # Beyond the edge by more than an oblique exit needs.
         curve = groove.centreline.lengthened(20 * groove.width)
-        corners = polygon(curve, groove.width, SAGITTA)
+        corners = polygon(curve, groove.width, mold.spec.solver.sagitta)
         cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
         solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
-    return _drilled(solid, mold.holes, thickness, -thickness)
+    return _drilled(solid, mold.holes, (-thickness, 0.0), mold.spec.solver.hole_sides)
 
 
 def _lid(mold: Mold) -> Any:
     thickness = mold.spec.plate.lid_thickness
-    return _drilled(_box(mold, thickness, 0.0), (*mold.holes, *mold.vents), thickness, 0.0)
+    holes = *mold.holes, *mold.vents
+    return _drilled(_box(mold, thickness, 0.0), holes, (0.0, thickness), mold.spec.solver.hole_sides)
 
 
 def _box(mold: Mold, thickness: float, bottom: float) -> Any:
@@ -95,10 +87,10 @@ def _box(mold: Mold, thickness: float, bottom: float) -> Any:
     return box.translate((0.0, 0.0, bottom * TO_MM))
 
 
-def _drilled(solid: Any, holes: Any, thickness: float, bottom: float) -> Any:
-    library = manifold()
+def _drilled(solid: Any, holes: Any, heights: tuple[float, float], sides: int) -> Any:
+    library, (bottom, top) = manifold(), heights
     for hole in holes:
-        drill = library.Manifold.cylinder((thickness + 2 * ABOVE) * TO_MM, hole.diameter / 2 * TO_MM, -1.0, HOLE_SIDES)
+        drill = library.Manifold.cylinder((top - bottom + 2 * ABOVE) * TO_MM, hole.diameter / 2 * TO_MM, -1.0, sides)
         solid -= drill.translate((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM, (bottom - ABOVE) * TO_MM))
     return solid
 

@@ -14,15 +14,7 @@ from ...robots.series import Series, breaks_of
 from ...robots.tubes import Tube
 from ...typing import Array
 from .setting import values
-
-SAGITTA = 1e-6
-"""Chords between the points of a groove leave it by at most this much, m."""
-
-TURN = math.radians(5.0)
-"""Points of a groove are at most so far apart that it turns by this much between them."""
-
-EVEN = 1e-12
-"""Relative difference of curvature and torsion up to which neighbouring pieces are of one helix."""
+from .settings import MoldSolver
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,20 +51,21 @@ def helix_of(held: Tube) -> tuple[float, float] | None:
             return None
         found.append(piece.precurvature)
     u = np.array(found)
-    if not len(u) or np.abs(u - u[0]).max() > EVEN * np.abs(u[0]).max():
+    if not len(u) or np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():
         return None
     curvature, torsion = float(np.hypot(u[0, 0], u[0, 1])), float(u[0, 2])
     return (curvature, torsion) if curvature > 0 and torsion != 0 else None
 
 
-def bend_in_space(held: Tube) -> Winding:
+def bend_in_space(held: Tube, solver: MoldSolver) -> Winding:
     """The bend from the origin, along z at first: R' = R hat(u*), p' = R e3, to 1e-12."""
     state = np.concatenate([np.zeros(3), np.eye(3).ravel()])
     s, rows = [0.0], [state]
     for piece in held.pieces or (Piece(held.curved_length, held.curvature),):
         breaks = breaks_of(piece.precurvature, piece.length)
         for low, high in pairwise(breaks):
-            step = min(math.sqrt(8 * SAGITTA / max(held.curvature, 1.0)), TURN / max(held.curvature, 1.0), 1e-3)
+            bent = max(held.curvature, 1.0)
+            step = min(math.sqrt(8 * solver.sagitta / bent), solver.chord_turn / bent, 1e-3)
             places = np.linspace(low, high, max(2, math.ceil((high - low) / step) + 1))
 
             def rate(x: float, y: Array, piece: Piece = piece) -> Array:
