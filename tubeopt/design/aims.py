@@ -27,9 +27,6 @@ UNIT, REGULAR = 0.01, 1e-8
 SLIGHT = 1e-7
 """What is added to squares of singular values of a turn, rad^2."""
 
-TINY = 1e-12
-"""Volume (m^3) within which what may be 0 is rounded off."""
-
 
 @singledispatch
 def aim(one: Any, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None) -> Expression | None:
@@ -132,7 +129,7 @@ def _swept(tips: Sequence[Any]) -> Any:
     for k, tip in enumerate(tips):
         r, z, s, w = radius[k - 1], tips[k - 1][2], radius[k], tip[2]
         total += (r * w - s * z) * (r + s)
-    return np.pi / 3 * ca.sqrt(total**2 + TINY**2)
+    return np.pi / 3 * ca.sqrt(total**2 + 1e-12**2)
 
 
 def _tip_curvature(one: Objective, q: Quantities) -> Any:

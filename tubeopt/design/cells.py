@@ -17,15 +17,6 @@ from .program import Program, evaluate, state_at
 from .solve_one import Attempt, MoreRows, Report, attempt, improve
 from .state import State
 
-CLOSED = 1e-5
-"""Length of a section (m) below which it is closed."""
-
-NUDGE = 2e-6
-"""Length (m) by which a section is opened on the other side of a kink."""
-
-GAIN = 1e-7
-"""Relative gain of the objective below which another order is no better."""
-
 
 @dataclass(frozen=True)
 class Order:
@@ -101,13 +92,13 @@ def improve_by_cells(program: Program, start: Array, report: Report | None = Non
     """The optimum in the cell of a start, then in its neighbours for as long as they are better."""
     cell = cell_at(program, start)
     best = _in_cell(program, start, cell, report)
-    tried = {cell}
-    for _ in range(program.task.solver.orders):
+    tried, solver = {cell}, program.task.solver
+    for _ in range(solver.orders):
         values, slopes, what = cell_rows(program, state_at(program, best.x), cell)
         if not best.feasible or not what:
             break
         prices = np.zeros(len(values)) if best.optimum is None else best.optimum.multipliers[-len(values) :]
-        closed = [k for k in np.argsort(-prices) if values[k] * 1e-2 < CLOSED and prices[k] > 1e-8]
+        closed = [k for k in np.argsort(-prices) if values[k] * 1e-2 < solver.closed_section and prices[k] > 1e-8]
         better = None
         for k in closed:
             other = swapped(cell, *what[k])
@@ -116,7 +107,7 @@ def improve_by_cells(program: Program, start: Array, report: Report | None = Non
             tried.add(other)
             begin = _across(program, best.x, values[k], slopes[k])
             found = _in_cell(program, begin, other, report)
-            if found.feasible and found.objective < best.objective - GAIN * max(abs(best.objective), 1e-3):
+            if found.feasible and found.objective < best.objective - solver.order_gain * max(abs(best.objective), 1e-3):
                 better = other, found
                 break
         if better is None:
@@ -147,5 +138,5 @@ def _rows_of(program: Program, cell: Cell) -> MoreRows:
 def _across(program: Program, x: Array, value: float, slope: Array) -> Array:
     """x moved as little as possible to where a section is open on the other side."""
     scaled = slope * program.scale
-    step = -(value + NUDGE / 1e-2) / float(scaled @ scaled)
+    step = -(value + program.task.solver.opened_section / 1e-2) / float(scaled @ scaled)
     return np.clip(x + step * scaled * program.scale, program.lower, program.upper)

@@ -42,9 +42,6 @@ HELD = (3e-7, 3e-6)
 """Part of a step by which limits are held inside, for what blocks and the reduced program differ; the second where the
 first is not enough."""
 
-MOST_MARGIN = 0.999
-"""Greatest margin that a block can be asked for."""
-
 DEEPEST = 1e-7
 """How exactly (m) the pose of the objective reach_radius keeps its depth."""
 
@@ -196,7 +193,7 @@ class _Collocated:
         """An unknown that the margin of a pose is not below: as good as the margin where more of it is better."""
         margin = self.opti.variable()
         self.opti.set_initial(margin, min(max(self.state.pose(pose).margin - 0.01, 0.0), 0.9))
-        self.opti.subject_to(margin <= MOST_MARGIN)
+        self.opti.subject_to(margin <= 0.999)
         self._block(pose).margin_at_least(margin)
         return margin
 

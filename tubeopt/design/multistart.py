@@ -16,9 +16,6 @@ from .program import Program
 from .solve import Attempt, Report, solve
 from .starts import start_values
 
-SAME = 1e-3
-"""Dimensions closer than this, in steps of their scale, are one design."""
-
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
@@ -64,7 +61,7 @@ def rank(attempts: Sequence[Attempt]) -> Ranking:
 def _same(a: Attempt, b: Attempt) -> bool:
     count = a.program.layout.designs
     gap = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
-    return bool(gap.max() < SAME)
+    return bool(gap.max() < a.program.task.solver.same_design)
 
 
 def multistart(

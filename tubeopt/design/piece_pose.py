@@ -22,9 +22,6 @@ from ..stability.shooting import profiles, to_base
 from ..typing import Array
 from .solved import Solved
 
-DIFFERENT = 1e-6
-"""A certificate of two tubes that is larger than that of all pairs at their worst by less is the same."""
-
 
 class PiecePose:
     """A solved pose, as `pose.Pose`, with derivatives (L,) by rotations, translations, and what `changes` lists."""
@@ -98,7 +95,7 @@ class PiecePose:
         value, mode, _ = worst_case(self.problem)
         pair = pair_of(self.problem)
         least = None if pair is None else least_margin_of_pair(pair)
-        if pair is not None and least is not None and least.bound > value + DIFFERENT:
+        if pair is not None and least is not None and least.bound > value + 1e-6:
             tips = np.zeros((1, len(self._tubes)))
             tips[0, pair.tubes[0]] = least.tip
             rotations = to_base(self.problem, tips)[0]

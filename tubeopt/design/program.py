@@ -33,9 +33,6 @@ STABLE = SnapFreeInUse(0.05, paths=False)
 POSED = ("margin in use", "certified margin")
 """Limits whose rows stay, though their derivative may be 0 for a while: where nothing softens."""
 
-MOST_SLACK = 1e4
-"""Steps by which a limit may move at most."""
-
 BOUNDED = {
     "strain": (0.0, 1.0, 1e-2),
     "margin": (-100.0, 1.0, 0.1),
@@ -250,7 +247,7 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
     """The program with a slack for every group of rows, fixed at 0 for those that may not move."""
     count = len(may_move)
     layout = replace(program.layout, auxiliary=(*program.layout.auxiliary, *(slack_name(k) for k in range(count))))
-    most = np.where(may_move, MOST_SLACK, 0.0)
+    most = np.where(may_move, 1e4, 0.0)
     return replace(
         program,
         layout=layout,

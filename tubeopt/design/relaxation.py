@@ -12,22 +12,9 @@ from ..typing import Array
 from .limit import Limit
 from .program import Program, compile_task, elastic, evaluate
 from .rows import Rows, relaxed
-from .solve import NEAR, best_from
+from .solve import best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
 from .task import DesignTask
-
-DIGITS = 3
-"""Digits to which a relaxed limit is told: rounded to the side on which the task is feasible."""
-
-LEAST = 1e-5
-"""Slack, in steps of its limit, below which a limit needs no relaxation."""
-
-ENOUGH = 1e-5
-"""Violation (steps) at which slacks count as sufficient."""
-
-TRIES = ((1.0, 0.01), (1.0, 0.0), (1.02, 0.0), (1.04, 0.0), (1.06, 0.0))
-"""Factors by which a relaxation is enlarged, one after the other until the relaxed task is found feasible; and part of
-the last digit by which the limit may be rounded to the demanding side: a limit of 160 mm is told as such."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +74,7 @@ def smallest_relaxations(failed: Sequence[Attempt], most: int = 3) -> list[Relax
     _, program, x, slack = min(sums, key=lambda item: item[0])
     together = _apply(program, x, slack)
     out = [] if together is None else [together]
-    moved = np.flatnonzero(slack > LEAST)
+    moved = np.flatnonzero(slack > program.task.solver.least_slack)
     found = rows_at(program, x)[0]
     values = [float(group.values.min()) for group in found]
     near = [k for k in np.argsort(values) if found[k].limit.movable]
@@ -105,20 +92,22 @@ def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Ar
     eased = elastic(program, may_move.tolist())
     slack = np.where(may_move, [max(0.0, -float(group.values.min())) + 1e-2 for group in found], 0.0)
     begin = to_feasibility(eased, np.concatenate([start, slack]))
-    if violation(eased, begin)[0] > NEAR:
+    if violation(eased, begin)[0] > program.task.solver.near:
         return None
-    best = best_from(eased, begin)
-    return (best.x[: len(start)], best.x[len(start) :]) if best.violation <= ENOUGH else None
+    best, enough = best_from(eased, begin), program.task.solver.slack_missing
+    return (best.x[: len(start)], best.x[len(start) :]) if best.violation <= enough else None
 
 
 def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
     """Move the limits, rounded outwards, and solve the relaxed task; None where it is not found feasible."""
     found, _ = rows_at(program, x)
-    for factor, inwards in TRIES:
+    # Enlarged until the relaxed task is found feasible; rounded a little to the demanding side, so that a limit of
+    # 160 mm is told as such.
+    for factor, inwards in ((1.0, 0.01), (1.0, 0.0), (1.02, 0.0), (1.04, 0.0), (1.06, 0.0)):
         moves = [
             _change(group, factor * float(s) * group.limit.size, inwards)
             for group, s in zip(found, slack, strict=True)
-            if s > LEAST
+            if s > program.task.solver.least_slack
         ]
         if not moves:
             return None
@@ -146,7 +135,7 @@ def _change(group: Rows, amount: float, inwards: float) -> Change:
     limit = group.limit
     sign = 1.0 if limit.most else -1.0
     shown = (limit.value + sign * amount) * limit.factor
-    digits = DIGITS - 1 - int(np.floor(np.log10(max(abs(shown), 1e-12))))
+    digits = 2 - int(np.floor(np.log10(max(abs(shown), 1e-12))))
     step = 10.0 ** -min(max(digits, 0), 8)
     rounded = (np.ceil(shown / step - inwards - 1e-9) if limit.most else np.floor(shown / step + inwards + 1e-9)) * step
     value = float(rounded / limit.factor)

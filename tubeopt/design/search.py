@@ -28,12 +28,6 @@ from .solve_one import FEASIBLE, attempt, to_feasibility, violation
 from .starts import start_values
 from .task import DesignTask
 
-STEP = 0.2
-"""Size of the first simplex, as a share of every range."""
-
-NARROW = 1e-3
-"""Share of the ranges below which a simplex has converged."""
-
 
 class Wanted(Protocol):
     """What is asked of a robot, and of numbers of its own (k,), as where a plate stands, which begin as 0."""
@@ -211,15 +205,15 @@ class _Search:
     def from_place(self, u: Array, until: float) -> None:
         """Simplex searches, each from where the one before ended, as long as that is better than where it began: a
         simplex that is pressed against a requirement is flat."""
-        self.until, before = until, np.inf
-        options = {"xatol": NARROW, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
+        self.until, before, solver = until, np.inf, self.programs[0].task.solver
+        options = {"xatol": solver.simplex_size, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
         bounds = [(0.0, 1.0)] * len(u)
         with suppress(_EndError):
             while True:
-                simplex = np.vstack([u, u + np.diag(np.where(u > 0.5, -STEP, STEP))])
+                simplex = np.vstack([u, u + np.diag(solver.simplex_step * np.where(u > 0.5, -1, 1))])
                 some = {**options, "initial_simplex": simplex}
                 found = scipy.optimize.minimize(self, u, method="Nelder-Mead", bounds=bounds, options=some)
-                if not found.fun < before - NARROW:
+                if not found.fun < before - solver.simplex_size:
                     break
                 u, before = found.x, float(found.fun)
 

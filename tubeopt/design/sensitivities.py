@@ -14,15 +14,6 @@ from .parameters import UNITS
 from .program import stack, state_at, total_objective
 from .solve_one import Attempt, rows_at
 
-NEAR_ROW = 1e-3
-"""Steps of a limit within which it may bind, where IPOPT has not said which do."""
-
-OPTIMAL = 0.02
-"""Part of the objective's slope that the conditions of optimality may leave over."""
-
-ACTIVE = 1e-6
-"""Multiplier, relative to the largest, below which a limit does not bind."""
-
 
 @dataclass(frozen=True)
 class Sensitivity:
@@ -54,7 +45,8 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
     effect = [price * limit.size for limit, price in prices]
     largest = max(effect, default=0.0)
     order = np.argsort(effect)[::-1]
-    return tuple(_sensitivity(found, *prices[k]) for k in order if effect[k] > ACTIVE * max(largest, 1e-300) > 0)
+    least = found.program.task.solver.least_price * max(largest, 1e-300)
+    return tuple(_sensitivity(found, *prices[k]) for k in order if effect[k] > least > 0)
 
 
 def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
@@ -62,13 +54,13 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     come closest to the conditions of optimality at the design; None where those do not hold."""
     if found.optimum is not None and found.optimum.success:
         return found.optimum.multipliers, found.optimum.bound_multipliers
-    program, x = found.program, found.x
+    program, x, solver = found.program, found.x, found.program.task.solver
     state = state_at(program, x)
     values, jacobian = stack(*rows_at(program, x))
     sections = cell_rows(program, state, cell_at(program, x))
-    near = np.flatnonzero(values < NEAR_ROW)
-    closed = np.flatnonzero(sections[0] < NEAR_ROW)
-    low, high = ((program.scale * NEAR_ROW > abs(x - bound)) for bound in (program.lower, program.upper))
+    near = np.flatnonzero(values < solver.price_near)
+    closed = np.flatnonzero(sections[0] < solver.price_near)
+    low, high = ((program.scale * solver.price_near > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
     columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
@@ -76,7 +68,7 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     if not matrix.size:
         return None  # nothing is near
     price, gap = scipy.optimize.nnls(matrix, slope)
-    if gap > OPTIMAL * float(np.linalg.norm(slope)):
+    if gap > solver.price_gap * float(np.linalg.norm(slope)):
         return None
     out = np.zeros(len(values))
     out[near] = price[: len(near)]

@@ -5,21 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..typing import Array
-from .cells import GAIN, improve_by_cells
+from .cells import improve_by_cells
 from .collocation import collocate
 from .program import Program
 from .solve_one import FEASIBLE, Attempt, Report, attempt, cubed, improve, rows_at, to_feasibility, violation
 from .starts import with_joints
-
-NEAR = 0.5
-"""Violation, in steps of its limit, from which IPOPT is trusted to get inside."""
-
-RIM = 1e-3
-"""Part of a target's tolerance from a side of its cube within which that side binds, and of the objective that it may
-cost to stay inside the cubes."""
-
-EASED = 1e-5
-"""Slack (steps) above which a tolerance counts as eased."""
 
 METHODS = ("reduced", "collocation")
 """Ways to the optimum: with the equilibria solved inside, or as unknowns of one program of blocks."""
@@ -29,15 +19,15 @@ def solve(program: Program, start: Array, report: Report | None = None, method: 
     """The best design from a start (X,), SI, by one of METHODS."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
     missed = violation(program, x)[0]
-    restarts = program.task.solver.joint_restarts if program.layout.free_poses else 0
+    near, restarts = program.task.solver.near, program.task.solver.joint_restarts if program.layout.free_poses else 0
     for kick in range(restarts):
-        if missed <= NEAR:
+        if missed <= near:
             break
         random = np.random.default_rng([kick, program.layout.size])
         other = to_feasibility(program, with_joints(program, x[: program.layout.designs], random), report)
         if violation(program, other)[0] < missed:
             x, missed = other, violation(program, other)[0]
-    if missed > NEAR:
+    if missed > near:
         return attempt(program, x, None)
     return collocate(program, x) if method == "collocation" else best_from(program, x, report)
 
@@ -53,23 +43,25 @@ def best_from(program: Program, x: Array, report: Report | None = None) -> Attem
 
 def _to_the_rim(program: Program, found: Attempt, report: Report | None) -> Attempt:
     """The optimum with whole balls around the targets, where the cubes inside them cost something."""
-    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= RIM:
+    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= program.task.solver.rim:
         return found
     other = improve(program, found.x, report, program.task.solver.ball_iterations, exact=True)
     if found.feasible and other.feasible:
-        return other if other.objective < found.objective - GAIN * max(abs(found.objective), 1e-3) else found
+        least = program.task.solver.order_gain * max(abs(found.objective), 1e-3)
+        return other if other.objective < found.objective - least else found
     return min(found, other, key=_worse)
 
 
 def _price_of_cubes(program: Program, found: Attempt) -> float:
     """Relative gain of the objective, to first order, were the cubes to hold the balls; without prices inf where a cube
     binds, and 0 where none does."""
+    solver = program.task.solver
     balls = [group for group in rows_at(program, found.x)[0] if group.vector is not None]
-    near = any((cubed(one).values < RIM * one.limit.value / one.limit.size).any() for one in balls)
+    near = any((cubed(one).values < solver.rim * one.limit.value / one.limit.size).any() for one in balls)
     if not near:
         return 0.0
     if program.elastic:
-        return np.inf if any(one.slack is not None and one.slack[0] > EASED for one in balls) else 0.0
+        return np.inf if any(one.slack is not None and one.slack[0] > solver.least_slack for one in balls) else 0.0
     if not found.feasible or found.optimum is None or not found.optimum.success:
         return np.inf
     gain, first = 0.0, 0

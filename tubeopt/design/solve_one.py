@@ -30,9 +30,6 @@ from .state import State
 FEASIBLE = 1e-7
 """Largest violation, in steps of each limit, of what counts as kept."""
 
-INSIDE = 1e-3
-"""By how many steps least squares aims inside every limit, so that IPOPT starts in the interior."""
-
 Found = tuple[State, list[Rows], tuple[Array, Array]]
 MoreRows = Callable[[State], tuple[Array, Array]]
 
@@ -85,11 +82,11 @@ def attempt(program: Program, x: Array, optimum: Optimum | None) -> Attempt:
     return Attempt(program, x, objective, size, words if size > FEASIBLE else "", optimum)
 
 
-def shortfall(found: Found) -> tuple[Array, Array]:
-    """By how much rows fall short of being kept by INSIDE, and its change: of rows that limit a vector, along it."""
+def shortfall(found: Found, inside: float) -> tuple[Array, Array]:
+    """By how much rows fall short of being kept by `inside` steps, and its change; of a limited vector, along it."""
     values, slopes = [], []
     for group in found[1]:
-        short = np.minimum(group.values - INSIDE, 0.0)
+        short = np.minimum(group.values - inside, 0.0)
         slope = group.jacobian * (short < 0)[:, None]
         if group.vector is not None:
             vector, change = group.vector
@@ -102,7 +99,7 @@ def shortfall(found: Found) -> tuple[Array, Array]:
             short = (short[:, None] * along).ravel()
         values.append(short)
         slopes.append(slope)
-    fixed = np.minimum(found[2][0] - INSIDE, 0.0)
+    fixed = np.minimum(found[2][0] - inside, 0.0)
     return np.concatenate([*values, fixed]), np.concatenate([*slopes, found[2][1] * (fixed < 0)[:, None]])
 
 
@@ -126,7 +123,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         found = evaluate(program, full(part))
         if found is None:
             return np.full(rows_count, np.nan)
-        gap, jacobian = shortfall(found)
+        gap, jacobian = shortfall(found, program.task.solver.inside)
         rows_count = len(gap)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]

@@ -19,9 +19,6 @@ from .requirements import Avoid, Coverage, Reach
 from .solved import solve_pose
 from .state import FreePose
 
-FAR = 5e-3
-"""Distance (m) from its target that is as bad, in the guess of a pose, as to turn by 1 rad from the pose before."""
-
 
 def start_values(program: Program, seed: int, count: int) -> list[Array]:
     """`count` starts x (X,), SI: the first at the task's own dimensions, the others from a scrambled Sobol sequence."""
@@ -66,7 +63,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
     for index, aim in _aims(program).items():
         pose = layout.poses[index]
         assert isinstance(pose, FreePose)
-        best = int(np.argmin(_gap(tips, aim) + penalty + FAR * turned))
+        best = int(np.argmin(_gap(tips, aim) + penalty + program.task.solver.pose_turn * turned))
         turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
         x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
         program.guesses[index] = poses[best].solved.twist

@@ -23,12 +23,6 @@ from .pieces import change_of, given_of
 from .pose import Pose
 from .solved import Solved, Twist, solve_pose, without_solving
 
-DIFFERENCE = 1e-4
-"""Step of the differences of derivatives, in units of the size of every unknown."""
-
-LENGTH_STEP = 0.1
-"""Size (m) of a translation in that."""
-
 
 @dataclass(frozen=True)
 class FreePose:
@@ -237,10 +231,10 @@ class State:
         size[: self.layout.designs] = self.layout.space.scale
         for pose in self.layout.poses:
             if isinstance(pose, FreePose):
-                size[self.layout.joints(pose)[1]] = LENGTH_STEP
+                size[self.layout.joints(pose)[1]] = 0.1  # m
         change = np.zeros((12 * self.layout.n, self.layout.size))
         for column in np.flatnonzero(self.chain(index).any(0)).tolist():
-            step = np.eye(self.layout.size)[column] * DIFFERENCE * size[column]
+            step = np.eye(self.layout.size)[column] * 1e-4 * size[column]
             ends = (here(State(self.layout, x, dict(self._guesses))) for x in (self.x + step, self.x - step))
             change[:, column] = -np.diff(np.stack(list(ends)), axis=0)[0] / (2 * step[column])
         return here(self), change

@@ -30,12 +30,6 @@ from .requirements import (
     Wall,
 )
 
-SOFT = 0.03
-"""Part of a target's tolerance within which the distance from it is rounded off, to be smooth at the target itself."""
-
-ROUND = 1e-9
-"""The same for an angle, rad."""
-
 Function = Callable[[Quantities], Any]
 
 
@@ -229,7 +223,8 @@ def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, 
         return ca.vertcat(*(q.poses[k].tip_position - ca.DM(p) for k, p in zip(poses, points, strict=True)))
 
     def room(q: Quantities) -> Any:
-        soft = SOFT * limit.value
+        # Rounded off near the target, to be smooth at the target itself.
+        soft = 0.03 * limit.value
         distance = ca.sqrt(ca.sum1(ca.reshape(gap(q), 3, len(poses)) ** 2) + soft**2)
         return np.sqrt(limit.value**2 + soft**2) - distance.T
 
@@ -239,5 +234,5 @@ def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, 
 def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities) -> Any:
     """What is left of the direction's tolerance, rad."""
     heading, wanted = q.poses[pose].tip_direction, ca.DM(direction)
-    apart, together = (ca.sqrt(ca.sumsqr(heading + sign * wanted) + ROUND**2) for sign in (-1, 1))
+    apart, together = (ca.sqrt(ca.sumsqr(heading + sign * wanted) + 1e-9**2) for sign in (-1, 1))
     return limit.value - 2 * ca.atan2(apart, together)

@@ -236,13 +236,6 @@ def _check_slots(space: DesignSpace) -> None:
                 )
 
 
-CORNERS = 3
-"""Of a polygon, at least."""
-
-ORIENTED = 3
-"""Tubes with which place and direction of the tip, five numbers, can change."""
-
-
 def _poses_of(one: Requirement) -> int:
     match one:
         case Reach(targets=targets):
@@ -250,7 +243,7 @@ def _poses_of(one: Requirement) -> int:
         case Poses(rotations=rotations):
             return len(rotations)
         case Coverage():
-            return CORNERS
+            return 3
         case _:
             return 0
 
@@ -259,8 +252,8 @@ def _check_objectives(task: DesignTask) -> None:
     certified = bool(of_kind(task.requirements, SnapFree))
     if any(one.kind == "workspace_volume" for one in task.objectives if isinstance(one, Objective)):
         count = sum(_poses_of(one) for one in task.requirements)
-        if count < CORNERS:
-            raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least {CORNERS}")
+        if count < 3:
+            raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least 3")
     for one in task.objectives:
         if isinstance(one, OwnObjective):
             one.checked()
@@ -272,9 +265,9 @@ def _check_objectives(task: DesignTask) -> None:
             _advanced(task, one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
-        if one.kind == "orientability" and task.robot.n_tubes < ORIENTED:
+        if one.kind == "orientability" and task.robot.n_tubes < 3:
             raise InputError(
-                f"objective orientability needs {ORIENTED} tubes; the {task.robot.n_tubes} of the robot cannot turn "
+                f"objective orientability needs 3 tubes; the {task.robot.n_tubes} of the robot cannot turn "
                 "the tip to all sides at a place"
             )
         if one.kind in ("stroke_force", "workspace_volume"):

@@ -23,9 +23,6 @@ from .solved import without_solving
 NORMAL_95 = 1.959963984540054
 """Half width of the 95 % interval of the normal distribution."""
 
-BATCH = 64
-"""Samples per piece of work."""
-
 
 @dataclass(frozen=True)
 class Tolerances:
@@ -104,7 +101,7 @@ def tolerance_analysis(
     if np.isnan(nominal[1]).any():
         raise SolveError("the robot as designed has no stable equilibrium at a pose whose tip is to be compared")
     tubes = sample_tubes(robot.tubes, tolerances, samples)
-    batches = [tubes[k : k + BATCH] for k in range(0, samples, BATCH)]
+    batches = [tubes[k : k + 64] for k in range(0, samples, 64)]
     with executor(min(workers, len(batches))) as pool:
         parts = run_all(partial(_batch, translations=where, poses=tuple(poses)), batches, pool, progress)
     certificate, tip = (np.concatenate([part[k] for part in parts]) for k in range(2))

@@ -15,9 +15,6 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 
-ASIDE = 1e-9
-"""Distance (m) from a shape point at which to look for strain: the arm's curvature jumps at breakpoints."""
-
 MISSED = 1e-6
 """Part of a limit by which it may be missed."""
 
@@ -56,7 +53,7 @@ def largest_strain(one: Strain, robot: ConcentricRobot, equilibria: tuple[Equili
     sides of which the tubes are bent as their balance of moments says."""
     found = np.array([tube.straightened_strain if one.straightened else 0.0 for tube in robot.tubes])
     for e in equilibria if one.in_poses else ():
-        for aside in (-ASIDE, ASIDE):
+        for aside in (-1e-9, 1e-9):  # m: the arm's curvature jumps at breakpoints
             s = e.arc_length + aside
             there = (s > 0) & (s < e.translations[:, None] + np.array([[tube.curved_length] for tube in robot.tubes]))
             own = [_own(tube, s - d) for tube, d in zip(robot.tubes, e.translations, strict=True)]
