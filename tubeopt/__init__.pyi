@@ -132,7 +132,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
-from .validation.force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
+from .validation.force import ForceEstimate, ForceRecord, ForceSolver, estimate_force, estimate_forces
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
@@ -160,6 +160,7 @@ __all__ = [
     "Finding",
     "ForceEstimate",
     "ForceRecord",
+    "ForceSolver",
     "Friction",
     "FrictionBand",
     "HeatingPlan",

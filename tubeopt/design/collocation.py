@@ -193,7 +193,7 @@ class _Collocated:
         """An unknown that the margin of a pose is not below: as good as the margin where more of it is better."""
         margin = self.opti.variable()
         self.opti.set_initial(margin, min(max(self.state.pose(pose).margin - 0.01, 0.0), 0.9))
-        self.opti.subject_to(margin <= 0.999)
+        self.opti.subject_to(margin <= 0.999)  # the greatest that a block can be asked for
         self._block(pose).margin_at_least(margin)
         return margin
 

@@ -95,7 +95,7 @@ class PiecePose:
         value, mode, _ = worst_case(self.problem)
         pair = pair_of(self.problem)
         least = None if pair is None else least_margin_of_pair(pair)
-        if pair is not None and least is not None and least.bound > value + 1e-6:
+        if pair is not None and least is not None and least.bound > value + 1e-6:  # else they are the same
             tips = np.zeros((1, len(self._tubes)))
             tips[0, pair.tubes[0]] = least.tip
             rotations = to_base(self.problem, tips)[0]

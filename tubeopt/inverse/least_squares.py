@@ -83,8 +83,8 @@ def _by_pivots(cone: Array, gap: Array) -> tuple[Array, Index] | None:
     the wrong way, and so on (Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2002)). What it ends with is exact;
     None where it does not end at once, as where rows depend on each other."""
     held = gap > 0
-    most = 1e-12 * gap.max(initial=0.0)
-    for _ in range(4):
+    most = 1e-12 * gap.max(initial=0.0)  # by which rows that are held may be missed, by rounding
+    for _ in range(4):  # beyond, all rows are looked at as one problem
         rows = held.nonzero()[0]
         face = cone[rows]
         if not 0 < len(rows) <= cone.shape[1]:

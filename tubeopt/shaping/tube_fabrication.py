@@ -233,7 +233,7 @@ def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
     if tube.material.thermal is not None:
         return tube, ()
     name, stiffness = tube.material.name, tube.material.youngs_modulus
-    if stiffness < 10e9:
+    if stiffness < 10e9:  # no metal is as soft
         raise InputError(
             f"the thermal constants of {name} are not known, and its Young's modulus of {1e-9 * stiffness:.2g} GPa is "
             "that of no metal; a rig heats a tube by the current through it: say constants (thermal) of what conducts"

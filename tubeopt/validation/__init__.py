@@ -6,10 +6,10 @@ from .effects import EFFECTS, KINDS
 from .errors import ErrorGroup, ErrorSummary, ErrorTable, group_errors
 from .fitting import Estimate, Fit, FitOptions, fit
 from .folds import Parity
-from .force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
+from .force import ForceEstimate, ForceRecord, ForceSolver, estimate_force, estimate_forces
 from .measurements import JointLog, Measurements
 from .parameters import Parameter, choose_parameters
-from .placing import Placement, where_to_measure
+from .placing import Placement, PlacementSearch, where_to_measure
 from .registration import SENSOR_FRAME, BasePose, Registration, register
 from .selection import Comparison, Step, compare_effects
 
@@ -28,11 +28,13 @@ __all__ = [
     "FitSolver",
     "ForceEstimate",
     "ForceRecord",
+    "ForceSolver",
     "JointLog",
     "Measurements",
     "Parameter",
     "Parity",
     "Placement",
+    "PlacementSearch",
     "Registration",
     "Step",
     "Validation",

@@ -20,12 +20,6 @@ from .model import ArmModel, State
 LOSSES = ("linear", "huber", "soft_l1")
 """How a large error counts: by its square, or in the end by its size."""
 
-EXACT = 1e-14
-"""Cost of an observation, in squares of its standard deviation, that is as good as none."""
-
-STEEPEST = 1e12
-"""Damping at which a step is too short to be worth another."""
-
 
 @dataclass(frozen=True)
 class FitSolver(Displayed):
@@ -41,6 +35,16 @@ class FitSolver(Displayed):
         first_damping: of the first step, relative to the diagonal of the normal equations.
         chord_iterations: with slopes that are known from near by, as in fits to all folds but one: each gains two
             digits or more.
+        most_damping: at which a step is too short to be worth another.
+        same_noise: relative change of the estimated noise at which it has settled.
+        blocks: of rows that intervals are drawn from again, where there are as many places.
+        draws: of them.
+        rounds: of choosing effects at most.
+        tried: sets of effects, of those that promise most, that are fitted at each round.
+        strong: twice the logarithm of a Bayes factor from which on the evidence against an effect counts: very strong
+            (Kass and Raftery, J. Am. Stat. Assoc. 90 (1995)).
+        crooked: a set is fitted if it is no more than so much worse to first order, which curvature of the model may
+            make up for.
         robust_from: length of an error of three coordinates, in standard deviations of one, from which a robust loss
             grows like it and no longer like its square.
 
@@ -54,6 +58,14 @@ class FitSolver(Displayed):
     faithful: float = 0.7
     first_damping: float = 1e-6
     chord_iterations: int = 8
+    most_damping: float = 1e12
+    same_noise: float = 0.02
+    blocks: int = 20
+    draws: int = 400
+    rounds: int = 8
+    tried: int = 4
+    strong: float = 10.0
+    crooked: float = 30.0
     robust_from: float = 3.0
 
     def __post_init__(self) -> None:
@@ -158,8 +170,8 @@ def descend(
     for _ in range(solver.iterations):
         square, slope = normal_equations(model, weights, state, residuals, slopes)
         least = max(solver.settled, solver.nearly_settled) if model.costly(state) else solver.settled
-        before, accepted, enough = cost, False, least * cost + EXACT * len(residuals)
-        while not accepted and damping < STEEPEST:
+        before, accepted, enough = cost, False, least * cost + 1e-14 * len(residuals)
+        while not accepted and damping < solver.most_damping:
             step = _step(square, slope, damping, state.x, bounds)
             if -slope @ step <= enough:
                 break

@@ -8,9 +8,6 @@ import numpy as np
 
 from ..typing import Array
 
-SAME_LABEL = 1e-6
-"""Directions or separations this close (rad) are one."""
-
 
 @dataclass(frozen=True)
 class ErrorSummary:
@@ -47,7 +44,7 @@ def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
     """Errors (N,), m, by values (N,), rad, in ascending order; nothing where there are no values."""
     if values is None:
         return ()
-    labels = np.round(values / SAME_LABEL).astype(int)
+    labels = np.round(values / 1e-6).astype(int)
     groups = []
     for label in np.unique(labels):
         inside = labels == label

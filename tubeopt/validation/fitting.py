@@ -31,14 +31,8 @@ from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose
 
-BLOCKS = 20
-"""Blocks of rows that the bootstrap draws from, where there are as many places."""
-
 FIRST_GUESS = 1e-3, np.radians(1.0)
 """Standard deviations of positions (m) and directions (rad) before they are estimated."""
-
-SAME_NOISE = 0.02
-"""Relative change of the estimated noise at which it has settled."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +259,7 @@ class FitProblem:
         for _ in range(6):
             last, self.sigma = self.sigma, self._noise(found)
             alike = not self.model.directed.any() and self.options.loss == "linear" and not self.options.priors
-            if alike or np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0):
+            if alike or np.allclose(self.sigma, last, rtol=solver.same_noise, atol=0):
                 break
             found = descend(self.model, self.weights(), found.state, first=found.jacobian, solver=solver)
         return found
@@ -315,10 +309,10 @@ class FitProblem:
         model, options, state = self.model, self.options, self.fit.state
         place = passes(measurements).place
         errors, correlation = self._spread()
-        block = deal(measurements, min(BLOCKS, len(np.unique(place))), place)
+        block = deal(measurements, min(options.solver.blocks, len(np.unique(place))), place)
         blocked = np.full(len(self.chosen), np.inf)
         if self.free:
-            blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block)
+            blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block, options.solver.draws)
         fold = deal(measurements, options.folds, place) if options.folds else None
         out = (
             (None, None)

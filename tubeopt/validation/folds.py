@@ -16,15 +16,6 @@ from ..typing import Array, Index
 from .measurements import Measurements
 from .timeline import runs_of
 
-SHUFFLE_SEED = 0
-
-CLOSE = 0.75
-"""Rows are at one place if they are nearer than so many local steps of the way: half a step is the most by which
-samples of two passes along one line can miss each other."""
-
-LEVER = 20.0
-"""rad per m: by this a translation is compared with rotations; an arm bends by about as much on its length."""
-
 STILL = 2e-4
 """rad: joint values that are nearer than this are the same."""
 
@@ -44,13 +35,14 @@ class Passes:
 def passes(measurements: Measurements) -> Passes:
     """Where a way retraces itself; rows without times are places of their own unless their joint values are equal."""
     m = measurements
-    joints = np.hstack([m.rotations, LEVER * m.translations])
+    joints = np.hstack([m.rotations, 20.0 * m.translations])  # rad per m: an arm bends by about as much on its length
     count = len(joints)
     if m.time is None:
         return Passes(_equal(joints), np.zeros((0, 2), dtype=int))
     ahead, behind, travelled = _motion(joints, m.time)
     step = np.maximum(np.linalg.norm(ahead, axis=1), np.linalg.norm(behind, axis=1))
-    reach = np.maximum(CLOSE * step, STILL)
+    # Half a step is the most by which samples of two passes along one line can miss each other.
+    reach = np.maximum(0.75 * step, STILL)
     tree = scipy.spatial.cKDTree(joints)
     place, pairs, paired = np.arange(count), [], np.zeros(count, dtype=bool)
     for k, near in enumerate(tree.query_ball_point(joints, reach)):
@@ -97,7 +89,7 @@ def deal(measurements: Measurements, folds: int, place: Index | None = None) -> 
     distinct, inverse, counts = np.unique(where, return_inverse=True, return_counts=True)
     if measurements.time is None:
         fold = np.empty(len(distinct), dtype=int)
-        fold[np.random.default_rng(SHUFFLE_SEED).permutation(len(distinct))] = np.arange(len(distinct)) % folds
+        fold[np.random.default_rng(0).permutation(len(distinct))] = np.arange(len(distinct)) % folds
         return np.asarray(fold[inverse])
     middle = np.cumsum(counts) - counts / 2  # of the rows, in the order of places
     return np.asarray(np.minimum((middle * folds / counts.sum()).astype(int), folds - 1)[inverse])

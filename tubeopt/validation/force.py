@@ -14,26 +14,42 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, positive, vector
+from ..errors import InputError, SolveError, check_settings, instance, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
 from .measurements import SAME_PLACE, Measurements
 
-MOST_STEPS = 60
-
-LONGEST_MOVE = 0.1
-"""Largest move of a measured point in one step, as a fraction of the arm: beyond, the linear fit tells nothing."""
-
-FIRST_DAMPING = 1e-8
-"""Of the square of the best told direction: others may be seen a thousand times less."""
-
-SETTLED = 1e-4
-"""Step, in standard errors of the force, below which the fit has settled."""
-
 UNSEEN = 1e-8
 """Directions in which a force moves the measured points so many times less than in the best one are not seen at all."""
+
+
+@dataclass(frozen=True)
+class ForceSolver(Displayed):
+    """How the fit of a force descends; of `estimate_force` and `estimate_forces`.
+
+    Args:
+        steps: after which it gives up.
+        longest_move: largest move of a measured point in one step, as a share of the arm: beyond, the linear fit tells
+            nothing.
+        first_damping: of the square of the best told direction: others may be seen a thousand times less.
+        settled: step, in standard errors of the force, below which it has settled.
+
+    Raises:
+        InputError: steps that are no whole number of at least 1, another number that is not positive.
+    """
+
+    steps: int = 60
+    longest_move: float = 0.1
+    first_damping: float = 1e-8
+    settled: float = 1e-4
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+DEFAULT_FORCE = ForceSolver()
 
 
 class ForceStatus(Sentence):
@@ -136,13 +152,14 @@ def estimate_forces(
     noise: float = 1e-3,
     known: Load | None = None,
     progress: Callable[[int, int], object] | None = None,
+    solver: ForceSolver = DEFAULT_FORCE,
 ) -> ForceRecord:
     """The dead force at the tip in every row of a recording, as `estimate_force`, each from the row before.
 
     Args:
         measurements: joint readings, and positions in the frame of the plate; sensors behind the tip are points of the
             arm. What a row's sensors at one place saw counts by their mean.
-        noise, known: as in `estimate_force`.
+        noise, known, solver: as in `estimate_force`.
         progress: called with rows done and rows in all.
 
     Raises:
@@ -170,7 +187,9 @@ def estimate_forces(
         length = robot.assembly(shift).total_length
         seen = _points_of(measurements, row, length)
         try:
-            estimate = estimate_force(robot, alpha, shift, points=seen, noise=noise, known=known, guess=last)
+            estimate = estimate_force(
+                robot, alpha, shift, points=seen, noise=noise, known=known, guess=last, solver=solver
+            )
         except SolveError as error:
             failures.append((row, str(error)))
             found.append(None)
@@ -216,7 +235,7 @@ class _Trial:
 
 
 @small
-def estimate_force(
+def estimate_force(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
@@ -226,6 +245,7 @@ def estimate_force(
     noise: float = 1e-3,
     known: Load | None = None,
     guess: Equilibrium | None = None,
+    solver: ForceSolver = DEFAULT_FORCE,
 ) -> ForceEstimate:
     """The dead force at the tip that fits measured positions best (Levenberg and Marquardt, with exact derivatives).
 
@@ -238,6 +258,7 @@ def estimate_force(
         noise: standard deviation of every measured coordinate, m.
         known: other loads, as the robot's weight; its own tip force is added to.
         guess: where to start, such as the equilibrium of the estimate before; by default without the force.
+        solver: how the fit descends.
 
     Raises:
         InputError: joint values as in `forward_kinematics`, nothing measured, a point that is not on the arm, a known
@@ -252,6 +273,7 @@ def estimate_force(
         >>> round(float(found.force[0]), 4)
         0.02
     """
+    instance("solver", solver, ForceSolver)
     alpha = vector("rotations", rotations, robot.n_tubes)
     home = robot.home_translations if translations is None else translations
     shift = vector("translations", home, robot.n_tubes)
@@ -262,15 +284,15 @@ def estimate_force(
     start = forward_kinematics(robot, alpha, shift, load=first, guess=guess)
     measured = _measured(float(start.arc_length[-1]), tip_position, points, positive("noise", noise))
     trial = _trial(start, base, np.subtract(first.force, base.force), measured)
-    damping, length = FIRST_DAMPING, float(start.arc_length[-1])
-    for iteration in range(1, MOST_STEPS + 1):
+    damping, length = solver.first_damping, float(start.arc_length[-1])
+    for iteration in range(1, solver.steps + 1):
         step = _step(trial.jacobian, trial.residual, damping)
         moved = np.abs(trial.jacobian @ step).max() * noise
-        if moved > LONGEST_MOVE * length:
+        if moved > solver.longest_move * length:
             damping *= 4
             continue
         there = _try(trial, base, trial.force + step, measured)
-        settled = float(np.linalg.norm(trial.jacobian @ step)) <= SETTLED
+        settled = float(np.linalg.norm(trial.jacobian @ step)) <= solver.settled
         if there is not None and (there.residual @ there.residual <= trial.residual @ trial.residual or settled):
             trial, damping = there, damping / 10
         elif settled:
@@ -283,7 +305,7 @@ def estimate_force(
     if float(np.linalg.norm(trial.jacobian @ _step(trial.jacobian, trial.residual, 0.0))) <= 1e-3:
         return _estimate(trial, measured, iteration)
     raise SolveError(
-        f"the force did not settle in {MOST_STEPS} steps: {_distance(trial, measured) * 1e3:.3g} mm are left",
+        f"the force did not settle in {solver.steps} steps: {_distance(trial, measured) * 1e3:.3g} mm are left",
         trial.equilibrium,
     )
 

@@ -11,9 +11,6 @@ from ..typing import Array, Index
 from .descent import DEFAULT_SOLVER, Descent, FitSolver, Weights, descend, normal_equations
 from .model import ArmModel
 
-DRAWS = 400
-DRAW_SEED = 1
-
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
@@ -69,7 +66,7 @@ def _solve(square: Array, slope: Array) -> Array:
     return np.asarray(np.linalg.lstsq(square / np.outer(scale, scale), slope / scale, rcond=1e-13)[0] / scale)
 
 
-def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent, block: Index) -> Array:
+def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent, block: Index, draws: int) -> Array:
     """(P,) standard errors from blocks of rows, (N,) the block of each, drawn again with replacement.
 
     Each draw is refitted to first order (one Gauss-Newton step from the fit), so that nothing is solved.
@@ -80,7 +77,7 @@ def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent, block: Ind
     squares, slopes = np.array([a for a, _ in parts]), np.array([b for _, b in parts])
     whole = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
     prior = whole[0] - squares.sum(0), whole[1] - slopes.sum(0)
-    draw = np.random.default_rng(DRAW_SEED).multinomial(len(labels), np.full(len(labels), 1 / len(labels)), DRAWS)
+    draw = np.random.default_rng(1).multinomial(len(labels), np.full(len(labels), 1 / len(labels)), draws)
     steps = [_solve(np.tensordot(n, squares, 1) + prior[0], np.tensordot(n, slopes, 1) + prior[1]) for n in draw]
     spread = np.std(steps, axis=0, ddof=1) * np.sqrt(len(labels) / (len(labels) - 1))
     return np.asarray(spread[: len(fit.state.x)])

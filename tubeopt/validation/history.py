@@ -10,9 +10,6 @@ from .effects import EFFECTS
 from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters, groups
 
-ALIKE = 0.3
-"""Part of an effect that the others of its kind cannot imitate, below which they are told as alike."""
-
 
 def history_parameters(model: ArmModel) -> list[Parameter]:
     """Every parameter by which the tip depends on how its configuration was reached, where the data can tell."""
@@ -45,7 +42,7 @@ def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
         left = _beside(flat[:, k], flat[:, usual])
         parted = _beside(left, np.column_stack([_beside(flat[:, j], flat[:, usual]) for j in rivals]))
         share = float(np.linalg.norm(parted)) / max(float(np.linalg.norm(left)), 1e-300)
-        if share < ALIKE:
+        if share < 0.3:  # of it, the others of its kind cannot imitate
             kinds = " and ".join(sorted({every[j].kind for j in rivals}))
             words.append(
                 f"{p.name} can hardly be told from {kinds} on this path: they imitate all but "

@@ -14,15 +14,6 @@ NO_EFFECT = 1e-4
 """A combination of parameters is undetermined if a large change of it moves the tips by less than this part of the
 arm's length (root mean square), once the registration has followed."""
 
-INVOLVED = 0.05
-"""Part of an undetermined combination from which a parameter belongs to it."""
-
-ENTANGLED = 0.99
-"""Correlation of two estimates above which they are told as entangled."""
-
-LOUDER = 3.0
-"""Residuals that are more than so many times the noise that was given are told."""
-
 
 def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float) -> tuple[list[int], list[str]]:
     """Indices of parameters to hold, so that all others are determined, and the reasons in words.
@@ -41,7 +32,7 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
             kept.append(k)
             continue
         held.append(k)
-        with_it = [parameters[j].name for j, part in zip(kept, directions[-1], strict=False) if abs(part) > INVOLVED]
+        with_it = [parameters[j].name for j, part in zip(kept, directions[-1], strict=False) if abs(part) > 0.05]
         if with_it:
             words.append(
                 f"{parameter.name} cannot be told from a change of {join(with_it)} together with the registration; "
@@ -84,7 +75,7 @@ def doubts(
             words.append(f"{p.name} is hardly determined: its interval is wider than any plausible range")
     for a, j in enumerate(free):
         for k in free[a + 1 :]:
-            if abs(correlation[j, k]) > ENTANGLED:
+            if abs(correlation[j, k]) > 0.99:
                 words.append(
                     f"{parameters[j].name} and {parameters[k].name} are entangled (correlation "
                     f"{correlation[j, k]:.3f}): the data determine a combination of them far better than each"
@@ -96,7 +87,7 @@ def louder(left: Sequence[float], given: Sequence[float | None]) -> list[str]:
     """Remarks where residuals are far beyond the noise that was given: of positions, m, and of directions, rad."""
     words = []
     for spread, noise, unit in zip(left, given, ("m", "rad"), strict=True):
-        if noise and spread > LOUDER * noise:
+        if noise and spread > 3.0 * noise:
             words.append(
                 f"residuals are {spread / noise:.2g} times the noise that was given ({shown(spread, unit)} for "
                 f"{shown(noise, unit)}): the intervals are too narrow, since the model lacks something or the noise is "

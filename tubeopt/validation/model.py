@@ -25,9 +25,6 @@ STEP = 2e-6
 """Step, in units of a parameter's scale, of the difference quotients: the quotients are as exact as it is small, a few
 1e-6, and equilibria are solved a thousand times as sharply."""
 
-NUDGE = 1e-6
-"""Motion of the tips, m, in which the registration is told to follow."""
-
 JOINT_STEP = 1e-6
 """The same of joint values, rad and m."""
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
-from ..errors import InputError, SolveError, positive
+from ..errors import InputError, SolveError, check_settings, instance, positive
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -28,20 +28,31 @@ from .model import ArmModel
 from .parameters import Parameter, choose_parameters
 from .poses import Poses, solve_poses
 
-CANDIDATES = 600
-"""Random configurations that are chosen from."""
 
-DRAWS = 60
-"""Times as many are drawn at most, until enough are admissible."""
+@dataclass(frozen=True)
+class PlacementSearch(Displayed):
+    """How hard it is searched where to measure; of `where_to_measure`.
 
-ROUNDS = 8
-"""Times that every chosen configuration is offered for exchange, at most."""
+    Args:
+        candidates: random configurations that are chosen from.
+        draws: times as many are drawn at most, until enough are admissible.
+        rounds: times that every chosen configuration is offered for exchange, at most.
+        compared: random choices whose median tells what is gained.
 
-RANDOM_CHOICES = 20
-"""Random choices whose median tells what is gained."""
+    Raises:
+        InputError: one that is no whole number of at least 1.
+    """
 
-TINY = 1e-9
-"""Part of the largest information that stands for what is not known yet."""
+    candidates: int = 600
+    draws: int = 60
+    rounds: int = 8
+    compared: int = 20
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+DEFAULT_PLACEMENT = PlacementSearch()
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +91,7 @@ def where_to_measure(
     noise: float = 0.5e-3,
     registration: str = "rigid",
     seed: int = 0,
+    search: PlacementSearch = DEFAULT_PLACEMENT,
 ) -> Placement:
     """Configurations within the joint limits whose tips determine parameters best.
 
@@ -90,15 +102,17 @@ def where_to_measure(
         parameters: as for `fit`; those that need time (latency, play) are found by driving one path slowly and fast.
         count: how many configurations; at least as many as give more numbers than there are unknowns.
         noise: of a measured coordinate, m.   seed: of the random configurations.
+        search: how hard it is searched.
 
     Raises:
         InputError: too few configurations, a noise or margin out of range, and what `choose_parameters` raises.
         SolveError: too few configurations of the robot have the margin.
     """
     positive("noise", noise)
+    instance("search", search, PlacementSearch)
     if not 0 <= min_margin < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
-    alpha, shift, poses = _candidates(robot, min_margin, seed)
+    alpha, shift, poses = _candidates(robot, min_margin, seed, search)
     readings = to_readings(robot, alpha, shift)
     data = Measurements(*readings, poses.position[:, 0], source="where to measure")
     for name in parameters:
@@ -115,17 +129,19 @@ def where_to_measure(
         )
     if count > len(data) // 2:
         raise SolveError(
-            f"of {CANDIDATES} random configurations {len(data)} have the margin; too few to choose {count}"
+            f"of {search.candidates} random configurations {len(data)} have the margin; too few to choose {count}"
         )
     slopes = _scaled(model, chosen, noise)
     _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
     if lost:
         raise InputError(f"{lost[0].rsplit(';', 1)[0]}, wherever it is measured; leave it out, or measure the base")
-    best = _reachable(lambda usable: _exchange(slopes, len(chosen), count, usable), robot, (alpha, shift), poses)
+    best = _reachable(
+        lambda usable: _exchange(slopes, len(chosen), count, usable, search.rounds), robot, (alpha, shift), poses
+    )
     scale = np.array([p.scale for p in chosen])
     random = np.random.default_rng(seed + 1)
     others = [
-        _errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(RANDOM_CHOICES)
+        _errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(search.compared)
     ]
     rows, joints = _way(robot, alpha[best], shift[best])
     margin = solve_poses(robot, *joints, model.stations).margin
@@ -161,7 +177,7 @@ def _reachable(
             raise SolveError(f"fewer than {len(best)} random configurations can be reached from home without a snap")
 
 
-def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Array, Poses]:
+def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSearch) -> tuple[Array, Array, Poses]:
     """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin."""
     random, limits, space = np.random.default_rng(seed), robot.limits, joint_space(robot)
     tubes = robot.tubes
@@ -169,8 +185,8 @@ def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Arra
     curved = np.array([tube.curved_length for tube in tubes])
     low, high = np.array(limits.translations).T
     found: list[Array] = []
-    for _ in range(CANDIDATES * DRAWS):
-        if len(found) == CANDIDATES:
+    for _ in range(search.candidates * search.draws):
+        if len(found) == search.candidates:
             break
         q = space.join(space.lower[: robot.n_tubes], random.uniform(low, np.minimum(high, straight)))
         shift = space.joint(q)[robot.n_tubes :]
@@ -205,10 +221,11 @@ def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array
     return slopes
 
 
-def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[int]:
+def _exchange(slopes: Array, parameters: int, count: int, usable: Mask, rounds: int) -> list[int]:
     """The rows of a D_s-optimal choice."""
     size = slopes.shape[2]
-    start = TINY * float(np.einsum("caq,caq->", slopes, slopes)) / size * np.eye(size)
+    # Next to nothing stands for what is not known yet.
+    start = 1e-9 * float(np.einsum("caq,caq->", slopes, slopes)) / size * np.eye(size)
     chosen: list[int] = []
 
     def best(without: Sequence[int]) -> int:
@@ -220,7 +237,7 @@ def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[
 
     while len(chosen) < count:
         chosen.append(best(chosen))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         before = list(chosen)
         for k in range(count):
             chosen[k] = best([j for i, j in enumerate(chosen) if i != k])

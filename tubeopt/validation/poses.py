@@ -17,14 +17,6 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
 
-LEAP = 0.5
-STEEP = 15.0
-"""Between rows on end, a tube's tip that turns against its drive by more than LEAP (rad), and by more than STEEP times
-what any drive turned, may have gone to another equilibrium."""
-
-SAME = 1e-3
-"""rad: tips of the tubes that differ by less are of one equilibrium."""
-
 
 @dataclass(frozen=True, eq=False)
 class Poses:
@@ -105,7 +97,8 @@ def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tup
     """Rows of a run at which the branch of the rows before goes on, where the row on its own leads elsewhere."""
     own = batch.tip_rotations[run] - batch.rotations[run]
     driven = np.abs(np.diff(batch.rotations[run], axis=0)).max(1, initial=0.0)
-    leaps = np.flatnonzero(np.abs(np.diff(own, axis=0)).max(1, initial=0.0) > LEAP + STEEP * driven) + 1
+    # A tip that turns against its drive by so much more than any drive turned may be in another equilibrium.
+    leaps = np.flatnonzero(np.abs(np.diff(own, axis=0)).max(1, initial=0.0) > 0.5 + 15.0 * driven) + 1
     here, done = None, 0
     for leap in leaps.tolist():
         if leap < done:
@@ -119,7 +112,7 @@ def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tup
                 here = forward_kinematics(robot, batch.rotations[row], batch.translations[row], guess=here)
             except SolveError:
                 break  # the branch ends: the robot snaps to what the row alone leads to
-            if not here.stable or (np.abs(here.tip_rotations - batch.tip_rotations[row]) < SAME).all():
+            if not here.stable or (np.abs(here.tip_rotations - batch.tip_rotations[row]) < 1e-3).all():
                 break
             yield row, here
             k += 1

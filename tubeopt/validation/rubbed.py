@@ -20,9 +20,6 @@ from ..stability.rubbing_following import rubbing_leg, rubbing_start
 from ..typing import Array, Index
 from .poses import Poses, loose, tilt
 
-COARSE = -1
-"""Refinement of the mesh: where slip ends is then off by less than what tips are measured to."""
-
 
 def rubbed_poses(
     robot: Robot,
@@ -41,7 +38,8 @@ def rubbed_poses(
         InputError: joint values at which the robot cannot be.
     """
     alpha, shift = joints
-    coarse = replace(friction, refinement=min(friction.refinement, COARSE))
+    # On a coarse mesh where slip ends is off by less than what tips are measured to.
+    coarse = replace(friction, refinement=min(friction.refinement, -1))
     count = len(alpha)
     position, frame = np.full((count, len(stations), 3), np.nan), np.full((count, 3, 3), np.nan)
     margin, length = np.full(count, np.nan), np.zeros(count)

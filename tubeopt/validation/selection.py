@@ -24,7 +24,7 @@ from ..typing import Array
 from .comparison import Progress, check_tubes, distances
 from .descent import Descent, Weights, cost_of, descend
 from .errors import ErrorSummary
-from .fitting import BLOCKS, FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
+from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
 from .held_out import predicted_held_out
 from .measurements import Measurements
@@ -33,19 +33,6 @@ from .parameters import choose_parameters, groups
 from .registration import FREEDOMS
 from .slopes import Slopes, slopes_around
 from .subsets import Effects, HeldOutSets
-
-TRIED = 4
-"""Of the sets that promise most, so many are fitted at each round."""
-
-ROUNDS = 8
-"""Rounds at most."""
-
-STRONG = 10.0
-"""Twice the logarithm of a Bayes factor that is very strong evidence (Kass and Raftery, J. Am. Stat. Assoc. 90
-(1995))."""
-
-CROOKED = 30.0
-"""A set is fitted if it is no more than so much worse to first order, which curvature of the model may make up for."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +146,10 @@ class _Search:
         self.given, self.options = options, replace(options, priors=True)
         self.parameters = {k: choose_parameters(robot, measurements, v, options.registration) for k, v in known.items()}
         place = passes(measurements).place
-        self.fold, self.block = deal(measurements, options.folds, place), deal(measurements, BLOCKS, place)
+        self.fold, self.block = (
+            deal(measurements, options.folds, place),
+            deal(measurements, options.solver.blocks, place),
+        )
         self.model = ArmModel(robot, measurements, (), options.registration, options.base)
         self.fits: dict[Effects, _Trial | None] = {}
         self.passed: list[str] = []
@@ -172,7 +162,7 @@ class _Search:
     def run(self) -> None:
         """From set to set while one is better, then to effects that stand first in the table where nothing speaks
         strongly against them, then to those that are worth their price."""
-        for _ in range(ROUNDS):
+        for _ in range(self.options.solver.rounds):
             better = self._better()
             if better is None:
                 break
@@ -193,10 +183,10 @@ class _Search:
 
     def _better(self) -> _Trial | None:
         """The first of the sets that promise most, or nearly, which is better than that of now; None where none is."""
-        sets, cost = self.sets, self._cost(self.now)
-        near = sets.cost(sets.there) + CROOKED * sets.inflation
+        sets, cost, solver = self.sets, self._cost(self.now), self.options.solver
+        near = sets.cost(sets.there) + solver.crooked * sets.inflation
         best = [effects for effects in sets.explore() if effects != sets.there and sets.cost(effects) <= near]
-        for effects in best[:TRIED]:
+        for effects in best[: solver.tried]:
             trial = self._tried(effects)
             if trial is not None and self._cost(trial) < cost:
                 return trial
@@ -205,9 +195,9 @@ class _Search:
     def _earlier(self) -> _Trial | None:
         """A set with an effect of the table in the place of one behind it, where the data do not speak strongly against
         it; what is held out at few places, and charged for parameters, is no such evidence."""
-        order, now, sets = list(self.known), Effects(self.now.effects), self.sets
-        limit = self._seen(self.now) + STRONG * sets.inflation
-        near = sets.seen(now) + (STRONG + CROOKED) * sets.inflation
+        order, now, sets, solver = list(self.known), Effects(self.now.effects), self.sets, self.options.solver
+        limit = self._seen(self.now) + solver.strong * sets.inflation
+        near = sets.seen(now) + (solver.strong + solver.crooked) * sets.inflation
         for kind in reversed(self.now.effects):
             for other in order[: order.index(kind)]:
                 fewer = now - {kind}
@@ -222,7 +212,7 @@ class _Search:
     def _fewer(self) -> _Trial | None:
         """The set without the effect that is least worth its price by the fit to all; None where all are worth it."""
         now, sets, cost = Effects(self.now.effects), self.sets, self._cost(self.now)
-        near = sets.cost(now) + CROOKED * sets.inflation
+        near = sets.cost(now) + self.options.solver.crooked * sets.inflation
         tried = (self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near)
         worth = {trial: self._worth(trial) for trial in tried if trial is not None}
         idle = [trial for trial, value in worth.items() if value < 0 or self._cost(trial) < cost]
@@ -362,9 +352,9 @@ class _Search:
 
     def _rivals(self, kind: str) -> tuple[str, ...]:
         """Other effects that predict as well in the place of one that is kept."""
-        sets, now = self.sets, Effects(self.now.effects)
-        fewer, room = now - {kind}, STRONG * sets.inflation
-        near, limit = sets.seen(now) + room + CROOKED * sets.inflation, self._seen(self.now) + room
+        sets, now, solver = self.sets, Effects(self.now.effects), self.options.solver
+        fewer, room = now - {kind}, solver.strong * sets.inflation
+        near, limit = sets.seen(now) + room + solver.crooked * sets.inflation, self._seen(self.now) + room
         found = []
         for other in self.known:
             changed = fewer | {other}

@@ -28,9 +28,6 @@ Effects = frozenset[str]
 LEAST = 4.0
 """A parameter must gain so much at least, in squares of its standard error: two standard errors."""
 
-INSIDE = 1e-9
-"""A scaled step this little beyond the range is within it."""
-
 
 @dataclass(frozen=True, eq=False)
 class Linear:
@@ -126,7 +123,7 @@ class HeldOutSets:
         while free.any():
             step[free] = 0.0
             self._solve(square, step, free)
-            beyond = free[:n] & ((step[:n] < self.low - INSIDE) | (step[:n] > self.high + INSIDE))
+            beyond = free[:n] & ((step[:n] < self.low - 1e-9) | (step[:n] > self.high + 1e-9))
             if not beyond.any():
                 break
             step[:n][beyond] = np.clip(step[:n], self.low, self.high)[beyond]

@@ -10,16 +10,13 @@ import scipy
 from ..typing import Array, Index
 from .measurements import Measurements
 
-GAP = 5.0
-"""A step of time that is so many times the median one parts two runs."""
-
 
 def runs_of(time: Array) -> list[Index]:
     """Indices of every run: rows on end whose times ascend without a gap."""
     step = np.diff(time)
     forward = step[step > 0]
     usual = float(np.median(forward)) if len(forward) else 0.0
-    cuts = np.flatnonzero((step <= 0) | (step > GAP * usual)) + 1
+    cuts = np.flatnonzero((step <= 0) | (step > 5.0 * usual)) + 1  # runs are parted by much longer steps
     return list(np.split(np.arange(len(time)), cuts))
 
 
