@@ -15,7 +15,7 @@ import numpy as np
 
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, instance
 from ..inverse.answer import InverseOptions
 from ..inverse.chart import Chart
 from ..inverse.joints import Configuration
@@ -27,36 +27,8 @@ from ..typing import Array
 from .command import Command, ServoOptions, ServoStep
 from .horizon import Aim, Knots, improvement
 from .servo import Servo
+from .settings import DEFAULT_HORIZON, HorizonSolver
 from .why import Why
-
-KNOTS = 20
-"""Knots ahead."""
-
-ROOM = 0.01
-"""Margin above its floor that knots keep: between them it is less."""
-
-ALLOWED = 0.02
-"""Of a field, which is 1 without torsion, and of a clearance over the room for it, what may be missing of a way on
-which the robot goes."""
-
-CLEAR = 2e-4
-"""Clearance, m, beyond the one to keep that knots have."""
-
-TRUST, CALM = 0.3, 0.01
-"""Largest change of a knot by one program, in units of the scales: at most, and at least. It is halved where a change
-undoes the last one, as where tubes end together and derivatives differ to either side, and doubled where not."""
-
-PATIENCE = 20
-"""Steps that the robot waits for a way that is allowed."""
-
-SEARCH = 1.0
-"""Most seconds that joint values for a new target are looked for."""
-
-CLOSE = 0.01
-"""Distance of the tip from its target, as a share of the robot's length, from which one step ahead will do."""
-
-ELSEWHERE = 0.05
-"""Distance of targets, as a share of the robot's length, from which a way is begun anew."""
 
 
 class PredictiveServo:
@@ -65,7 +37,7 @@ class PredictiveServo:
     Args:
         seed, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective count where one
             step ahead is enough.
-        knots: into how many pieces the way ahead is cut.
+        knots: into how many pieces the way ahead is cut.   solver: how it is found and kept.
 
     Raises:
         InputError, SolveError: as `Servo` does; fewer than 2 knots.
@@ -79,19 +51,23 @@ class PredictiveServo:
         limits: JointLimits | None = None,
         obstacles: Sequence[Obstacle] = (),
         options: ServoOptions | None = None,
-        knots: int = KNOTS,
+        knots: int = 20,
+        solver: HorizonSolver = DEFAULT_HORIZON,
     ) -> None:
         if knots < 2:
             raise InputError(f"knots is {knots}; it must be at least 2")
-        self.options = options or ServoOptions()
+        instance("solver", solver, HorizonSolver)
+        self.options, self.solver = options or ServoOptions(), solver
         self._servo = Servo(robot, seed, limits=limits, obstacles=obstacles, options=self.options)
         self._guard = self._servo.guard
         self._bodies, self._limits = tuple(obstacles), limits
+        self._floor = self.options.min_margin + solver.margin_room
+        self._clearance = self.options.clearance + solver.clearance_room
         self._chart = Chart(self._guard.space)
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None
-        self._trust, self._last = TRUST, np.zeros((knots, len(self._guard.here.q)))
+        self._trust, self._last = self.solver.trust, np.zeros((knots, len(self._guard.here.q)))
         self._waited, self._near = 0, True
 
     @property
@@ -118,7 +94,7 @@ class PredictiveServo:
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo that looks ahead is led to a position, and to a direction if there is one")
         told, here = self._guard.left(command), self._guard.here
-        if self._near and told[0] < CLOSE * self._guard.space.length and not self._new(_aim(command)):
+        if self._near and told[0] < self.solver.close * self._guard.space.length and not self._new(_aim(command)):
             step = self._servo.step(command, dt)
             # Where that comes to rest before it is there, one step ahead will not do.
             self._near = step.why & Why.HELD == 0
@@ -135,19 +111,19 @@ class PredictiveServo:
                 self._leave_behind(passed)
                 return ServoStep(there, lacking, *told)
         self._waited += 1
-        if self._waited <= PATIENCE:
+        if self._waited <= self.solver.patience:
             return ServoStep(here.equilibrium, lacking | Why.HELD, *told)
         return self._servo.step(command, dt)
 
     def _renew(self, knots: Knots) -> Why:
         """Improve the way; what the knots lack as they are."""
         assert self._aim is not None
-        contacts = knots.contacts(self._guard.scene, self.options.clearance + CLEAR)
-        self._improve(knots, improvement(knots, self._aim, contacts, self._trust))
+        contacts = knots.contacts(self._guard.scene, self._clearance, self.solver)
+        self._improve(knots, improvement(knots, self._aim, contacts, self._trust, self.solver))
         lacking = Why(0)
-        if knots.fields[1:].min() < -ALLOWED:
+        if knots.fields[1:].min() < -self.solver.lacking:
             lacking |= Why.MARGIN
-        if contacts[0].min(initial=np.inf) < -CLEAR * (1 + ALLOWED):
+        if contacts[0].min(initial=np.inf) < -self.solver.clearance_room * (1 + self.solver.lacking):
             lacking |= Why.OBSTACLE
         return lacking
 
@@ -157,20 +133,23 @@ class PredictiveServo:
             self._aim = None
             return
         undone = float((change * self._last).sum()) < 0
-        self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), CALM, TRUST))
+        self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), self.solver.calm, self.solver.trust))
         self._last = change
         self._way = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
 
     def _knots(self, aim: Aim) -> Knots | None:
         """The way to an aim as it is; None where no joint values are known for it."""
         here = self._guard.here
-        begin, floor = self._chart.of(here.equilibrium), min(self.options.min_margin + ROOM, here.margin)
+        begin, floor = (
+            self._chart.of(here.equilibrium),
+            min(self._floor, here.margin),
+        )
         if self._new(aim):
             self._aim, end = aim, self._goal(aim)
             self._way = None
             if end is None:
                 return None
-            self._trust, self._last = TRUST, np.zeros_like(self._last)
+            self._trust, self._last = self.solver.trust, np.zeros_like(self._last)
             self._waited, self._near = 0, True
             self._way = begin + np.linspace(0, 1, self._count + 1)[:, None] * (end - begin)
         if self._way is None:
@@ -185,7 +164,7 @@ class PredictiveServo:
         moved = float(np.linalg.norm(aim.position - self._aim.position)) / self._guard.space.length
         if aim.direction is not None and self._aim.direction is not None:
             moved = max(moved, float(np.linalg.norm(aim.direction - self._aim.direction)))
-        return moved > ELSEWHERE or (aim.direction is None) != (self._aim.direction is None)
+        return moved > self.solver.elsewhere or (aim.direction is None) != (self._aim.direction is None)
 
     def _goal(self, aim: Aim) -> Array | None:
         """The point of the chart of joint values that meet an aim, near the robot; None where none are known."""
@@ -195,10 +174,10 @@ class PredictiveServo:
                 aim.position,
                 direction=aim.direction,
                 seed=self.equilibrium,
-                min_margin=self.options.min_margin + ROOM,
+                min_margin=self._floor,
                 limits=self._limits,
                 obstacles=self._bodies,
-                options=InverseOptions(clearance=self.options.clearance + CLEAR, time_limit=SEARCH),
+                options=InverseOptions(clearance=self._clearance, time_limit=self.solver.seconds),
             )
         except SolveError:
             return None

@@ -23,28 +23,7 @@ from ..block.transcription.explicit import Kind, explicit_arm
 from ..bodies.scene import Scene
 from ..inverse.chart import Chart
 from ..typing import Array, Mask
-
-TIP = 100.0
-"""Weight of the tip's distance from the target over the robot's length, beside the joints' way over their scales."""
-
-PENALTY = 30.0
-"""Price of a unit of slack: of the least field, which is 1 without torsion, and of a clearance over a tenth of the
-robot's length."""
-
-TIPS = 0.05
-"""Weight of the way of the tip rotations beside that of the joints."""
-
-NEAR = 0.05
-"""Distance from bodies, as a share of the robot's length, up to which they may matter to a knot."""
-
-CONTACTS = 3
-"""Bodies' points, at most, that a knot keeps clear of."""
-
-SPLITS = 4
-"""Places per step between points of the arm at which its distance from bodies is measured."""
-
-DAMPING = 1e-6
-"""Of a change of the knots."""
+from .settings import HorizonSolver
 
 SOLVER, QUIET = "ipqp", {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
 """CasADi's interior point method. On programs of 20 knots of the thesis' robot it took 0.7 ms of processor time, exact
@@ -104,22 +83,23 @@ class Knots:
         """(K, 3) m."""
         return self.points[:, -1]
 
-    def contacts(self, scene: Scene, clearance: float) -> tuple[Array, Array]:
-        """(K, CONTACTS) how much farther from bodies than the clearance (m) arms are where they come closest, infinite
-        where there are none, and (K, CONTACTS, m) its derivatives."""
+    def contacts(self, scene: Scene, clearance: float, solver: HorizonSolver) -> tuple[Array, Array]:
+        """(K, C) how much farther from bodies than the clearance (m) arms are where they come closest, infinite
+        where there are none, and (K, C, m) its derivatives."""
         space, (count, m) = self.chart.space, self.z.shape
-        gap, slope = np.full((count, CONTACTS), np.inf), np.zeros((count, CONTACTS, m))
-        x = np.arange(SPLITS) / SPLITS
+        most, splits = solver.contacts, solver.splits
+        gap, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
+        x = np.arange(splits) / splits
         fine, along, moved = (_between(table, x) for table in (self.points, self.along, self.slopes[2]))
         end = self.chart.translations(self.z) + [tube.length - tube.straight_length for tube in space.robot.tubes]
         for k in range(count):
             radius = np.where(along[k, :, None] <= end[k] + 1e-12, self.chart.radius, 0.0).max(1)
-            bodies = scene.close(fine[k], clearance + NEAR * space.length + float(radius.max()))
+            bodies = scene.close(fine[k], clearance + solver.body_reach * space.length + float(radius.max()))
             if not bodies:
                 continue
             distance = scene.distances(bodies, fine[k]) - radius - clearance
             place = distance.argmin(1)
-            nearest = np.argsort(distance.min(1))[:CONTACTS]
+            nearest = np.argsort(distance.min(1))[:most]
             body, at = [bodies[i] for i in nearest], place[nearest]
             gap[k, : len(at)] = distance[nearest, at]
             away = scene.gradients(body, fine[k, at])
@@ -143,22 +123,25 @@ class Aim:
     direction: Array | None
 
 
-def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: float) -> Array | None:
+def improvement(
+    knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: float, solver: HorizonSolver
+) -> Array | None:
     """(N, m) the change over the scales of all knots but the first by one quadratic program, each at most `trust`; None
     where the solver finds no answer."""
     count, m = knots.z.shape
     matrix, least = _rows(knots, contacts)
     program = _program(count - 1, m, matrix.shape[1])
-    return program.solve(*_way(knots, aim), matrix, least, _range(knots, trust))
+    return program.solve(_way(knots, aim, solver), (matrix, least), _range(knots, trust), solver)
 
 
-def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
+def _way(knots: Knots, aim: Aim, solver: HorizonSolver) -> tuple[Array, Array]:
     """Rows and right-hand sides in least squares, over the scales: the way from knot to knot, and the tip's distance
     from its aim."""
     space, (count, m) = knots.chart.space, knots.z.shape
     tubes, n, weight = space.robot.n_tubes, count - 1, np.sqrt(count - 1.0)
-    slope = np.concatenate([knots.slopes[0] / space.scale[:, None], np.tile(TIPS * np.eye(tubes, m), (count, 1, 1))], 1)
-    place = np.concatenate([knots.joints / space.scale, TIPS * knots.z[:, :tubes]], axis=1)
+    turned = np.tile(solver.turn_weight * np.eye(tubes, m), (count, 1, 1))
+    slope = np.concatenate([knots.slopes[0] / space.scale[:, None], turned], 1)
+    place = np.concatenate([knots.joints / space.scale, solver.turn_weight * knots.z[:, :tubes]], axis=1)
     matrix = np.zeros((n, m + tubes, n, m))
     each = np.arange(n)
     matrix[each, :, each] = weight * slope[1:]
@@ -168,8 +151,8 @@ def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
     if aim.direction is not None:
         wanted.append(((aim.direction - knots.direction[-1]) * space.length, knots.slopes[3][-1] * space.length))
     last = np.zeros((3 * len(wanted), n * m))
-    last[:, -m:] = TIP / space.length * np.concatenate([slope for _, slope in wanted])
-    gap = TIP / space.length * np.concatenate([gap for gap, _ in wanted])
+    last[:, -m:] = solver.tip_weight / space.length * np.concatenate([slope for _, slope in wanted])
+    gap = solver.tip_weight / space.length * np.concatenate([gap for gap, _ in wanted])
     return np.concatenate([matrix.reshape(-1, n * m), last]), np.concatenate([right.ravel(), gap])
 
 
@@ -215,14 +198,22 @@ class _Program:
     hessian: ca.Sparsity
     matrix: ca.Sparsity
 
-    def solve(self, way: Array, right: Array, rows: Array, least: Array, change: tuple[Array, Array]) -> Array | None:
-        """(N, m) the best change over the scales."""
+    def solve(
+        self,
+        wanted: tuple[Array, Array],
+        kept: tuple[Array, Array],
+        change: tuple[Array, Array],
+        settings: HorizonSolver,
+    ) -> Array | None:
+        """(N, m) the best change over the scales: rows and right-hand sides in least squares, rows and what they are at
+        least, least and largest change."""
+        (way, right), (rows, least) = wanted, kept
         n, count, width = rows.shape
         m = width - 1
         hessian, matrix = np.zeros((n * width, n * width)), np.zeros((n, count, n, width))
         own = (np.arange(n)[:, None] * width + np.arange(m)).ravel()
-        hessian[np.ix_(own, own)] = way.T @ way + DAMPING * np.eye(n * m)
-        gradient = np.full((n, width), PENALTY)
+        hessian[np.ix_(own, own)] = way.T @ way + settings.damping * np.eye(n * m)
+        gradient = np.full((n, width), settings.slack_price)
         gradient[:, :m] = -(right @ way).reshape(n, m)
         matrix[np.arange(n), :, np.arange(n)] = rows
         lower, upper = np.zeros((n, width)), np.full((n, width), np.inf)

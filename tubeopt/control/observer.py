@@ -19,13 +19,10 @@ from ..display import Displayed
 from ..equilibrium.jacobian import jacobian
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, vector
+from ..errors import InputError, SolveError, vector, whole
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-
-LINEARISED = 3
-"""Times that an update linearises."""
 
 BY = ("rotations", "bending_stiffness", "torsional_stiffness")
 
@@ -37,7 +34,7 @@ class ObserverOptions:
     noise: of a measured position, each axis, m.   rotation: of the joints' offsets, rad.   stiffness: of every tube's,
     as a share.   offset: of the tip's, each axis, m.   drift: of all of these per root second, as a share of them.
     memory: s of joint values that measurements may be late by.   gate: standard deviations beyond which a measurement
-    is left out.
+    is left out.   linearised: times that an update linearises.
     """
 
     noise: float = 5e-4
@@ -47,8 +44,10 @@ class ObserverOptions:
     drift: float = 0.02
     memory: float = 1.0
     gate: float = 5.0
+    linearised: int = 3
 
     def __post_init__(self) -> None:
+        whole("linearised", self.linearised, 1)
         for name, value in vars(self).items():
             if not (np.isfinite(value) and value >= 0) or (name in ("noise", "memory", "gate") and value == 0):
                 raise InputError(f"{name} is {value:g}; it must be more than 0")
@@ -166,7 +165,7 @@ class Observer:
         before: Array = np.zeros(3)
         gain: Array = np.zeros((len(x), 3))
         slope: Array = np.zeros((3, len(x)))
-        for k in range(LINEARISED):
+        for k in range(self.options.linearised):
             arm = self._arm_at(x, *joints)
             slope = self._slope(arm, x)
             gap = measured - arm.tip_position - x[2 * self._n :]

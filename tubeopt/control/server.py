@@ -22,18 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, whole
 from .crtk import CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
-
-LONGEST_MESSAGE = 16_384
-"""Bytes of a message, beyond which the connection ends."""
-
-PATIENCE = 5.0
-"""Seconds until a client must have said hello."""
-
-MOST_CLIENTS = 256
 
 REMEMBERED = 100_000
 """Steps of the loop whose times are kept."""
@@ -48,6 +40,8 @@ class ServerOptions:
 
     host, port: where; port 0 is any that is free.   token: what clients must know; "" makes one.   period: of the loop,
     s.   publish: states per second.   rate: messages per second and client, beyond which they are not read.
+    patience: s, until a client must have said hello.   longest_message: bytes, beyond which the connection ends.
+    clients: at once, at most.
     """
 
     host: str = "127.0.0.1"
@@ -56,13 +50,18 @@ class ServerOptions:
     period: float = 1e-3
     publish: float = 40.0
     rate: float = 2000.0
+    patience: float = 5.0
+    longest_message: int = 16_384
+    clients: int = 256
 
     def __post_init__(self) -> None:
         if self.host not in ("127.0.0.1", "localhost", "::1"):
             raise InputError(f"host is {self.host!r}; it must be this machine: 127.0.0.1, localhost or ::1")
-        for name in ("period", "publish", "rate"):
+        for name in ("period", "publish", "rate", "patience"):
             if not 0 < getattr(self, name) < 1e6:
                 raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0 and less than 1e6")
+        for name in ("longest_message", "clients"):
+            whole(name, getattr(self, name), 1)
         if not 0 <= self.port < 65536:
             raise InputError(f"port is {self.port}; it must be 0 to 65535")
 
@@ -142,9 +141,10 @@ class RobotServer:
         except ImportError:
             raise InputError("websockets is missing; pip install 'tubeopt[control]' brings it") from None
         options = self.options
+        place = options.host, options.port
         try:
             listening = await serve(
-                self._welcome, options.host, options.port, max_size=LONGEST_MESSAGE, max_queue=16, compression=None
+                self._welcome, *place, max_size=options.longest_message, max_queue=16, compression=None
             )
         except OSError as error:
             raise InputError(f"port {options.port} cannot be used: {error.strerror or error}") from None
@@ -204,7 +204,7 @@ class RobotServer:
         telling = None
         with suppress(ConnectionClosed):
             try:
-                hello = await asyncio.wait_for(socket.recv(), PATIENCE)
+                hello = await asyncio.wait_for(socket.recv(), self.options.patience)
                 self._admit(client, hello)
             except (InputError, TimeoutError) as error:
                 await socket.close(1008, str(error)[:120] or "no hello came")
@@ -227,8 +227,8 @@ class RobotServer:
             raise InputError("the first message must be a hello with the token")
         if not hmac.compare_digest(token.encode(), self.token.encode()):
             raise InputError("the token is another one")
-        if len(self._clients) >= MOST_CLIENTS:
-            raise InputError(f"there are {MOST_CLIENTS} clients already")
+        if len(self._clients) >= self.options.clients:
+            raise InputError(f"there are {self.options.clients} clients already")
         if told.get("role") == "commander":
             if self._commander is not None:
                 raise InputError("there is a commander already")

@@ -207,6 +207,13 @@ class WaySearch(Displayed):
         goals: joint values, most that are tried where several meet what is asked for, the nearest to the start first.
         goal_turns: whole turns of one tube that are tried.
         goal_share: of the time limit, after which joint values for a goal of the tip are tried from no further start.
+        goal_places: of a region whose other postures are looked for.
+        goal_apart: ends closer than this in every coordinate, in units of the joints' scales, are one.
+        goal_tubes, goal_seconds: equilibria at joint values are all looked for with so few tubes, or while so many
+            seconds are left, since nothing can cut that short; else the one that forward kinematics finds is tried.
+        goal_points: of a roadmap from which joint values for a goal of the tip are looked for, those with the nearest
+            tips first.
+        goal_answers: that are enough where ways shall be short: a second one shortens them by a tenth.
         nearest_share: of the time for the search, for the nearest posture where others are tried after it.
         roadmap_share: of the time for the search, which a roadmap is given first.
         attempts: times that a plan whose proof finds a fault is made again with more room and other random numbers.
@@ -274,6 +281,12 @@ class WaySearch(Displayed):
     goals: int = 12
     goal_turns: int = 3
     goal_share: float = 0.6
+    goal_places: int = 2
+    goal_apart: float = 1e-3
+    goal_tubes: int = 3
+    goal_seconds: float = 30.0
+    goal_points: int = 8
+    goal_answers: int = 2
     nearest_share: float = 0.4
     roadmap_share: float = 0.3
     attempts: int = 3

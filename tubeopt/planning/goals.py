@@ -31,26 +31,9 @@ from .reach import least_miss
 from .tip_place import long_enough, place_for_the_tip
 from .tracking import clearance_of
 
-MOST_PLACES = 6
-"""Places of a region that are tried for the tip."""
-
-FEW_PLACES = 2
-"""Places of a region whose other postures are looked for."""
-
-DISTINCT = 1e-3
-"""Ends closer than this in every coordinate, in units of the scales, are one."""
-
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
 
-
-FEW_TUBES, FOR_MANY = 3, 30.0
-"""Tubes whose equilibria are found at once; seconds that must be left to look for those of more, which nothing can cut
-short. Else only the one that forward kinematics finds is tried."""
-
-NODES, ENOUGH = 8, 2
-"""Points of a roadmap from which joint values for a goal of the tip are looked for, those with the nearest tips first;
-answers that are enough where ways shall be short: a second one shortens them by a tenth."""
 
 LEAST_SECONDS = 1e-3
 """Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
@@ -67,7 +50,7 @@ class TipGoal(Displayed):
     direction: Array | None = None
 
     def places(self) -> list[TipGoal]:
-        """Goals of one position each: of a region the first, and some as far apart as can be."""
+        """Goals of one position each: of a region the first, and five as far apart as can be."""
         position = np.asarray(self.position, dtype=float)
         if position.ndim != 2:
             return [self]
@@ -75,7 +58,7 @@ class TipGoal(Displayed):
             raise InputError("goal is a region that is no table of finite positions x, y, z in m")
         chosen = [0]
         far = np.linalg.norm(position - position[0], axis=1)
-        while len(chosen) < MOST_PLACES and far.max() > 0:
+        while len(chosen) < 6 and far.max() > 0:
             chosen.append(int(far.argmax()))
             far = np.minimum(far, np.linalg.norm(position - position[chosen[-1]], axis=1))
         return [TipGoal(position[k], self.direction) for k in chosen]
@@ -122,7 +105,7 @@ def ends(
     *,
     modulo_turns: bool = False,
     near: Callable[[Array], Array] | None = None,
-    enough: int = ENOUGH,
+    enough: int = 1,
 ) -> list[End]:
     """The equilibria that meet a goal, the nearest first; for a goal of the tip they are looked for until the clock is
     over: from points (k, m) of the chart that are allowed and, as `near` knows, have their tips near a place (3,), so
@@ -184,7 +167,7 @@ def other_ends(
         return []
     here, found = task.chart.of(start), []
     postures: list[Equilibrium] = []
-    for place in wanted.places()[:FEW_PLACES]:
+    for place in wanted.places()[: task.effort.goal_places]:
         with suppress(SolveError):  # none in so short a time
             postures += _postures(task, start, place, clock)
     for e in postures:
@@ -195,7 +178,7 @@ def other_ends(
         found += [
             end
             for end in _turned(task, e, start.rotations, modulo_turns)
-            if all(np.abs((end.point - other.point) / task.scale).max() > DISTINCT for other in known)
+            if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goal_apart for other in known)
         ]
     return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[: task.effort.goals]
 
@@ -228,10 +211,10 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tupl
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
     found: list[Equilibrium] = []
-    if task.chart.eccentric or space.robot.n_tubes <= FEW_TUBES or clock.left > FOR_MANY:
+    if task.chart.eccentric or space.robot.n_tubes <= task.effort.goal_tubes or clock.left > task.effort.goal_seconds:
         with suppress(SolveError):
             found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
-    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= FEW_TUBES)
+    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= task.effort.goal_tubes)
     if not found:
         found = [forward_kinematics(space.robot, rotations, shift)]
     # The margin tells best whether the branch is the one that the robot can be brought to.

@@ -23,7 +23,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Built, Faults, actuators, build, no_time
 from .candidates import motions_near
-from .goals import ENOUGH, NODES, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
+from .goals import End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked, bearing, in_time
@@ -101,7 +101,7 @@ def _planned(
     task = bearing(task, first.translations)
     check_start(task, first)
     hasty = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
-    goals = _goals(task, first, goal, clock, options, 1 if hasty else ENOUGH)
+    goals = _goals(task, first, goal, clock, options, 1 if hasty else task.effort.goal_answers)
     n = len(first.translations)
     task = bearing(task, first.translations, *(task.chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
@@ -122,12 +122,10 @@ def _planned(
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
 
 
-def _goals(
-    task: Task, first: Equilibrium, goal: Any, clock: Clock, options: PlanOptions, enough: int = ENOUGH
-) -> list[End]:
+def _goals(task: Task, first: Equilibrium, goal: Any, clock: Clock, options: PlanOptions, enough: int) -> list[End]:
     """The equilibria at which the plan may end; for a goal of the tip first `enough` of those beside a roadmap."""
     known = options.roadmap
-    near = None if known is None else partial(known.near, task, count=NODES)
+    near = None if known is None else partial(known.near, task, count=task.effort.goal_points)
     share = Clock(task.effort.goal_share * clock.left)
     return ends(task, first, goal, share, modulo_turns=options.modulo_turns, near=near, enough=enough)
 
@@ -146,8 +144,9 @@ def _way(
     begin = task.chart.of(first)
     if options.roadmap is not None:
         way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(task.effort.roadmap_share * left))
-        if way.points is None and len(goals) < ENOUGH and of_the_tip(goal):
-            goals = _goals(task, first, goal, clock, options)
+        enough = task.effort.goal_answers
+        if way.points is None and len(goals) < enough and of_the_tip(goal):
+            goals = _goals(task, first, goal, clock, options, enough)
             task = _between(task, first, goals)
             rest = Clock(task.effort.roadmap_share * max(0.0, left - clock.seconds))
             way = options.roadmap.way(task, begin, [end.point for end in goals], rest)
