@@ -25,9 +25,6 @@ Along = Callable[[Array], Array]
 
 FOLD = "Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)"
 
-TOLERANCE = 1e-8
-"""Wanted accuracy of rotations under load, rad."""
-
 
 def equilibrium_at(
     robot: Robot,
@@ -65,4 +62,4 @@ def _under_load(
     if not result.converged:
         raise SolveError(FOLD)
     point = solved(Member(problem, *joints), result)
-    return to_tolerance(robot, point, load, LOADED_DISCRETISATION, TOLERANCE, ("a program", began))
+    return to_tolerance(robot, point, load, LOADED_DISCRETISATION, 1e-8, ("a program", began))

@@ -18,9 +18,6 @@ from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_p
 
 LARGEST_RATIO, LARGEST_TWIST = CONTINUATION.largest_ratio, CONTINUATION.largest_twist
 
-SHORTEST_STEP = 1e-11
-"""Fraction of the path below which a step that fails means that the branch has ended."""
-
 
 def largest_twist(margin: float) -> float:
     """Largest change (rad) of the twist at a point in one step from an equilibrium of this margin.
@@ -131,7 +128,7 @@ def follow_to(path: JointPath, start: Point, goal: float, *, stable: bool = True
         there = solve_at(path, t, here, before)
         if there is None or (stable and there.solution.margin <= 0):
             step /= 4 if there is None else 2
-            if step < SHORTEST_STEP:
+            if step < CONTINUATION.shortest_step:
                 return points, False
             continue
         points.append(there)

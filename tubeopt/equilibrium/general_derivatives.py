@@ -28,16 +28,11 @@ from ..errors import InputError, SolveError
 from ..physics.certificate import worst_function
 from ..robots.breakpoints import COINCIDE, DIMENSIONS, coincides, of_pieces
 from ..typing import Array
+from .derivatives import FLAT
 from .general_change import Answer, Change, Wound, together
 from .kinematics import forward_kinematics
 from .result import Equilibrium
 from .solving import Solution, discretisation_of, polish
-
-NUDGE = 1e-7
-"""Where breakpoints coincide, so far (m) to the side that is asked for lies the equilibrium whose derivatives stand for
-those to this side: they are off by about NUDGE times the second ones."""
-
-FLAT = 1 - 1e-9
 
 WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "curved_length"))
 
@@ -84,9 +79,10 @@ def columns_of(changes: Sequence[tuple[Linearised, Change]]) -> Array:
 
 
 def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
-    """The equilibrium with a tube moved a little."""
+    """The equilibrium with a tube moved a little: where breakpoints coincide its derivatives stand for those to that
+    side, and are off by about the motion times the second ones."""
     shift = equilibrium.translations.copy()
-    shift[tube] += side * NUDGE
+    shift[tube] += side * 1e-7
     moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
     return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
 

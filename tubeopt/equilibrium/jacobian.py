@@ -15,9 +15,6 @@ from .loaded_jacobian import loaded_columns
 from .result import Equilibrium, Jacobian
 from .state import arm_of_equilibrium, problem_of
 
-SOLVED = 1e-6
-"""Largest error (rad) of the rotations at the plate of an equilibrium that is differentiated."""
-
 JOINTS = ("rotations", "translations")
 """What a Jacobian is taken with respect to unless asked otherwise."""
 
@@ -28,7 +25,7 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
         off = float(np.abs(arm.theta[0] - assembly.transmission * arm.twist[0] - equilibrium.rotations).max())
-        if off > SOLVED:
+        if off > 1e-6:
             raise SolveError(
                 f"the equilibrium is a fold or was not solved: its base rotations are off by {off:.1e} rad"
             )

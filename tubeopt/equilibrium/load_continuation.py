@@ -12,6 +12,7 @@ import scipy
 from ..block.transcription.loaded import LoadedProblem, LoadedState, unknowns
 from ..robots.load import Load, between
 from ..solvers.loaded import loaded_margin, loaded_newton
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .continuation import LARGEST_RATIO, JointPath, largest_twist
 from .load_problem import loaded_problem
@@ -155,17 +156,13 @@ def _moved(there: Member, near: LoadedPoint, state: LoadedState) -> float:
     return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
 
 
-SHORTEST_LOAD_STEP = 1e-8
-"""Fraction of the way below which a step that fails means that the branch has ended."""
-
-
 def follow_family(
     family: Family, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
 ) -> Iterator[LoadedPoint]:
     """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable)."""
     here, before = start, None
     step = longest = min(longest, goal - start.t)
-    least, ends, power = SHORTEST_LOAD_STEP * max(1.0, abs(goal)), False, 0
+    least, ends, power = CONTINUATION.shortest_load_step * max(1.0, abs(goal)), False, 0
     while here.t < goal:
         t = goal if here.t + step >= goal - 1e-12 * max(1.0, abs(goal)) else here.t + step
         there = solve_member(family, t, here, before, stable=stable)
@@ -180,11 +177,7 @@ def follow_family(
         step = min(2 * step, longest)
         if ends:
             power = max(power, 1)
-            step = min(step, max(OF_WHAT_IS_LEFT * _left(here, before, power), step / 20, least))
-
-
-OF_WHAT_IS_LEFT = 0.8
-"""Part of the way to where the margin seems to vanish that is stepped at once."""
+            step = min(step, max(CONTINUATION.towards_end * _left(here, before, power), step / 20, least))
 
 
 def _left(here: LoadedPoint, before: LoadedPoint, power: int) -> float:

@@ -18,7 +18,7 @@ from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_c
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
 from ..solvers.loaded_ipopt import solve_loaded_ipopt
 from ..solvers.parallel.blas import small
-from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN, NEWTON, Ipopt, Newton
+from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
 from .continuation import LARGEST_RATIO, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
@@ -53,15 +53,11 @@ def ending(point: LoadedPoint) -> str:
     return "it bifurcates" if bifurcates(point) else "it ends in a fold"
 
 
-SYMMETRIC = 1e-5
-"""A growing load whose part along the softest direction is smaller than this meets a bifurcation there."""
-
-
 def bifurcates(point: LoadedPoint) -> bool:
     """Whether the load does not push along the softest direction of a point close to the end of its branch."""
     soft = np.linalg.eigh(point.state.hessian)[1][:, 0]
     pull = point.state.pull
-    return bool(abs(soft @ pull) <= SYMMETRIC * np.linalg.norm(pull))
+    return bool(abs(soft @ pull) <= CONTINUATION.symmetric * np.linalg.norm(pull))
 
 
 def unloaded_point(problem: LoadedProblem, unloaded: Equilibrium) -> LoadedPoint:
@@ -274,10 +270,6 @@ def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array
     return table[:, :n], table[:, n:]
 
 
-SMALLEST_PART = 1e-2
-"""Of a way in joint values and load, below which the compiled kernel leaves the rest to the general solver."""
-
-
 def _by_parts(
     family: JointFamily, start: Equilibrium, tolerance: float, began: float, settings: Newton
 ) -> tuple[Equilibrium, float]:
@@ -301,7 +293,7 @@ def _by_parts(
             here, t, part = then, goal, min(2 * part, 1 - goal)
             continue
         part = (goal - t) / 3
-        if part < SMALLEST_PART:
+        if part < CONTINUATION.compiled_part:
             break
     return (here, t) if t > 0 else (start, 0.0)
 

@@ -33,9 +33,6 @@ from .solving import discretisation_of
 STEP = 1e-5
 """Of the differences: rad, and as a share of the arm's length, of one over it, or of a stiffness."""
 
-ONE_SIDED = 10 * STEP
-"""The same to one side."""
-
 APART = 1e-7
 """Eigenvalues closer than this have no derivative."""
 
@@ -175,7 +172,7 @@ def _axis(turn: Array) -> Array:
 def _to_one_side(e: Equilibrium, name: str, tube: int, side: int) -> tuple[Array, Array, Array, float, float]:
     """Derivative by what moves breakpoints towards the tip (1) or the plate (-1)."""
     assert e.load is not None
-    step = side * ONE_SIDED * _unit(e, name, tube)
+    step = side * (10 * STEP) * _unit(e, name, tube)
     places = [e]
     for k in (1, 2):
         robot, alpha, shift = _moved(e, name, tube, k * step)

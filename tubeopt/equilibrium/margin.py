@@ -90,10 +90,6 @@ def quotient_change(of: ArmChange, value: float, variation: Variation, *, one_of
     return np.asarray(out * (-released / (weights @ form)))
 
 
-DOUBLE = 1e-9
-"""Two eigenvalues closer than this are one, whose mode, and so derivative, is not told."""
-
-
 def _mode(of: ArmChange, rate: Array, value: float, one_of_two: bool) -> tuple[Array, Array, Array, Array] | None:
     """The mode y (P, K, n) at the points, y' at the plate (n,) and at the points, and y (P + 1, n) between the pieces.
 
@@ -140,6 +136,7 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     right /= np.abs(right).max()
     if one_of_two:
         return np.asarray(right)
-    # Of what is left beside this mode, inverse iteration makes at most 1 / (distance to the next eigenvalue).
+    # Of what is left beside this mode, inverse iteration makes at most 1 / (distance to the next eigenvalue): two
+    # that are closer than 1e-9 are one, whose mode, and so derivative, is not told.
     other = grown[:, 1] - right * ((right @ grown[:, 1]) / (right @ right))
-    return None if np.abs(other).max() * DOUBLE > 1.0 else right
+    return None if np.abs(other).max() * 1e-9 > 1.0 else right

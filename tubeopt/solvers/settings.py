@@ -62,7 +62,12 @@ class Continuation:
     largest_twist: largest change (rad) of the twist theta - alpha at a point in one step.
     soft_twist: the same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther
         apart.
+    shortest_step, shortest_load_step: fraction of a way, and of one with a load, below which a step that fails means
+        that the branch has ended.
+    towards_end: part of the way to where the margin seems to vanish that is stepped at once.
+    symmetric: a growing load whose part along the softest direction is smaller than this meets a bifurcation there.
     compiled_step: fraction of a load below which the compiled kernel leaves a step that fails to the general solver.
+    compiled_part: the same of a way in joint values and load.
     least_stiffness: margin below which errors no longer grow in the estimate.
     hardly_softened: margins above need the check of their accuracy; the others are surer than the shape.
     """
@@ -70,7 +75,12 @@ class Continuation:
     largest_ratio: float = 0.3
     largest_twist: float = 0.6
     soft_twist: float = 0.1
+    shortest_step: float = 1e-11
+    shortest_load_step: float = 1e-8
+    towards_end: float = 0.8
+    symmetric: float = 1e-5
     compiled_step: float = 1e-3
+    compiled_part: float = 1e-2
     least_stiffness: float = 1e-6
     hardly_softened: float = 0.99
 

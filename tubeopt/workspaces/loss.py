@@ -21,8 +21,6 @@ from .voxels import Keys, Store, Voxels, default_size
 SURE = 5
 """Unstable equilibria in a voxel without a stable one that make it lost: where half were stable, 1 in 32 would lie."""
 
-TURN = 2 * np.pi
-
 Progress = Callable[[int, int], object]
 
 
@@ -172,7 +170,7 @@ def _free_to_turn(robot: Robot) -> Robot:
 def _within_limits(robot: Robot, rotations: Array) -> Mask:
     """(B,) whether joint rotations, give or take whole turns, are within the limits."""
     low, high = np.array(robot.limits.rotations).T
-    turned = rotations + TURN * np.ceil((low - 1e-9 - rotations) / TURN)
+    turned = rotations + (2 * np.pi) * np.ceil((low - 1e-9 - rotations) / (2 * np.pi))
     return np.asarray((turned <= high + 1e-9).all(1))
 
 

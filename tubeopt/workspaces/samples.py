@@ -19,9 +19,6 @@ METHODS = ("sobol", "random", "grid")
 BLOCK = 4096
 """Points drawn at once; a power of two, as Sobol points come."""
 
-PATIENCE = 256
-"""Blocks without a single admissible point after which there are none."""
-
 TURN = 2 * np.pi
 
 
@@ -74,7 +71,7 @@ class JointSamples:
             q = q[(np.abs(q - y @ box.back.T) <= 1e-9 * space.scale).all(1)]
             q = q[(q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)] if len(space.least) else q
             barren = 0 if len(q) else barren + 1
-            if barren > PATIENCE:
+            if barren > 256:
                 raise InputError("limits leave so few joint values that keep the tubes in order that none was drawn")
             joint = (q @ space.spread.T + space.offset)[:left]
             left -= len(joint)

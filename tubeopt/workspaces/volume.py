@@ -11,12 +11,6 @@ from ..typing import Array
 from .table import Workspace, held
 from .voxels import Keys, Voxels, cells, default_size, of_first_half, voxels
 
-MOST_POINTS = 20_000
-"""Tips of an alpha shape; of more, so many are drawn."""
-
-REACH = 5.0
-"""Radius of the alpha shape in mean distances of its points."""
-
 
 @dataclass(frozen=True)
 class Volume:
@@ -142,7 +136,7 @@ def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margi
 
 
 def _some_tips(workspace: Workspace, min_margin: float) -> Array:
-    table = workspace.some(MOST_POINTS)
+    table = workspace.some(20_000)
     return np.asarray(table[held(table, min_margin), -7:-4])
 
 
@@ -169,9 +163,10 @@ def alpha_shape(points: Array, radius: float | None = None) -> tuple[float, floa
 
 def _mean_distance(size: Array, circumradius: Array, count: int) -> float:
     """The radius of so many mean distances of points in the shape that it makes itself: a fixed point from above."""
-    radius = REACH * (float(size.sum()) / count) ** (1 / 3)
+    reach = 5.0  # radius of the alpha shape in mean distances of its points
+    radius = reach * (float(size.sum()) / count) ** (1 / 3)
     for _ in range(50):
-        smaller = REACH * (float(size[circumradius <= radius].sum()) / count) ** (1 / 3)
+        smaller = reach * (float(size[circumradius <= radius].sum()) / count) ** (1 / 3)
         if smaller >= 0.99 * radius:
             break
         radius = max(float(smaller), 0.5 * radius)

@@ -19,9 +19,6 @@ Keys = NDArray[np.int64]
 PATCHES = 64
 """Patches of equal area into which directions are sorted: 8 bands of height by 8 sectors."""
 
-PER_VOXEL = 50
-"""Samples per occupied voxel that the default size aims at."""
-
 _BITS = 21
 _HALF = 1 << (_BITS - 1)
 
@@ -112,7 +109,7 @@ def default_size(workspace: Workspace) -> float:
         return 1e-3
     # A workspace that is flat is as thick as a thousandth of its length, so that its voxels are counted on its face.
     volume = float(np.prod(np.maximum(extent, longest / 1000)))
-    wanted = max((volume * PER_VOXEL / count) ** (1 / 3), longest / 500)
+    wanted = max((volume * 50 / count) ** (1 / 3), longest / 500)
     steps = np.array([m * 10.0**e for e in range(-7, 1) for m in (1, 2, 5)])
     return float(steps[np.argmin(np.abs(np.log(steps / wanted)))])
 
