@@ -60,9 +60,9 @@ class InfeasibleDesignError(SolveError):
         self.relaxations = tuple(relaxations)
 
 
-def smallest_relaxations(failed: Sequence[Attempt], most: int = 3) -> list[Relaxation]:
-    """The relaxation with the least sum of moves that is found near where starts failed, and up to `most` in which a
-    single limit moves."""
+def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
+    """The relaxation with the least sum of moves that is found near where starts failed, and up to three in which one
+    limit moves alone."""
     sums: list[tuple[float, Program, Array, Array]] = []
     for one in failed[: failed[0].program.task.solver.relaxed_starts]:
         if evaluate(one.program, one.x) is not None:
@@ -79,7 +79,7 @@ def smallest_relaxations(failed: Sequence[Attempt], most: int = 3) -> list[Relax
     values = [float(group.values.min()) for group in found]
     near = [k for k in np.argsort(values) if found[k].limit.movable]
     candidates = moved if len(moved) > 1 else np.array([k for k in near if k not in moved], dtype=int)
-    for k in candidates[:most]:
+    for k in candidates[:3]:
         single = _elastic(program, x, np.arange(len(values)) == k)
         relaxation = None if single is None else _apply(program, *single)
         out += [] if relaxation is None else [relaxation]

@@ -76,8 +76,9 @@ class JointSpace:
         own = np.asarray(translations) - self.offset[self.robot.n_tubes :]
         return np.concatenate([rotations, own[[tubes[0] for tubes in self.carriages]]])
 
-    def admissible(self, q: Array, slack: float = 1e-9) -> bool:
-        """Whether q keeps the ranges and the order, to within `slack` of a joint's scale."""
+    def admissible(self, q: Array) -> bool:
+        """Whether q keeps the ranges and the order, to within round-off."""
+        slack = 1e-9
         inside = (q >= self.lower - slack * self.scale) & (q <= self.upper + slack * self.scale)
         return bool(inside.all() and (self.rows @ q >= self.least - slack * self.length).all())
 

@@ -284,11 +284,11 @@ def without_corners(task: Task, points: Array) -> Array:
     return np.stack([*way, points[-1]])
 
 
-def shorten(task: Task, points: Array, clock: Clock, *, seed: int = 0, rounds: int = 60) -> Array:
+def shorten(task: Task, points: Array, clock: Clock, *, seed: int = 0) -> Array:
     """The way with corners cut: random places on it joined straight where that holds and is shorter in joint space."""
     random = np.random.default_rng(seed)
     way = [np.array(point) for point in points]
-    for _ in range(rounds):
+    for _ in range(60):
         if clock.over or len(way) < 3:
             break
         lengths = np.array([np.linalg.norm((b - a) / task.scale) for a, b in pairwise(way)])

@@ -13,8 +13,6 @@ from .loop import LoopHistory
 from .sensors import Sensor
 from .uncertainty import Uncertainty
 
-CONFIDENCE = 0.95
-
 
 @dataclass(frozen=True)
 class Contribution:
@@ -77,7 +75,7 @@ class Feedback(Displayed):
         return float(((self.highest > self.window[1]) | (self.top > self.limit)).mean())
 
 
-def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Interval of a probability (E. B. Wilson, J. Am. Stat. Assoc. 22 (1927))."""
-    found = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a probability (E. B. Wilson, J. Am. Stat. Assoc. 22 (1927))."""
+    found = scipy.stats.binomtest(successes, trials).proportion_ci(0.95, method="wilson")
     return float(found.low), float(found.high)

@@ -11,8 +11,8 @@ from .rig import COUNTS
 Counts = NDArray[np.int64]
 
 
-def sum_up_rounding(duty: ArrayLike, most: int = COUNTS) -> Counts:
-    """Counts (T,) whose running sum never differs from that of `most` * duty by more than a half.
+def sum_up_rounding(duty: ArrayLike) -> Counts:
+    """Counts (T,) whose running sum never differs from that of 255 times the duty by more than a half.
 
     Every slot gets the count that brings the sums together again, so that between two counts the schedule dithers in
     the right proportion, and the tube, which integrates, hardly sees it: the combinatorial integral approximation with
@@ -20,7 +20,6 @@ def sum_up_rounding(duty: ArrayLike, most: int = COUNTS) -> Counts:
 
     Args:
         duty: (T,) in [0, 1], mean over each slot.
-        most: the count of a duty of 1.
 
     Raises:
         InputError: a duty outside of [0, 1].
@@ -30,6 +29,6 @@ def sum_up_rounding(duty: ArrayLike, most: int = COUNTS) -> Counts:
         raise InputError("duty must be a list of numbers from 0 to 1")
     # Rounding the running sums themselves leaves no more than a half; their differences are the counts. Where the
     # duty is 0 a count may still be owed: it is dropped, rather than heat after the end.
-    sums = np.floor(most * np.cumsum(levels) + 0.5)
+    sums = np.floor(COUNTS * np.cumsum(levels) + 0.5)
     counts = np.diff(sums, prepend=0.0)
-    return np.asarray(np.clip(counts, 0, most) * (levels > 0), dtype=np.int64)
+    return np.asarray(np.clip(counts, 0, COUNTS) * (levels > 0), dtype=np.int64)

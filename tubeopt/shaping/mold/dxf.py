@@ -12,9 +12,8 @@ import numpy as np
 from ...errors import InputError, SolveError, extra
 from ...files.files import atomic_write
 from ...files.units import TO_MM
-from ...typing import Array
 from .drawing import LAYERS, TEXT_HEIGHT_MM, Drawing, draw_plate
-from .groove import Arc, Line, Piece
+from .groove import Arc, Line, Piece, spaced
 from .mold import Mold
 
 COLOURS = {"OUTLINE": 7, "GROOVE": 5, "CENTERLINE": 1, "HOLES": 3, "TEXT": 8}
@@ -83,21 +82,17 @@ def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
     return tuple(pieces)
 
 
-def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str], step: float = 1e-3) -> float:
-    """Greatest distance (m), either way, between centrelines and those in a DXF file, sampled at `step`."""
+def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str]) -> float:
+    """Greatest distance (m), either way, between centrelines and those in a DXF file, sampled every millimetre."""
     read = read_centreline(path)
     if not read:
         return math.inf
-    return max(_farthest(own, read, step), _farthest(read, own, step))
+    return max(_farthest(own, read), _farthest(read, own))
 
 
-def _farthest(pieces: Sequence[Piece], others: Sequence[Piece], step: float) -> float:
-    points = np.vstack([piece.point(_spaced(piece.length, step)) for piece in pieces])
+def _farthest(pieces: Sequence[Piece], others: Sequence[Piece]) -> float:
+    points = np.vstack([piece.point(spaced(piece.length, 1e-3)) for piece in pieces])
     return float(np.min([other.distance(points) for other in others], axis=0).max())
-
-
-def _spaced(length: float, step: float) -> Array:
-    return np.linspace(0.0, length, max(2, math.ceil(length / step) + 1))
 
 
 def _add(space: object, piece: Piece, layer: str) -> None:

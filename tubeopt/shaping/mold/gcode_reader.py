@@ -16,7 +16,7 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...typing import Array
 from .checks import overrun
-from .groove import Arc, Centreline, Line, Piece, Point
+from .groove import Arc, Centreline, Line, Piece, Point, spaced
 from .mold import Groove, Mold
 
 PER_MINUTE = 60.0
@@ -142,14 +142,14 @@ def cutter_ways(groove: Groove) -> tuple[Centreline, ...]:
     return tuple(groove.centreline.offset(d).lengthened(overrun(groove.width)) for d in groove.cutter_offsets)
 
 
-def toolpath_deviation(mold: Mold, text: str, step: float = 1e-3) -> float:
+def toolpath_deviation(mold: Mold, text: str) -> float:
     """Greatest distance (m), either way, between where cutters of grooves go and where they are meant to; inf if too
     shallow.
 
     At full depth, every way of every groove must be there.
     """
     cuts = [m for m in read_gcode(text) if m.feed is not None and m.piece.length > 0]
-    worst = 0.0
+    worst, step = 0.0, 1e-3
     for groove in mold.grooves:
         deep = [cut.piece for cut in cuts if abs(cut.end + groove.depth) < 1e-6]
         if not deep:
@@ -158,7 +158,7 @@ def toolpath_deviation(mold: Mold, text: str, step: float = 1e-3) -> float:
             there = np.min([piece.distance(way.sample(step)) for piece in deep], axis=0)
             worst = max(worst, float(there.max()))
     ways = [way for groove in mold.grooves for way in cutter_ways(groove)]
-    gone = [cut.piece.point(np.linspace(0.0, cut.piece.length, math.ceil(cut.piece.length / step) + 1)) for cut in cuts]
+    gone = [cut.piece.point(spaced(cut.piece.length, step)) for cut in cuts]
     points = np.asarray(np.unique(np.round(np.vstack(gone), 9), axis=0), dtype=float)
     return max(worst, float(np.min([way.distance(points) for way in ways], axis=0).max()))
 
@@ -172,8 +172,9 @@ class Relief:
     depth: Array
 
 
-def milled(size: Point, cuts: list[tuple[str, float]], pixel: float = 0.2e-3, margin: float = 8e-3) -> Relief:
+def milled(size: Point, cuts: list[tuple[str, float]]) -> Relief:
     """What flat cutters leave of the stock: programs with the diameters (m) of their tools, one after the other."""
+    pixel, margin = 0.2e-3, 8e-3
     x, y = (np.arange(-margin, side + margin, pixel) + pixel / 2 for side in size)
     depth = np.zeros((len(y), len(x)))
     for text, diameter in cuts:

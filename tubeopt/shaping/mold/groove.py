@@ -155,7 +155,7 @@ class Centreline:
 
     def sample(self, step: float) -> Array:
         """(N, 2) points (m) at most `step` (m) apart, with the ends of all pieces."""
-        return np.vstack([piece.point(_spaced(piece.length, step)) for piece in self.pieces])
+        return np.vstack([piece.point(spaced(piece.length, step)) for piece in self.pieces])
 
     def bend_point(self, s: Array) -> Array:
         """(N, 2) points at arc lengths `s` (N,) of the bend, m."""
@@ -224,15 +224,13 @@ def chain_bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
     return _point(array.min(axis=0)), _point(array.max(axis=0))
 
 
-def least_distance(first: Centreline, second: Centreline, step: float = 5e-4) -> float:
-    """Least distance (m) between two centrelines, from samples at `step` (m) of the first to the second.
-
-    A distance d is reported as at most sqrt(d^2 + step^2/4), so that curves which cross are at most step/2 apart.
-    """
-    return float(second.distance(first.sample(step)).min())
+def least_distance(first: Centreline, second: Centreline) -> float:
+    """Least distance (m) between two centrelines, from samples of the first, half a millimetre apart, to the second:
+    too large by less than a quarter, so that curves which cross are at most that far apart."""
+    return float(second.distance(first.sample(5e-4)).min())
 
 
-def crosses_itself(curve: Centreline, width: float, step: float = 1.5e-3) -> bool:
+def crosses_itself(curve: Centreline, width: float) -> bool:
     """Whether a groove of this width (m) runs into itself: it comes near to where it has been, facing another way.
 
     Only points between which it turns by more than a quarter are compared, those a bend parts, however tight it is.
@@ -241,9 +239,9 @@ def crosses_itself(curve: Centreline, width: float, step: float = 1.5e-3) -> boo
     ends = np.concatenate([[0.0], np.cumsum(sweeps)])
     if np.ptp(ends) <= math.pi / 2:
         return False
-    points, headings = [], []
+    points, headings, step = [], [], 1.5e-3
     for piece, before, after in zip(curve.pieces, ends[:-1], ends[1:], strict=True):
-        s = _spaced(piece.length, step)
+        s = spaced(piece.length, step)
         points.append(piece.point(s))
         headings.append(np.linspace(before, after, len(s)))
     at, heading = np.vstack(points), np.concatenate(headings)
@@ -293,7 +291,8 @@ def clipped_area(corners: Array, size: Point) -> float:
     return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
 
 
-def _spaced(length: float, step: float) -> Array:
+def spaced(length: float, step: float) -> Array:
+    """(N,) arc lengths (m) from 0 to a length, at most `step` apart."""
     return np.linspace(0.0, length, max(2, math.ceil(length / step) + 1))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import Centreline, Point
+from .groove import Centreline, Point, spaced
 from .settings import DEFAULT_MOLD
 from .spec import PegSpec
 
@@ -57,7 +57,7 @@ class Sampled:
         """A curve, `step` (m) apart."""
         lengths, points, normals, begin = [], [], [], 0.0
         for piece in curve.pieces:
-            s = np.linspace(0.0, piece.length, max(2, math.ceil(piece.length / step) + 1))
+            s = spaced(piece.length, step)
             t = piece.tangent(s)
             lengths.append(begin + s)
             points.append(piece.point(s))
