@@ -181,6 +181,11 @@ class Tube(Displayed):
         return self.straight_length + self.curved_length
 
     @property
+    def cross_section(self) -> float:
+        """Of its metal, m^2."""
+        return math.pi / 4 * (self.outer_diameter**2 - self.inner_diameter**2)
+
+    @property
     def second_moment(self) -> float:
         """I = pi/64 (OD^4 - ID^4), m^4."""
         return float(second_moment(self.outer_diameter, self.inner_diameter))

@@ -13,13 +13,13 @@ from .rig import COUNTS, Rig
 from .schedule import Counts
 from .simulation import advance
 from .spec import HeatingSpec
-from .thermal import ThermalModel, cross_section, leak_resistance, thermal_data
+from .thermal import ThermalModel, leak_resistance, thermal_data
 
 
 def full_current(tube: Tube, rig: Rig, *, leaking: bool = True) -> float:
     """Current while the MOSFET conducts and the tube is cold, A; with or without what a mold that conducts takes."""
     whole = 2 * (rig.mold.lead + rig.clamps.clearance) + tube.curved_length
-    ohm = rig.resistivity_factor * thermal_data(tube).resistivity / cross_section(tube) * whole
+    ohm = rig.resistivity_factor * thermal_data(tube).resistivity / tube.cross_section * whole
     if leaking:
         ohm = 1 / (1 / ohm + 1 / leak_resistance(tube, rig))
     return rig.battery.voltage / (rig.battery.internal_resistance + rig.circuit.resistance + ohm)
@@ -27,7 +27,7 @@ def full_current(tube: Tube, rig: Rig, *, leaking: bool = True) -> float:
 
 def count_rate(tube: Tube, rig: Rig) -> float:
     """Rate (K/s) at which one count of the duty warms a tube in an insulating mold, without any loss."""
-    data, section = thermal_data(tube), cross_section(tube)
+    data, section = thermal_data(tube), tube.cross_section
     power = full_current(tube, rig, leaking=False) ** 2 * rig.resistivity_factor * data.resistivity / section
     return power / COUNTS / (data.density * section * data.heat_capacity)
 

@@ -23,7 +23,7 @@ from .rig import COUNTS, Rig
 from .schedule import Counts
 from .simulation import History, clamp_temperature
 from .spec import HeatingSpec
-from .thermal import ThermalModel, cross_section, thermal_data
+from .thermal import ThermalModel, thermal_data
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
@@ -219,7 +219,7 @@ class HeatingPlan(Displayed):
         """Swing of the temperature within a period of the PWM, K: what taking the duty for a mean power leaves out."""
         data = thermal_data(self.tube)
         resistivity = self.rig.resistivity_factor * data.resistivity
-        section = cross_section(self.tube)
+        section = self.tube.cross_section
         on = self.duty.max() / COUNTS
         power = self.peak_current**2 * resistivity / section
         return float(

@@ -70,7 +70,7 @@ def _graded(cells: int, slope: float) -> Array:
 def contact_decay(tube: Tube, rig: Rig) -> float:
     """Length in which the tube takes the temperature of a clamp, m."""
     per_length = rig.clamps.contact_conductance * math.pi * tube.outer_diameter
-    return math.sqrt(thermal_data(tube).conductivity * cross_section(tube) / per_length)
+    return math.sqrt(thermal_data(tube).conductivity * tube.cross_section / per_length)
 
 
 def thermal_data(tube: Tube) -> ThermalData:
@@ -181,11 +181,6 @@ def shell_radii(rig: Rig, tube: Tube, shells: int) -> tuple[Array, Array]:
     return faces, np.sqrt(faces[:-1] * faces[1:])
 
 
-def cross_section(tube: Tube) -> float:
-    """Metal of the tube's cross-section, m^2."""
-    return math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
-
-
 def half_lengths(tube: Tube, rig: Rig) -> tuple[float, float, float, float]:
     """Lengths of the zones from the clamp to the middle of the curved part, m; raises InputError without a curve."""
     if tube.curved_length <= 0:
@@ -236,7 +231,7 @@ def leak_resistance(tube: Tube, rig: Rig) -> float:
 
 def properties(tube: Tube, rig: Rig) -> Properties:
     """What `physics.heat` must know of tube and rig, but the shells' last half, which depends on their number."""
-    data, section, girth = thermal_data(tube), cross_section(tube), math.pi * tube.outer_diameter
+    data, section, girth = thermal_data(tube), tube.cross_section, math.pi * tube.outer_diameter
     mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
     factor, lengths, leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
     return {

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...errors import InputError
 from ...robots.tubes import Tube
-from ..materials import MoldMaterial
 from .groove import Point
+from .heat import ColdEnd, cold_end
+from .setting import tube_in_mold
 from .spec import EndMill, MoldSpec
 
 SLACK = 1e-12
@@ -159,9 +160,30 @@ def wall_check(least_wall: float, spec: MoldSpec) -> Check:
     )
 
 
-def material_remarks(material: MoldMaterial, spec: MoldSpec) -> tuple[str, ...]:
+def as_held(number: int, tube: Tube, spec: MoldSpec) -> tuple[Tube, ColdEnd]:
+    """A tube as its mold holds it, and its cold end, whose length is that of the specification where one is given.
+
+    Raises:
+        InputError: no mold yields the tube's largest curvature.
+    """
+    try:
+        held = tube_in_mold(tube, spec.springback)
+    except InputError as error:
+        raise InputError(f"tube {number}: {error}") from None
+    cold = cold_end(tube, spec.material, spec.heat)
+    return held, cold if spec.cold_length is None else replace(cold, length=spec.cold_length)
+
+
+def springback_remarks(spec: MoldSpec) -> list[str]:
+    """What to know of a spring-back that is not from trials."""
+    if spec.springback.calibrated:
+        return []
+    return ["the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"]
+
+
+def material_remarks(spec: MoldSpec) -> tuple[str, ...]:
     """What the mold's material makes of the heating."""
-    remarks = []
+    remarks, material = [], spec.material
     if spec.heat.set_temperature > material.limit_temperature:
         remarks.append(
             f"{material.name} {material.failure} above {material.limit_temperature_degC:.0f} degC: the groove changes "

@@ -19,13 +19,21 @@ from ...files.files import write_text
 from ...files.units import TO_MM
 from .checks import THROUGH, beyond_edge
 from .drawing import PARTS
-from .gcode_reader import TOLERANCE, Relief, cutter_ways, hazards, machining_time, milled, toolpath_deviation
+from .gcode_reader import (
+    PER_MINUTE,
+    TOLERANCE,
+    Relief,
+    cutter_ways,
+    hazards,
+    machining_time,
+    milled,
+    toolpath_deviation,
+)
 from .groove import Line, Piece, Point
 from .holes import Hole
 from .mold import Groove, Mold
 from .spec import WORK_OFFSETS, MoldSpec
 
-PER_MINUTE = 60.0
 NEAR = 1e-3
 """Height (m) above the plate down to which tools move at rapid speed."""
 

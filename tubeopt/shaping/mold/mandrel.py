@@ -7,7 +7,7 @@ the tube and the clearance, and its centreline is the curve. Tangent leads run o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,9 +15,17 @@ from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array, Sentence
-from .checks import Check, choose_mill, material_remarks, pressing_strain, refuse_failed
-from .heat import ColdEnd, cold_end
-from .setting import bend_direction, tube_from_mold, tube_in_mold
+from .checks import (
+    Check,
+    as_held,
+    choose_mill,
+    material_remarks,
+    pressing_strain,
+    refuse_failed,
+    springback_remarks,
+)
+from .heat import ColdEnd
+from .setting import bend_direction, tube_from_mold
 from .spec import MoldSpec
 from .springback import Springback
 from .winding import Winding, bend_in_space, helix_of
@@ -121,13 +129,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     instance("tube", tube, Tube)
     if bend_direction(tube) is not None:
         raise InputError(f"tube {number} is bent in a plane; it takes a plate, not a mandrel")
-    try:
-        held = tube_in_mold(tube, spec.springback)
-    except InputError as error:
-        raise InputError(f"tube {number}: {error}") from None
-    cold = cold_end(tube, spec.material, spec.heat)
-    if spec.cold_length is not None:
-        cold = replace(cold, length=spec.cold_length)
+    held, cold = as_held(number, tube, spec)
     strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
     checks = [
         Check(
@@ -159,7 +161,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     refuse_failed(checks)
     leads = winding.arc_length[-1] - winding.arc_length[0] - held.curved_length
     free = held.curved_length + max(leads + 2 * spec.clamps.gap, 2 * cold.length)
-    remarks = (*_remarks(tube, spec, turned), *special, *material_remarks(spec.material, spec))
+    remarks = (*_remarks(tube, spec, turned), *special, *material_remarks(spec))
     return Mandrel(number, tube, held, spec, body, winding, width, cold, float(free), tuple(checks), remarks)
 
 
@@ -282,11 +284,10 @@ def _way_out(point: Array, direction: Array, low: Array, high: Array) -> float:
 
 
 def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
-    remarks = ["the natural twist and torsion are as given: trials of planar bends say nothing about their spring-back"]
-    if not spec.springback.calibrated:
-        remarks.append(
-            "the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"
-        )
+    remarks = [
+        "the natural twist and torsion are as given: trials of planar bends say nothing about their spring-back",
+        *springback_remarks(spec),
+    ]
     if turned:
         remarks.append(
             "cut with a ball-nose end mill; A turns the tool about the work: reverse its sign where A names the turn "

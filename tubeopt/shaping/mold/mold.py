@@ -19,20 +19,22 @@ from ...typing import Array, Sentence
 from .arcs import bend_of
 from .checks import (
     Check,
+    as_held,
     choose_mill,
     groove_depth,
     machining_remarks,
     material_remarks,
     pressing_strain,
     refuse_failed,
+    springback_remarks,
     tube_checks,
     wall_check,
 )
 from .groove import Arc, Centreline, Point, clipped_area, polygon
-from .heat import ColdEnd, cold_end, thermal_growth
+from .heat import ColdEnd, thermal_growth
 from .holes import Hole, place_fasteners, place_vents
 from .nesting import Blank, nest
-from .setting import bend_direction, tube_in_mold
+from .setting import bend_direction
 from .spec import ENDS, EndMill, MoldSpec
 
 TRAVEL_STEP = 0.5e-3
@@ -307,14 +309,8 @@ def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
         raise InputError(f"tube {number} has no curved part; it needs no mold")
     if bend_direction(tube) is None:
         raise InputError(f"tube {number} is a space curve; a plate holds planar bends only: it takes a mandrel")
-    try:
-        held = tube_in_mold(tube, spec.springback)
-    except InputError as error:
-        raise InputError(f"tube {number}: {error}") from None
+    held, cold = as_held(number, tube, spec)
     mill, width = choose_mill(number, tube, spec)
-    cold = cold_end(tube, spec.material, spec.heat)
-    if spec.cold_length is not None:
-        cold = replace(cold, length=spec.cold_length)
     lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
     blank = Blank(number, bend_of(held, spec.solver), lead, width)
     nowhere = (Clamp("proximal", (0.0, 0.0), (-1.0, 0.0), 0.0), Clamp("distal", (0.0, 0.0), (1.0, 0.0), 0.0))
@@ -361,12 +357,7 @@ def _clamp_gap(mouth: Point, way: Array, size: Point, spec: MoldSpec) -> float:
 
 
 def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
-    remarks = []
-    back = spec.springback
-    if not back.calibrated:
-        remarks.append(
-            "the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"
-        )
+    remarks, back = springback_remarks(spec), spec.springback
     if back.curvature_range is not None:
         low, high = back.curvature_range
         for groove in grooves:
@@ -392,4 +383,4 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: the stiffnesses of its pieces are given, not derived: the slots that make them "
                 "are not drawn"
             )
-    return [*remarks, *material_remarks(spec.material, spec)]
+    return [*remarks, *material_remarks(spec)]

@@ -22,7 +22,7 @@ from ...typing import Array
 from ..heating.groove_air import STANDOFF
 from ..heating.rig import air_conductivity, natural_convection
 from ..heating.thermal import STEFAN_BOLTZMANN
-from .heat import ColdEnd, HeatSpec, thermal_data
+from .heat import ColdEnd, HeatSpec, fin, thermal_data
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +45,7 @@ def tube_in_air(tube: Tube, heat: HeatSpec) -> ColdEnd:
     data, hot, cold = thermal_data(tube), heat.set_temperature, heat.ambient
     radiated = data.emissivity * STEFAN_BOLTZMANN * (hot**4 - cold**4) / heat.rise
     loss = natural_convection(tube.outer_diameter, hot, cold) + radiated
-    section = math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
-    conductivity = data.conductivity * (1 + data.conductivity_slope * (hot - data.reference_temperature))
-    decay = math.sqrt(conductivity * section / (loss * math.pi * tube.outer_diameter))
-    gap = hot - heat.clamps
-    return ColdEnd(decay * math.log(gap / heat.tolerance) if gap > heat.tolerance else 0.0, decay, loss)
+    return fin(tube, heat, loss * math.pi * tube.outer_diameter, loss)
 
 
 def pin_conductance(tube: Tube, heat: HeatSpec, pin: float, height: float, conductivity: float) -> float:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +40,7 @@ class MaterialRating:
     leak: float
     energy: float
     limit_margin: float
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...] = ()
 
     @property
     def suitable(self) -> bool:
@@ -85,7 +84,7 @@ def tube_heat(tube: Tube, heat: HeatSpec) -> float:
     data = thermal_data(tube)
     mean = (heat.set_temperature + heat.ambient) / 2
     capacity = data.heat_capacity * (1 + data.heat_capacity_slope * (mean - data.reference_temperature))
-    return data.density * capacity * _area(tube) * heat.rise
+    return data.density * capacity * tube.cross_section * heat.rise
 
 
 def current_leak(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) -> float:
@@ -94,7 +93,7 @@ def current_leak(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: Plat
     resistivity = data.resistivity * (1 + data.resistivity_slope * (heat.set_temperature - data.reference_temperature))
     width = plate.size[1] if plate.size else SECTION_WIDTH
     beside = width * (plate.thickness + plate.lid_thickness) / material.resistivity
-    return beside / (beside + _area(tube) / resistivity)
+    return beside / (beside + tube.cross_section / resistivity)
 
 
 def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) -> MaterialRating:
@@ -109,7 +108,6 @@ def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) 
         leak=leak,
         energy=energy,
         limit_margin=material.limit_temperature - heat.set_temperature,
-        reasons=(),
     )
 
 
@@ -129,10 +127,4 @@ def _explained(rating: MaterialRating, heat: HeatSpec, least: float) -> Material
         reasons.append(f"draws {draws:.2g} times the least heat in {seconds}")
     else:
         reasons.append(f"draws the least heat in {seconds}")
-    return MaterialRating(
-        m, rating.heat_drawn, rating.heat_flow, rating.leak, rating.energy, rating.limit_margin, tuple(reasons)
-    )
-
-
-def _area(tube: Tube) -> float:
-    return math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+    return replace(rating, reasons=tuple(reasons))

@@ -17,7 +17,6 @@ from ...files.marks import check_fields, unit
 from ...typing import Array
 
 MODELS = ("auto", "constant", "linear")
-CONFIDENCE = 0.95
 ROUND_OFF = 1e-9
 """Change of the fraction over the trials below which a slope is round-off, whatever the statistics say."""
 
@@ -174,7 +173,7 @@ def _least_squares(kappa: Array, lost: Array, order: int) -> _Fit:
         return _Fit(values, None, math.nan)
     noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
     spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
-    reach = scipy.special.stdtrit(free, (1 + CONFIDENCE) / 2) * spread
+    reach = scipy.special.stdtrit(free, (1 + 0.95) / 2) * spread
     return _Fit(values, np.column_stack([values - reach, values + reach]), noise)
 
 
