@@ -196,6 +196,7 @@ class WaySearch(Displayed):
         pocket_motions: in a row that do not lead on, from which it counts as closed.
         smoothing_seconds, smoothing_share: most seconds, and most of the time that is left, for smoothing: the proof
             needs the rest.
+        least_smoothing: seconds, with fewer of which none is begun.
         scanned_seconds: most seconds of smoothing for length among scans, where rounded corners are rarely longer.
         smoothing_intervals: between knots of the smooth motion at first.
         smoothing_refinements: times that knots are added where the motion between them is not allowed.
@@ -214,6 +215,9 @@ class WaySearch(Displayed):
         goal_points: of a roadmap from which joint values for a goal of the tip are looked for, those with the nearest
             tips first.
         goal_answers: that are enough where ways shall be short: a second one shortens them by a tenth.
+        search_share: of the time limit, after which the search ends, so that what was found can be reported in time.
+        report_seconds, report_share: kept for the report at least, s, but no more than this share of the time limit.
+        postures_seconds: below which only the nearest posture for a goal of the tip is tried.
         nearest_share: of the time for the search, for the nearest posture where others are tried after it.
         roadmap_share: of the time for the search, which a roadmap is given first.
         attempts: times that a plan whose proof finds a fault is made again with more room and other random numbers.
@@ -224,6 +228,8 @@ class WaySearch(Displayed):
         proof_turn: largest turn (rad) of a joint between two equilibria of the proof, to begin with.
         proof_shift: the same of a translation, as a share of the longest tube.
         proof_equilibria: at most.
+        proof_seconds, proof_sample_seconds: that a proof takes at most on most machines: in all, and per sample of the
+            motion.
         proof_accuracy: how far (m) the bound of the clearance may lie below the least distance that was measured.
         proof_arms_accuracy: the same (m) of the distance of two arms.
         proof_halvings: of an interval in which nothing bounds how tubes turn between samples along the arm, before it
@@ -270,6 +276,7 @@ class WaySearch(Displayed):
     pocket_motions: int = 1500
     smoothing_seconds: float = 20.0
     smoothing_share: float = 0.5
+    least_smoothing: float = 1.0
     scanned_seconds: float = 2.5
     smoothing_intervals: int = 24
     smoothing_refinements: int = 3
@@ -287,6 +294,10 @@ class WaySearch(Displayed):
     goal_seconds: float = 30.0
     goal_points: int = 8
     goal_answers: int = 2
+    search_share: float = 0.9
+    report_seconds: float = 2.0
+    report_share: float = 0.35
+    postures_seconds: float = 15.0
     nearest_share: float = 0.4
     roadmap_share: float = 0.3
     attempts: int = 3
@@ -296,6 +307,8 @@ class WaySearch(Displayed):
     proof_turn: float = 0.04
     proof_shift: float = 0.004
     proof_equilibria: int = 20_000
+    proof_seconds: float = 0.1
+    proof_sample_seconds: float = 1e-3
     proof_accuracy: float = 1.2e-5
     proof_arms_accuracy: float = 5e-5
     proof_halvings: int = 4

@@ -47,15 +47,6 @@ from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
 from .trajectory import Trajectory
 
-ORDERS = 6
-"""Orders in which robots are planned for, at most, or as many as there are arms."""
-
-WITHDRAWN = 0.9
-"""Share of the way from where its tubes begin to where they are withdrawn behind the plate that an arm makes way by."""
-
-SHARE_OF_ORDER = 0.5
-"""Share of the time that is left which one order gets."""
-
 
 @dataclass(frozen=True, eq=False)
 class ArmsPlan(Displayed):
@@ -244,9 +235,9 @@ def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], cle
 
 
 def _orders(n: int) -> list[tuple[int, ...]]:
-    """Orders of n arms: first those in which each comes first, then others, `ORDERS` at least where there are."""
+    """Orders of n arms: first those in which each comes first, then others, six at least where there are."""
     turned = [tuple((k + j) % n for j in range(n)) for k in range(n)]
-    return list(dict.fromkeys([*turned, *islice(permutations(range(n)), ORDERS)]))[: max(n, ORDERS)]
+    return list(dict.fromkeys([*turned, *islice(permutations(range(n)), 6)]))[: max(n, 6)]
 
 
 Planned = Callable[[int, Sequence[Equilibrium], float, bool], Trajectory]
@@ -261,7 +252,7 @@ def _one_by_one(
     reasons: dict[str, None] = {}
     for aside in (False, True):
         for order in _orders(len(arms)):
-            ends, moves, limit = list(first), list[Move](), clock.part(SHARE_OF_ORDER)
+            ends, moves, limit = list(first), list[Move](), clock.part(0.5)
             try:
                 _move(arms, [(k, True) for k in order[1:]] if aside else [], (ends, moves), planned, limit)
                 _move(arms, [(k, False) for k in order], (ends, moves), planned, limit)
@@ -304,6 +295,6 @@ def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Arr
     """Joint values of an arm with its tubes withdrawn, and turned as they are."""
     space, n = prepared(arm.robot, None, options.carriage_gap, options.section_length), arm.robot.n_tubes
     q = space.join(at.rotations, at.translations)
-    q[n:] += WITHDRAWN * (space.lower[n:] - q[n:])
+    q[n:] += 0.9 * (space.lower[n:] - q[n:])
     rotations, translations = space.split(space.nearest(q))
     return rotations, np.array(translations)

@@ -17,9 +17,6 @@ from .options import PlanOptions
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
 
-LEAST_SMOOTHING = 1.0
-"""Seconds of smoothing below which it is not begun: its steps cannot be cut short."""
-
 SHORT, SAME = 1e-9, 2e-3
 """Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
 count as the same."""
@@ -48,7 +45,7 @@ def motions_near(
     most = effort.scanned_seconds * clock.crowding if scanned else effort.smoothing_seconds
     own = Clock(min(most, effort.smoothing_share * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves, options):
+        if aim == "none" or own.left < effort.least_smoothing or not _worth_smoothing(task, curves, options):
             break
         best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
         if best is not None:

@@ -31,18 +31,6 @@ from .smooth import joint_curves
 from .timing import Limits, stopping_at
 from .trajectory import PlanStatistics, Trajectory
 
-FOR_SEARCH = 0.9
-"""Share of the time limit after which the search ends, so that what was found can be reported in time."""
-
-FOR_REPORT, MOST_FOR_REPORT = 2.0, 0.35
-"""Seconds that are kept for the report at least, but no more than this share of the time limit."""
-
-PROOF, PROOF_SAMPLE = 0.1, 1e-3
-"""Seconds that a proof takes at most on most machines: in all, and per sample of the motion."""
-
-FOR_POSTURES = 15.0
-"""Seconds below which only the nearest posture for a goal of the tip is tried."""
-
 
 @small
 def plan_trajectory(  # noqa: PLR0913
@@ -138,9 +126,10 @@ def _way(
     task: Task, first: Equilibrium, goal: Any, goals: list[End], clock: Clock, options: PlanOptions
 ) -> tuple[Task, list[End], Way]:
     """A way to the goals; where none is found to a goal of the tip, one to other postures that meet it."""
-    until = options.time_limit - min(FOR_REPORT, MOST_FOR_REPORT * options.time_limit)
-    left = max(0.0, min(FOR_SEARCH * options.time_limit, until) - clock.seconds)
-    postures = of_the_tip(goal) and left > FOR_POSTURES
+    effort = task.effort
+    until = options.time_limit - min(effort.report_seconds, effort.report_share * options.time_limit)
+    left = max(0.0, min(effort.search_share * options.time_limit, until) - clock.seconds)
+    postures = of_the_tip(goal) and left > effort.postures_seconds
     begin = task.chart.of(first)
     if options.roadmap is not None:
         way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(task.effort.roadmap_share * left))
@@ -244,7 +233,7 @@ def _affordable(task: Task, points: Array, limits: Limits, left: float) -> tuple
     """The longest beginning of a way whose proof should take no longer than `left` seconds, as a motion with rests."""
     while len(points) > 1:
         motion = stopping_at(joint_curves(task, points), limits)
-        needed = PROOF + PROOF_SAMPLE * len(motion.sampled(task.scale)[0])
+        needed = task.effort.proof_seconds + task.effort.proof_sample_seconds * len(motion.sampled(task.scale)[0])
         if needed <= left:
             return points, motion
         points = points[: min(len(points) - 1, int(len(points) * left / needed))]
