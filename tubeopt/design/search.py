@@ -29,9 +29,7 @@ from .starts import start_values
 from .task import DesignTask
 
 
-class Wanted(Protocol):
-    """What is asked of a robot, and of numbers of its own (k,), as where a plate stands, which begin as 0."""
-
+class _Asked(Protocol):
     @property
     def words(self) -> str:
         """What its value is called."""
@@ -39,6 +37,10 @@ class Wanted(Protocol):
     @property
     def ranges(self) -> Array:
         """(k, 2) least and greatest of its own numbers, SI."""
+
+
+class Wanted(_Asked, Protocol):
+    """What is asked of a robot, and of numbers of its own (k,), as where a plate stands, which begin as 0."""
 
     def __call__(self, robot: ConcentricRobot, own: Array) -> tuple[float, float]:
         """A score from 0, at best, to 1, which tells neighbours apart, and the value, of which more is better.
@@ -48,44 +50,43 @@ class Wanted(Protocol):
         """
 
 
-class WantedOfPair(Protocol):
+class WantedOfPair(_Asked, Protocol):
     """What is asked of two robots, as `Wanted` of one."""
 
-    @property
-    def words(self) -> str:
-        """What its value is called."""
-
-    @property
-    def ranges(self) -> Array:
-        """(k, 2) least and greatest of its own numbers, SI."""
-
     def __call__(self, one: ConcentricRobot, other: ConcentricRobot, own: Array) -> tuple[float, float]:
-        """A score from 0, at best, to 1, which tells neighbours apart, and the value, of which more is better.
-
-        Raises:
-            InputError, SolveError: of these robots nothing can be told, which is the worst.
-        """
+        """Score and value, as of `Wanted`."""
 
 
 @dataclass(frozen=True, eq=False)
-class SearchedDesign(Displayed):
-    """The best design that was found for what has no derivative.
+class Searched(Displayed):
+    """What was found for what has no derivative.
 
     Attributes:
-        solution: the design, its requirements checked again by other code.
-        wanted: what was asked.   before, after: its value of the robot that was given, and of the design.
-        own: (k,) its own numbers.   tried: designs that were looked at.   seconds: of all.
+        wanted: what was asked.   before, after: its value of what was given, and of what was found.
+        own: (k,) its own numbers.   tried: designs, or pairs, that were looked at.   seconds: of all.
     """
 
     _brief = ("wanted", "before", "after", "tried")
 
-    solution: DesignSolution
     wanted: str
     before: float
     after: float
     own: Array = field(repr=False)
     tried: int
     seconds: float
+
+    @property
+    def statistics(self) -> int:
+        """How many were looked at."""
+        return self.tried
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedDesign(Searched):
+    """The best design that was found for what has no derivative."""
+
+    solution: DesignSolution
+    """The design, its requirements checked again by other code."""
 
     @property
     def value(self) -> ConcentricRobot:
@@ -97,31 +98,13 @@ class SearchedDesign(Displayed):
         """Whether it keeps what was demanded when it is looked at again."""
         return self.solution.status
 
-    @property
-    def statistics(self) -> int:
-        """Designs that were looked at."""
-        return self.tried
-
 
 @dataclass(frozen=True, eq=False)
-class SearchedPair(Displayed):
-    """The best two robots that were found for what has no derivative.
-
-    Attributes:
-        solutions: the designs, the requirements of each checked again by other code.
-        wanted: what was asked.   before, after: its value of the robots that were given, and of the designs.
-        own: (k,) its own numbers.   tried: pairs that were looked at.   seconds: of all.
-    """
-
-    _brief = ("wanted", "before", "after", "tried")
+class SearchedPair(Searched):
+    """The best two robots that were found for what has no derivative."""
 
     solutions: tuple[DesignSolution, DesignSolution]
-    wanted: str
-    before: float
-    after: float
-    own: Array = field(repr=False)
-    tried: int
-    seconds: float
+    """The designs, the requirements of each checked again by other code."""
 
     @property
     def value(self) -> tuple[ConcentricRobot, ConcentricRobot]:
@@ -133,11 +116,6 @@ class SearchedPair(Displayed):
         """Whether both keep what was demanded when they are looked at again; else that of the one that does not."""
         one, other = (solution.status for solution in self.solutions)
         return one if other is DesignStatus.KEPT else other
-
-    @property
-    def statistics(self) -> int:
-        """Pairs that were looked at."""
-        return self.tried
 
 
 class _EndError(Exception):
@@ -256,10 +234,8 @@ def search_design(
         >>> tubeopt.search_design(task, wanted, seconds=10).after
         1.0
     """
-    began = time.perf_counter()
-    (solution,), before, search, own = _searched((task,), wanted, (seconds, starts, seed, turns), progress)
-    spent = time.perf_counter() - began
-    return SearchedDesign(solution, wanted.words, before, search.value, own, search.tried, spent)
+    (solution,), told = _searched((task,), wanted, (seconds, starts, seed, turns), progress)
+    return SearchedDesign(*told, solution)
 
 
 @small
@@ -300,10 +276,8 @@ def search_pair(
     """
     if not isinstance(tasks, (tuple, list)) or len(tasks) != 2:
         raise InputError(f"tasks are {tasks!r}; they must be two, one for each robot")
-    began = time.perf_counter()
-    (one, other), before, search, own = _searched(tuple(tasks), wanted, (seconds, starts, seed, turns), progress)
-    spent = time.perf_counter() - began
-    return SearchedPair((one, other), wanted.words, before, search.value, own, search.tried, spent)
+    (one, other), told = _searched(tuple(tasks), wanted, (seconds, starts, seed, turns), progress)
+    return SearchedPair(*told, (one, other))
 
 
 def _searched(
@@ -311,9 +285,8 @@ def _searched(
     wanted: Wanted | WantedOfPair,
     settings: tuple[float, int, int, int],
     progress: Progress | None,
-) -> tuple[list[DesignSolution], float, _Search, Array]:
-    """The best designs, one for each task, the value before, the search that found them, and the own numbers.
-    `settings`: seconds, starts, seed and turns."""
+) -> tuple[list[DesignSolution], tuple[str, float, float, Array, int, float]]:
+    """The best designs, one for each task, and the fields of `Searched`; `settings`: seconds, starts, seed, turns."""
     seconds, starts, seed, turns = settings
     for task in tasks:
         _check(task)
@@ -345,7 +318,8 @@ def _searched(
     solutions = [
         solution_of(task, Settled(each, rank([each]), 0), turns, began) for task, each in zip(plain, found, strict=True)
     ]
-    return solutions, before, search, own
+    spent = time.perf_counter() - began
+    return solutions, (wanted.words, before, search.value, own, search.tried, spent)
 
 
 def _check(task: DesignTask) -> None:
