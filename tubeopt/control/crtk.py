@@ -166,21 +166,17 @@ class CrtkRobot:
 
     def _arrive(self, goal: _Goal, now: float) -> None:
         """End a move that has arrived, or comes no closer."""
-        left = self._left(goal.command)
+        turn, shift = self._missing(goal.command)
+        left = max(turn, shift)
         if left < goal.closest - min(CLOSER, goal.closest / 2) or goal.closest == math.inf:
             goal.closest, goal.closer = left, now
         if left < ARRIVED:
             self._goal, self._words = None, ""
         elif now - goal.closer > STUCK:
             self._goal = None
-            turn, shift = self._missing(goal.command)
             parts = {f"{math.degrees(turn):.3g} deg": turn, f"{shift * TO_MM:.3g} mm": shift}
             far = " and ".join(words for words, missing in parts.items() if missing >= ARRIVED)
             self._words = f"the move has ended {far} short: {self._words or 'it comes no closer'}"
-
-    def _left(self, command: Command) -> float:
-        """What is left of a move: m and rad, the greater."""
-        return max(self._missing(command))
 
     def _missing(self, command: Command) -> tuple[float, float]:
         """What is left of a move, rad and m."""

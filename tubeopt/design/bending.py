@@ -109,7 +109,7 @@ def _of_pieces(state: State, pose: PiecePose, index: PoseNumber, tube: int) -> t
     there = np.flatnonzero(number >= -1)
     if not len(there):
         return 0.0, np.zeros(state.layout.size)
-    numbers = _along(here, tube)[there].reshape(-1, 4)
+    numbers = (here.t.lagrange(ENDS) @ _at_points(here, tube))[there].reshape(-1, 4)
     given = np.column_stack([numbers, np.full(len(numbers), shape.outer_diameter)])
     strains, slopes = (part.full() for part in _strain().map(len(given))(given.T))
     ratios = np.array([_slot_ratio(shape, k)[0] if k >= 0 else 1.0 for k in number[there]])
@@ -138,11 +138,6 @@ def _at_points(here: Linearised, tube: int) -> Array:
     """(P, K, 4) direction of the bend of a tube, curvature of the arm, and precurvature, at the points."""
     natural = np.hypot(*here.values[2:4, ..., tube])
     return np.concatenate([here.direction[..., tube, None], here.u, natural[..., None]], axis=2)
-
-
-def _along(here: Linearised, tube: int) -> Array:
-    """(P, 5, 4) of `_at_points` at ENDS of every piece."""
-    return np.asarray(here.t.lagrange(ENDS) @ _at_points(here, tube))
 
 
 def _change(at: Linearised, tube: int, place: tuple[float, float], answer: Answer) -> Array:

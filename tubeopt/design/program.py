@@ -222,12 +222,8 @@ def groups(program: Program, state: State) -> list[Rows]:
     """All groups of rows that can be relaxed."""
     out = [group for number, stated in enumerate(program.stated) for group in stated_rows(stated, number, state)]
     # A limit on dimensions that are not free, and is kept, is no constraint.
-    out = [group for group in out if _matters(group)]
+    out = [one for one in out if one.always or one.jacobian.any() or one.values.min() < 0 or one.limit.words in POSED]
     return [_eased(state, group, k) for k, group in enumerate(out)] if program.elastic else out
-
-
-def _matters(group: Rows) -> bool:
-    return bool(group.always or group.jacobian.any() or group.values.min() < 0 or group.limit.words in POSED)
 
 
 def slack_name(k: int) -> str:

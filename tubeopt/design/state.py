@@ -128,9 +128,6 @@ class State:
             designs["curvature"] = space.bend_slopes(self.tubes, self.x[: self.layout.designs])
         return {name: np.pad(part, ((0, 0), (0, self.layout.size - part.shape[1]))) for name, part in designs.items()}
 
-    def _straight(self) -> Array:
-        return np.array([tube.straight_length for tube in self.tubes])
-
     def joint_values(self, index: PoseNumber) -> tuple[Array, Array]:
         """Rotations and translations (n,) of a pose."""
         if isinstance(index, tuple):
@@ -141,7 +138,7 @@ class State:
             return np.array(pose.rotations), np.array(pose.translations)
         if isinstance(pose, FreePose):
             rotations, beta = self.layout.joints(pose)
-            return self.x[rotations], self.x[beta] + self._straight()
+            return self.x[rotations], self.x[beta] + [tube.straight_length for tube in self.tubes]
         first, second = (self.joint_values(i) for i in (pose.first, pose.second))
         t = pose.fraction
         return (1 - t) * first[0] + t * second[0], (1 - t) * first[1] + t * second[1]

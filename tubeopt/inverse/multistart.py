@@ -271,16 +271,14 @@ class Multistart:
         self.solves += search.solves
         if search.reached:
             return
-        miss, same = self._miss(search), self.solver.same_miss * self.goal.space.length
+        length = self.goal.space.length
+        miss, same = float(np.linalg.norm(self.goal.residual(search.posture))) * length, self.solver.same_miss * length
         if miss < self.least - same:
             self.agreeing = 0
         elif miss < self.least + same:
             self.agreeing += 1
         self.least = min(self.least, miss)
         self.ends[-1].append(search.posture)
-
-    def _miss(self, search: Search) -> float:
-        return float(np.linalg.norm(self.goal.residual(search.posture))) * self.goal.space.length
 
     def _finished(self, search: Search, name: str, method: str) -> Iterator[InverseSolution]:
         """The search's posture as an answer; nothing if it is none."""

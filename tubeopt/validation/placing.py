@@ -169,7 +169,8 @@ def _reachable(
     (alpha, shift), usable = joints, np.ones(len(joints[0]), dtype=bool)
     while True:
         best = choose(usable)
-        blocked = [k for k in best if not _reached(robot, alpha[k], shift[k], poses.position[k, 0])]
+        legs = {k: (_home(robot), (alpha[k], shift[k]), poses.position[k, 0]) for k in best}
+        blocked = [k for k, leg in legs.items() if not _leg(robot, *leg)]
         if not blocked:
             return best
         usable[blocked] = False
@@ -264,12 +265,8 @@ def _home(robot: Robot) -> tuple[Array, Array]:
     return np.zeros(robot.n_tubes), robot.home_translations
 
 
-def _reached(robot: Robot, rotations: Array, translations: Array, tip: Array) -> bool:
-    """Whether a straight motion from home leads to this equilibrium without a snap."""
-    return _leg(robot, _home(robot), (rotations, translations), tip)
-
-
 def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip: Array | None = None) -> bool:
+    """Whether a straight motion snaps nowhere, and leads to the equilibrium with a tip where that is given."""
     try:
         path = follow(robot, [start[0], end[0]], [start[1], end[1]])
     except SolveError:

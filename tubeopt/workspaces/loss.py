@@ -16,7 +16,7 @@ from ..typing import Array, Mask
 from .samples import JointSamples
 from .shooting import from_tips
 from .table import Workspace, held
-from .voxels import Keys, Store, Voxels, default_size
+from .voxels import Keys, Store, default_size
 
 SURE = 5
 """Unstable equilibria in a voxel without a stable one that make it lost: where half were stable, 1 in 32 would lie."""
@@ -148,16 +148,12 @@ def _loss(robot: Robot, stable: Store, unstable: Store, counts: tuple[int, int])
         unstable=counts[1],
         held=firm.index,
         lost=shaky.index[_lost(stable.keys, unstable.keys, shaky.count)],
-        early_loss=_early(firm, shaky, stable, unstable) * stable.size**3,
+        early_loss=int(_lost(stable.keys[firm.early > 0], unstable.keys, shaky.early).sum()) * stable.size**3,
     )
 
 
 def _lost(firm: Keys, shaky: Keys, count: Keys) -> Mask:
     return np.asarray((count >= SURE) & ~np.isin(shaky, firm))
-
-
-def _early(firm: Voxels, shaky: Voxels, stable: Store, unstable: Store) -> int:
-    return int(_lost(stable.keys[firm.early > 0], unstable.keys, shaky.early).sum())
 
 
 def _free_to_turn(robot: Robot) -> Robot:

@@ -61,12 +61,8 @@ def shared_workspace(
     if len(workspaces) != 2 or len(bases) != 2:
         raise InputError(f"there are {len(workspaces)} workspaces and {len(bases)} bases; there must be two of each")
     tips = [_tips(each, min_margin) for each in workspaces]
-    return _shared(tips, (bases[0], bases[1]), _edge(workspaces, size))
-
-
-def _edge(workspaces: Sequence[Workspace], size: float | None) -> float:
-    """Edge of the voxels, m: as given, or such that some fifty samples of either workspace fall into one."""
-    return max(default_size(each) for each in workspaces) if size is None else positive("size", size)
+    edge = max(default_size(each) for each in workspaces) if size is None else positive("size", size)
+    return _shared(tips, (bases[0], bases[1]), edge)
 
 
 def _tips(workspace: Workspace, min_margin: float) -> Array:

@@ -205,11 +205,13 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
     best: Schedule | None = None
     for round_ in range(solver.rounds):
         said = _programmed(tube, rig, spec, room, (said, shift, reserve))
-        ideal, run = said.ideal, _exactly(tube, spec, said.ideal)
+        ideal, start = said.ideal, hold_start(said.ideal, spec)
+        run = _run((tube, ideal.rig, spec), commanded(slots(ideal, spec), ideal.rig), start)
         lost = (swing, 4 * swing)
         # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
         if round_ or swing > solver.fine_swing or not _hopeless(ideal, run, spec):
-            found = replace(_counted(spec, run), program=said)
+            counts = guarded_counts(run.model, spec, run.rig, run.levels, rough=run.rough)
+            found = replace(_checked(spec, run, counts), program=said)
             # The margin is that of the fine grid only after a correction.
             if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
                 best = found
@@ -248,16 +250,6 @@ def _programmed(
     return Programmed(
         solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess), shift, reserve
     )
-
-
-def _exactly(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Run:
-    """What the duties of an ideal schedule do to the fine model."""
-    return _run((tube, ideal.rig, spec), commanded(slots(ideal, spec), ideal.rig), hold_start(ideal, spec))
-
-
-def _counted(spec: HeatingSpec, run: Run) -> Schedule:
-    """Whole counts in the place of mean duties."""
-    return _checked(spec, run, guarded_counts(run.model, spec, run.rig, run.levels, rough=run.rough))
 
 
 def _realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:

@@ -132,12 +132,7 @@ def _biarc(start: Array, first: float, end: Array, last: float) -> tuple[Piece, 
     square = float(chord @ chord)
     arm = square / (along + math.sqrt(along**2 + bent * square))
     joint = (start + end + arm * (t0 - t1)) / 2
-    return _arc_to(start, first, joint), _arc_to(joint, _arrival(start, first, joint), end)
-
-
-def _arrival(start: Array, heading: float, end: Array) -> float:
-    """Heading at the end of the arc from `start` with `heading` to `end`."""
-    return heading + _sweep(start, heading, end)
+    return _arc_to(start, first, joint), _arc_to(joint, first + _sweep(start, first, joint), end)
 
 
 def _sweep(start: Array, heading: float, end: Array) -> float:
