@@ -21,11 +21,6 @@ from ...typing import Array
 from .rates import State, current
 from .thermal import ThermalModel
 
-Lag = Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"]
-Noise = Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"]
-Bias = Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"]
-Quantum = Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"]
-
 
 def followed(lag: ArrayLike, before: Array, target: Array, now: Array, span: float) -> Array:
     """Readings that lag behind by a time constant, s, `span` seconds after they were `before`, while their targets went
@@ -46,10 +41,10 @@ class Sensor(Displayed):
     name: ClassVar[str] = "sensor"
     """What it is called in files and words."""
 
-    lag: Lag = 0.0
-    noise: Noise = 0.0
-    bias: Bias = 0.0
-    quantum: Quantum = 0.0
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.0
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.0
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 0.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.0
     lowest: Annotated[float, key("lowest_degC"), "least that it reads; below it counts as broken"] = -50.0
     highest: Annotated[float, key("highest_degC"), "most that it reads; above it counts as broken"] = 1000.0
 
@@ -94,10 +89,10 @@ class Thermocouple(Sensor):
 
     name: ClassVar[str] = "thermocouple"
 
-    lag: Lag = 0.3
-    noise: Noise = 0.5
-    bias: Bias = 2.0
-    quantum: Quantum = 0.25
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.3
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.5
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 2.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.25
     position: Annotated[float, unit("mm"), "where it touches the tube, from the middle of the curved part"] = 0.0
 
     def target(self, model: ThermalModel, state: State) -> Array:
@@ -120,10 +115,10 @@ class Camera(Sensor):
 
     name: ClassVar[str] = "camera"
 
-    lag: Lag = 0.1
-    noise: Noise = 1.0
-    bias: Bias = 9.0
-    quantum: Quantum = 0.1
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.1
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 1.0
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 9.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.1
     positions: Annotated[
         tuple[float, ...], unit("mm"), "places whose mean is read, from the middle of the curved part"
     ] = (-20e-3, 0.0, 20e-3)
@@ -146,7 +141,7 @@ class TubeResistance(Sensor):
 
     name: ClassVar[str] = "resistance"
 
-    noise: Noise = 3.0
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 3.0
     slope: Annotated[float, unit("per_K"), POSITIVE, "of the resistivity that it reckons with, at 25 degC"] = 5e-4
 
     def target(self, model: ThermalModel, state: State) -> Array:
