@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import casadi as ca
@@ -129,7 +130,8 @@ class _Collocated:
             self._block(k)
         self._known: dict[Quantity, Any] = {}
         self._linear()
-        self._requirements()
+        for statement in chain.from_iterable(program.stated):
+            self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
         size = objective_size(program, self.state)
         aims = [one.sign * one.weight * self._aim(one) for one in program.task.objectives]
         self.opti.minimize(sum(aims) / size)
@@ -217,11 +219,6 @@ class _Collocated:
         for values, slopes in parts:
             if len(values):
                 self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
-
-    def _requirements(self) -> None:
-        for stated in self.program.stated:
-            for statement in stated:
-                self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
 
     def _aim(self, one: AnyObjective) -> Any:
         """An objective in its own sign, SI; of several numbers an unknown that none is worse than."""

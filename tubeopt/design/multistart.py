@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -38,8 +38,7 @@ class Ranking:
 
 def solve_from(program: Program, start: Array, report: Report | None = None, method: str = "reduced") -> Attempt:
     """`solve` on a copy of the program that remembers no poses of other starts."""
-    fresh = Program(**{**program.__dict__, "guesses": {}})
-    return solve(fresh, start, report, method)
+    return solve(replace(program, guesses={}), start, report, method)
 
 
 def rank(attempts: Sequence[Attempt]) -> Ranking:

@@ -21,7 +21,7 @@ from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .pool import Progress
-from .program import Added, Program, compile_task, objective_value, state_at
+from .program import Added, Program, compile_task, objective_value, recompiled, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
 from .remarks import remarks
 from .requirements import SnapFree
@@ -208,7 +208,7 @@ def _searched(
     if begin is None:
         ranking = search(compile_task(task), starts=starts)
     else:
-        ranking = rank([solve(_recompiled(task, begin), begin.x, report, method)])
+        ranking = rank([solve(recompiled(task, begin.program), begin.x, report, method)])
     retries = task.solver.retries
     if not ranking.designs and starts < retries:
         ranking = search(compile_task(task, added), starts=retries)
@@ -239,12 +239,6 @@ def _bearing(
     solution = solution_of(without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, loaded.check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
-
-
-def _recompiled(task: DesignTask, begin: Attempt) -> Program:
-    program = compile_task(task, begin.program.added)
-    program.guesses.update(begin.program.guesses)
-    return program
 
 
 def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:

@@ -12,7 +12,7 @@ from .multistart import multistart
 from .objectives import key_of
 from .optimize import infeasible, settle
 from .pool import Progress
-from .program import compile_task, objective_value, state_at
+from .program import compile_task, objective_value, recompiled, state_at
 from .requirements import SnapFree, SnapFreeInUse
 from .solve import Attempt, solve
 from .task import DesignTask
@@ -94,9 +94,7 @@ def pareto_front(
                 raise infeasible(ranking)
             found = ranking.designs[0]
         else:
-            program = compile_task(eased, here.program.added)
-            program.guesses.update(here.program.guesses)
-            found = solve(program, here.x)
+            found = solve(recompiled(eased, here.program), here.x)
         try:
             if not found.feasible:
                 raise SolveError("infeasible")

@@ -215,6 +215,11 @@ def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
     return np.array(lower), np.array(upper), np.array(scale)
 
 
+def recompiled(task: DesignTask, near: Program) -> Program:
+    """The program of a task with the added cases of another one, and what is known of its poses."""
+    return replace(compile_task(task, near.added), guesses=dict(near.guesses))
+
+
 # --- values -----------------------------------------------------------------------------------------------------------
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import SolveError
 from ..typing import Array
 from .limit import Limit
-from .program import Program, compile_task, elastic, evaluate
+from .program import Program, elastic, evaluate, recompiled
 from .rows import Rows, relaxed
 from .solve import best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
@@ -111,8 +111,7 @@ def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
         ]
         if not moves:
             return None
-        easier = compile_task(apply_changes(program.task, moves), program.added)
-        easier.guesses.update(program.guesses)
+        easier = recompiled(apply_changes(program.task, moves), program)
         result = attempt(easier, x, None)
         if not result.feasible:
             result = improve(easier, to_feasibility(easier, x))

@@ -135,13 +135,13 @@ class Multistart:
 
     def _by_starts(self, most: int) -> Iterator[tuple[InverseSolution, bool]]:
         """Answers from the seed and from the table, and whether they come from the seed."""
-        found = False
+        found, space = False, self.goal.space
         self.ends.append([])
         if self.first is not None:
             for answer in self._from(self.first, "seed"):
                 found = True
                 yield answer, True
-        elif self.near and (start := self._at_reference()) is not None:
+        elif self.near and (start := start_at(space, space.nearest(self.goal.reference))) is not None:
             for answer in self._from(start, "reference"):
                 found = True
                 yield answer, False
@@ -192,11 +192,6 @@ class Multistart:
     def seconds(self) -> float:
         """Seconds since the question was asked."""
         return time.perf_counter() - self.began
-
-    def _at_reference(self) -> Posture | None:
-        """The reference itself, brought inside of the limits."""
-        q = self.goal.space.nearest(self.goal.reference)
-        return start_at(self.goal.space, q)
 
     def _starts(self, most: int) -> Iterator[Posture]:
         """Stable postures of the table, the most promising first; they may be in an obstacle."""
