@@ -116,15 +116,11 @@ def programs(mold: Mold, part: str) -> dict[str, str]:
     Raises:
         InputError: no such part.
     """
-    stages = stages_of(mold, part)
+    stages, title = stages_of(mold, part), f"{part} of a mold, {mold.spec.material.name}"
+    files = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
     if mold.spec.workshop.touch_plate is not None:
-        return {
-            f"{part}.nc": program(f"{part} of a mold, {mold.spec.material.name}", clear_room(mold), mold.spec, stages)
-        }
-    return {
-        f"{part}_{k}.nc": program(f"{part} of a mold, {mold.spec.material.name}", clear_room(mold), mold.spec, [stage])
-        for k, stage in enumerate(stages, start=1)
-    }
+        files = {f"{part}.nc": stages}
+    return {name: program(title, clear_room(mold), mold.spec, some) for name, some in files.items()}
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
