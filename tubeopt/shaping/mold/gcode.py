@@ -116,29 +116,36 @@ def programs(mold: Mold, part: str) -> dict[str, str]:
     Raises:
         InputError: no such part.
     """
-    stages, title = stages_of(mold, part), f"{part} of a mold, {mold.spec.material.name}"
-    files = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
-    if mold.spec.workshop.touch_plate is not None:
+    title = f"{part} of a mold, {mold.spec.material.name}"
+    return files_of(part, title, clear_room(mold), mold.spec, stages_of(mold, part))
+
+
+def files_of(part: str, title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> dict[str, str]:
+    """The programs of stages by the names of their files; `title` and `clear` as in `program`."""
+    files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
+    if spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}
-    return {name: program(title, clear_room(mold), mold.spec, some) for name, some in files.items()}
+    return {name: program(title, clear, spec, some) for name, some in files.items()}
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
     """What the tools do to a plate, one after the other; what cuts it out comes last."""
     choice("part", part, PARTS)
-    plate, shop = mold.spec.plate, mold.spec.workshop
-    base = part == "base"
-    thickness = plate.thickness if base else plate.lid_thickness
-    stages = groove_stages(mold) if base else []
-    holes = mold.holes if base else (*mold.vents, *mold.holes)
+    plate = mold.spec.plate
+    if part == "base":
+        return [*groove_stages(mold), *plate_stages(mold.holes, mold.size, plate.thickness, mold.spec)]
+    return plate_stages((*mold.vents, *mold.holes), mold.size, plate.lid_thickness, mold.spec)
+
+
+def plate_stages(holes: Sequence[Hole], size: Point, thickness: float, spec: MoldSpec) -> list[Stage]:
+    """A stage for every drill, and one that cuts the plate out, m."""
+    shop, stages = spec.workshop, list[Stage]()
     for diameter in sorted({hole.diameter for hole in holes}):
-        some = [hole for hole in holes if hole.diameter == diameter]
-        lines = tuple(drilled(some, thickness, mold.spec))
+        lines = tuple(drilled([hole for hole in holes if hole.diameter == diameter], thickness, spec))
         stages.append(Stage(f"drill {diameter * TO_MM:g} mm", diameter, shop.drill_spindle, lines))
     if shop.cut_out:
-        cutter = shop.outline_diameter
-        lines = tuple(outlined(mold.size, thickness, mold.spec))
-        stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, mold.spec.milling.spindle, lines))
+        cutter, lines = shop.outline_diameter, tuple(outlined(size, thickness, spec))
+        stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, spec.milling.spindle, lines))
     return stages
 
 

@@ -16,7 +16,7 @@ from ...typing import Array
 from .checks import beyond_edge
 from .drawing import TEXT_HEIGHT_MM, Drawing, in_mm, rectangle
 from .dxf import write_drawing
-from .gcode import Stage, drilled, outlined, program
+from .gcode import files_of, plate_stages
 from .gcode_reader import TOLERANCE, hazards, read_gcode
 from .holes import Hole
 from .pegs import PegBoard
@@ -70,20 +70,11 @@ def pegs_csv(board: PegBoard) -> str:
 
 def board_programs(board: PegBoard) -> dict[str, str]:
     """The programs of the board by the names of their files: its holes, and its outline where it is cut out."""
-    spec, shank = board.spec, board.spec.pegs.shank
-    thickness, shop = spec.plate.thickness, spec.workshop
-    holes = [Hole("hole", place, shank) for place in board.holes.values()]
-    lines = tuple(drilled(holes, thickness, spec))
-    stages = [Stage(f"drill {shank * TO_MM:g} mm", shank, shop.drill_spindle, lines)]
-    if shop.cut_out:
-        cutter = shop.outline_diameter
-        around = tuple(outlined(board.size, thickness, spec))
-        stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, spec.milling.spindle, around))
-    title, clear = "board of pegs", beyond_edge([], spec) if shop.cut_out else 0.0
-    if shop.touch_plate is not None:
-        texts = {"board.nc": program(title, clear, spec, stages)}
-    else:
-        texts = {f"board_{k}.nc": program(title, clear, spec, [one]) for k, one in enumerate(stages, start=1)}
+    spec = board.spec
+    holes = [Hole("hole", place, spec.pegs.shank) for place in board.holes.values()]
+    stages = plate_stages(holes, board.size, spec.plate.thickness, spec)
+    clear = beyond_edge([], spec) if spec.workshop.cut_out else 0.0
+    texts = files_of("board", "board of pegs", clear, spec, stages)
     for name, text in texts.items():
         for wrong in hazards(text):
             raise SolveError(f"{name}: {wrong}")
