@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from tubeopt import HeatingSpec, load_rig, load_robot
+from tubeopt import HeatingSolver, HeatingSpec, InputError, load_rig, load_robot
 from tubeopt.shaping.heating.haste import soonest
-from tubeopt.shaping.heating.ideal import solve_ideal
+from tubeopt.shaping.heating.ideal import planned_ramp, solve_ideal
 from tubeopt.shaping.heating.instant import DURATION, VENTS, physics
 from tubeopt.shaping.heating.program import WISHES, Structure, program
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
@@ -77,3 +77,12 @@ def test_time_that_may_be_taken_costs_nothing() -> None:
     )
     assert whole.heating > 60
     assert whole.heating / DURATION + whole.miss < short.heating / DURATION + short.miss
+
+
+def test_how_it_is_searched_is_told() -> None:
+    half = HeatingSpec(ramp=1000.0, solver=HeatingSolver(ramp_kept=0.5))
+    assert planned_ramp(TUBE, thesis_rig(), half, 0.0) == pytest.approx(500.0)
+    with pytest.raises(InputError, match="solver is 3; it must be a HeatingSolver"):
+        HeatingSpec(solver=3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="reserve is 0"):
+        HeatingSolver(reserve=0.0)
