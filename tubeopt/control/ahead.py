@@ -108,7 +108,9 @@ class PredictiveServo:
             there, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0))
             if Why.HELD not in lacking:
                 self._waited = 0
-                self._leave_behind(passed)
+                # What is left of the way is cut into as many knots again.
+                if self._way is not None:
+                    self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
                 return ServoStep(there, lacking, *told)
         self._waited += 1
         if self._waited <= self.solver.patience:
@@ -196,11 +198,6 @@ class PredictiveServo:
         change = np.clip(self._chart.joints(at)[0], space.lower, space.upper) - here.q
         share = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
         return change / max(share, 1.0), passed
-
-    def _leave_behind(self, passed: float) -> None:
-        """Cut what is left of the way into as many knots again, after some have been passed."""
-        if self._way is not None:
-            self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
 
 
 def _places(z: Array, at: Array) -> Array:

@@ -274,6 +274,8 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
     chosen = replace(rig, **changes, mold=mold)
     if "vents" in spec.free:
         chosen = replace(chosen, mold=replace(mold, vents=tuple(np.clip(design[2:, 0], 0.0, 0.5).tolist())))
+    temperature = rig.ambient + RISE * Z[: made.structure.resolution.cells].T
+    first_held = made.structure.mesh.heating * made.structure.mesh.degree - 1
     return Ideal(
         heating=heating,
         hold=hold,
@@ -282,14 +284,8 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
         miss=float(miss[0, 0]),
         rig=chosen,
         time=points,
-        tube=rig.ambient + RISE * Z[: made.structure.resolution.cells].T,
-        held=_held(made, tube, chosen, rig.ambient + RISE * Z[: made.structure.resolution.cells].T),
+        tube=temperature,
+        held=joined(thermal_model(tube, chosen, made.structure.resolution), temperature[first_held:]),
         iterations=iterations,
         x=x[: len(x) - made.structure.copies],
     )
-
-
-def _held(made: Program, tube: Tube, rig: Rig, temperature: Array) -> Array:
-    model = thermal_model(tube, rig, made.structure.resolution)
-    first = made.structure.mesh.heating * made.structure.mesh.degree - 1
-    return joined(model, temperature[first:])
