@@ -1,5 +1,5 @@
 """`python -m tubeopt` is the command `tubeopt`."""
 
-from .cli.app import main
+from .cli import main
 
 main()

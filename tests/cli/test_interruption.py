@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import COLOUR, ROOT, THESIS
+from tubeopt import __version__
 
 RIG = "configs/rigs/thesis_calcium_silicate.yaml"
 
@@ -47,6 +48,29 @@ def test_what_is_kept_is_said_as_json_too(tmp_path: Path) -> None:
     assert (code, err) == (130, "")
     (message,) = json.loads(printed)["error"]["messages"]
     assert message == f"interrupted; the samples so far are in {out}; the same command goes on from there"
+
+
+BEFORE = """
+class Interrupt:
+    def find_spec(self, name, path, target=None):
+        if name == "tubeopt.cli.app":
+            sys.meta_path.remove(self)
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+"""
+AFTER = "import atexit; atexit.register(signal.raise_signal, signal.SIGINT)"
+
+
+@pytest.mark.parametrize(
+    ("when", "code", "printed", "told"),
+    [(BEFORE, 130, "", "error: interrupted; nothing was saved\n"), (AFTER, 0, f"tubeopt {__version__}\n", "")],
+    ids=["while Python imports", "while Python leaves"],
+)
+def test_ctrl_c_waits_until_it_can_be_told_and_undoes_nothing(when: str, code: int, printed: str, told: str) -> None:
+    hear = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    script = f"{hear}\n{when}\nfrom tubeopt.cli import main\nmain(['--version'])"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, COLOUR.sub("", done.stderr)) == (code, printed, told)
 
 
 def started(arguments: list[str]) -> subprocess.Popen[str]:

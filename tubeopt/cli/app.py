@@ -23,7 +23,7 @@ from typer.main import get_command
 
 from .. import __version__
 from .failures import INTERRUPTED, complain, failure
-from .interruption import interruptible, kept, stop_workers
+from .interruption import awake, interruptible, kept, stop_workers
 from .messages import LEVELS, listening, log_level
 
 
@@ -154,17 +154,28 @@ def program() -> TyperGroup:
     return group  # type: ignore[no-any-return]
 
 
-def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run one command; `arguments` default to those of the process. Ends with SystemExit."""
+def _code(typed: Sequence[str], heard: Sequence[int]) -> object:
+    """What a command ends with: its exit code, where it is not 0."""
+    try:
+        with awake():
+            if heard:
+                raise KeyboardInterrupt
+            return program()(typed, prog_name="tubeopt", standalone_mode=False)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def main(arguments: Sequence[str] | None = None, heard: Sequence[int] = ()) -> NoReturn:
+    """Run one command; `arguments` default to those of the process. Ends with SystemExit.
+
+    With signals that were `heard` before, it ends as one that is interrupted.
+    """
     typed = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in typed
     with listening(quiet=as_json or "--quiet" in typed), interruptible(as_json) as telling:
         try:
-            code = program()(typed, prog_name="tubeopt", standalone_mode=False)
+            code = _code(typed, heard)
             if code == INTERRUPTED:
-                # Python remembers an interrupt that fell into text that it ran as code, as dataclasses are made of, and
-                # would end by the signal in place of the code: running other text makes it forget.
-                exec("")
                 telling.acquire()
                 stop_workers()
                 complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
@@ -174,7 +185,3 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
                 raise
             code = complain(*told, as_json)
     sys.exit(code if isinstance(code, int) else 0)
-
-
-if __name__ == "__main__":
-    main()

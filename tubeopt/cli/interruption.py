@@ -79,6 +79,20 @@ def interruptible(as_json: bool) -> Iterator[threading.Lock]:
 
 
 @contextlib.contextmanager
+def awake() -> Iterator[None]:
+    """Let Ctrl-C raise KeyboardInterrupt in the block, unless the process was started to ignore it."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
 def left_alone() -> Iterator[None]:
     """Leave Ctrl-C to the block, which ends by it in its own way."""
     _OWN.append(True)

@@ -1,0 +1,32 @@
+"""Where the process `tubeopt` begins and ends: Ctrl-C waits until a command can tell of it, and undoes nothing done.
+
+While Python imports, and while it leaves, Ctrl-C would end the process by the signal, with a trace or without a word.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run one command as a process of its own; `arguments` default to those of the process. Ends with SystemExit."""
+    heard: list[int] = []
+    listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else it was started to ignore Ctrl-C
+    if listens:
+        signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    try:
+        from .app import main as run
+
+        run(arguments, heard)
+    finally:
+        with contextlib.suppress(OSError, ValueError):  # what cannot be printed is told when Python leaves
+            sys.stdout.flush()
+        if listens:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # Python remembers an interrupt that fell into text that it ran as code, as dataclasses are made of, and would
+        # end by the signal in place of the code: running other text makes it forget.
+        exec("")
