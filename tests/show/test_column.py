@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tubeopt.show.plots.style import WIDTH, finish, new_figure
+from tubeopt.show.page import WIDTH
+from tubeopt.show.plots.style import finish, new_figure
 
 
 def test_panels_stand_below_each_other_where_a_column_is_too_narrow_for_them() -> None:

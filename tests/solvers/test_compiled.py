@@ -29,7 +29,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium import kinematics, loaded
 from tubeopt.robots.robot import Robot
-from tubeopt.solvers.compiled import binding
+from tubeopt.solvers.compiled import binding, remembered
 from tubeopt.solvers.compiled import library as building
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
@@ -220,7 +220,7 @@ def test_a_compiler_that_does_not_know_the_processor_is_told_once(
 def test_a_file_that_is_no_library_is_no_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     broken = tmp_path / "kernel.so"
     broken.write_bytes(b"")
-    monkeypatch.setattr(building, "_build", lambda _: broken)
+    monkeypatch.setattr(building, "kernel_path", lambda *_: broken)
     assert building.library.__wrapped__(3, False) is None
 
 
@@ -234,6 +234,27 @@ def test_the_kernel_is_built_once_and_kept(monkeypatch: pytest.MonkeyPatch, tmp_
     assert building._build("int answer(void) { return 42; }") == path
     assert path.stat().st_mtime_ns == written
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@compiler
+def test_the_text_of_a_kernel_is_made_once_for_each_state_of_the_sources(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path))
+    monkeypatch.setattr(building, "packaged_kernel", lambda *_: None)
+    made: list[str] = []
+
+    def text() -> str:
+        made.append("int answer(void) { return 42; }")
+        return made[-1]
+
+    path = building.kernel_path((3, "none"), text)
+    assert path is not None
+    assert [building.kernel_path((3, "none"), text), len(made)] == [path, 1]
+    path.unlink()  # what a note names may be gone
+    assert [building.kernel_path((3, "none"), text), len(made)] == [path, 2]
+    monkeypatch.setattr(remembered, "_sources", lambda: "others")
+    assert [building.kernel_path((3, "none"), text), len(made)] == [path, 3]
 
 
 @compiler

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from ..errors import InputError, NotProvedError, SolveError, choice
 from ..files.units import TO_MM, parse_number
-from ..show.plots.style import WIDTH
+from ..show.page import WIDTH
 from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
 from ..show.reports import report
 from .failures import error_record, failure

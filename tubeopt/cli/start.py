@@ -6,14 +6,19 @@ While Python imports, and while it leaves, Ctrl-C would end the process by the s
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+GARBAGE = 50_000, 20, 20
+"""Thresholds of the garbage collector: to look through all that is imported takes a tenth of a short command."""
+
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command as a process of its own; `arguments` default to those of the process. Ends with SystemExit."""
+    gc.set_threshold(*GARBAGE)
     heard: list[int] = []
     listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else it was started to ignore Ctrl-C
     if listens:
@@ -30,3 +35,4 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         # Python remembers an interrupt that fell into text that it ran as code, as dataclasses are made of, and would
         # end by the signal in place of the code: running other text makes it forget.
         exec("")
+        gc.freeze()  # nor need Python look through all that there is for what to take down: the system takes it whole

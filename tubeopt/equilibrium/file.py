@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import io
 import json
@@ -35,6 +36,7 @@ _StatusByName = Annotated[
 ]
 
 
+@functools.lru_cache(maxsize=1)
 def _record_model() -> type[BaseModel]:
     """The model of `result.json`, derived from `Equilibrium` so that no field can be forgotten."""
     types: dict[str, Any] = typing.get_type_hints(Equilibrium)
@@ -45,9 +47,6 @@ def _record_model() -> type[BaseModel]:
     # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
     config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
     return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **fields)
-
-
-_Record = _record_model()
 
 
 def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -> list[Path]:
@@ -64,7 +63,7 @@ def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -
     values = {name: getattr(equilibrium, name) for name in _IN_JSON}
     for name in values.keys() & ARRAYS:
         values[name] = values[name].tolist()
-    record = _Record.model_construct(arrays_sha256=hashlib.sha256(content.getvalue()).hexdigest(), **values)
+    record = _record_model().model_construct(arrays_sha256=hashlib.sha256(content.getvalue()).hexdigest(), **values)
     with atomic_write(arrays) as temporary:
         temporary.write_bytes(content.getvalue())
     write_text(result, record.model_dump_json(indent=2) + "\n")
@@ -88,10 +87,10 @@ def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
     """
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     try:
-        record = check(_Record, json.loads(read_text(result)), result)
+        record = check(_record_model(), json.loads(read_text(result)), result)
     except json.JSONDecodeError as error:
         raise InputError(f"{result}: not valid JSON: line {error.lineno}: {error.msg}") from None
-    values = {name: getattr(record, name) for name in _Record.model_fields}
+    values = {name: getattr(record, name) for name in _record_model().model_fields}
     for name in values.keys() & ARRAYS:
         values[name] = np.array(values[name], dtype=float)
     content = read_bytes(arrays)

@@ -60,7 +60,7 @@ class Entry(BaseModel):
     Validators raise InputError with a whole sentence, or ValueError with a message that continues the key's name.
     """
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
 
 def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: bool = False) -> PlainValidator:

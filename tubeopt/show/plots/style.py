@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from contextvars import ContextVar
 from functools import wraps
 from os import PathLike
 from pathlib import Path
@@ -17,6 +16,7 @@ from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
 from ..load_words import load_in_words
+from ..page import WIDTH
 from ..words import in_a_word
 
 if TYPE_CHECKING:
@@ -69,9 +69,6 @@ RC = {
     "ytick.labelsize": 8,
 }
 
-
-WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
-"""Of pictures, m, where they are to be laid out anew for a page; letters keep their size. None leaves each as it is."""
 
 INCH = 25.4e-3
 

@@ -38,6 +38,7 @@ from ...typing import Array
 from ..settings import NEWTON
 from .constants import COARSE_DEGREE, DEGREE, general_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
+from .remembered import note_of, remember, remembered
 from .text import HERE, c_text
 
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
@@ -183,13 +184,31 @@ def compiler() -> list[str] | None:
     return [found] if found else None
 
 
+def _found_or_built(kind: Kind, text: Callable[[], str]) -> Path | None:
+    """The shared library of a kind, by what its sources made before, else by its C text."""
+    own = compiler()
+    if own is None:
+        return None
+    note = note_of(cache_directory() / "kernels", (*map(str, kind), *own, *_tuning()))
+    path = remembered(note)
+    if path is None:
+        path = _build(text())
+        if path is not None and path.parent == note.parent:
+            remember(note, path)
+    return path
+
+
+def _tuning() -> tuple[str, ...]:
+    """What is asked of the compiler, and for which machine."""
+    return *FLAGS, OWN_PROCESSOR, f"{platform.machine()} {platform.system()} {processor()}"
+
+
 def _build(text: str) -> Path | None:
     """The shared library of a C text, compiled unless it is in the cache; None where that cannot be."""
     own = compiler()
     if own is None:
         return None
-    machine = f"{platform.machine()} {platform.system()} {processor()}"
-    name = hashlib.sha256("\0".join((text, *own, *FLAGS, OWN_PROCESSOR, machine)).encode()).hexdigest()[:32]
+    name = hashlib.sha256("\0".join((text, *own, *_tuning())).encode()).hexdigest()[:32]
     for folder in (cache_directory, _own_folder):
         path = folder() / "kernels" / f"{name}.so"
         if path.exists():
@@ -301,7 +320,7 @@ def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
     """Where the kernel of a kind is, from the package or compiled here from its C text; None where it cannot be had."""
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None
-    path = packaged_kernel(kind, processor_features()) or _build(text())
+    path = packaged_kernel(kind, processor_features()) or _found_or_built(kind, text)
     if path is None:
         own = compiler()
         lacks = "no C compiler to make one" if own is None else f"the C compiler {own[0]} cannot make one"
