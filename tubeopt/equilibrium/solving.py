@@ -167,8 +167,9 @@ def from_compiled(
             elements=int(answer["elements"]),
             degree=DEFAULT_DISCRETISATION.degree,
             start=start,
-            seconds=time.perf_counter() - began,
+            seconds=time.perf_counter() - began - answer["loading"],
             refinement=refinement,
+            loading=answer["loading"],
         ),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -207,15 +208,18 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
 def solve_compiled(
     robot: Robot, rotations: Array, translations: Array, start: Start | None = None, refinement: int = 0
 ) -> dict[str, Any] | None:
-    """The stable equilibrium at joint values (n,), as the fields of the C struct Answer; overwritten by the next call.
+    """The stable equilibrium at joint values (n,), as the fields of the C struct Answer, with the seconds in which the
+    kernel was got ready as `loading`; overwritten by the next call.
 
     None where the kernel declines or there is none, or none of a mesh that is halved `refinement` times.
     """
+    began = time.perf_counter()
     prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None
     kernel, _, tubes = prepared
     room = room_of(kernel)
+    room.fields["loading"] = time.perf_counter() - began
     memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
     room.solved = (prepared, memory[: 2 * len(rotations)]) if status == SOLVED else None
