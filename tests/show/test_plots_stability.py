@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
 from matplotlib.text import Annotation
 from PIL import Image
 
@@ -41,6 +41,7 @@ from tubeopt.show.plots import (
 from tubeopt.show.plots.branch import fold_points, landing, smooth
 from tubeopt.show.plots.hysteresis import snap_angle, stretches
 from tubeopt.show.plots.maps import energy_levels
+from tubeopt.stability.maps import APPROACH, pieces
 from tubeopt.typing import Array
 
 FULL_TURN = np.radians([360.0, 0.0, 0.0])
@@ -78,9 +79,12 @@ def chart() -> StabilityMap:
     angles = np.linspace(-np.pi, np.pi, 7)
     snaps = (angles[:, None] + angles > 3.5).astype(int)
     margin = 1 - 0.1 * np.abs(angles[:, None] - angles)
+    directions = np.append(np.radians([10, 45, 80]), np.arange(3, 8) * np.pi / 4)
     boundary = np.full((8, 2), np.nan)
-    boundary[:3] = [[3.1, 0.4], [1.75, 1.75], [0.4, 3.1]]
-    return StabilityMap((0, 1), angles, np.clip(margin, 0.1, 1), snaps, boundary)
+    boundary[:3] = [[3.1, 3.1 * np.tan(np.radians(10))], [1.75, 1.75], [3.1 * np.tan(np.radians(10)), 3.1]]
+    approach = np.full((8, len(APPROACH)), np.nan)
+    approach[:3] = np.sqrt(APPROACH)
+    return StabilityMap((0, 1), angles, np.clip(margin, 0.1, 1), snaps, directions, boundary, approach)
 
 
 def texts(axes: Axes) -> list[str]:
@@ -241,14 +245,15 @@ def test_snap_with_translations_names_them(snap: Snap) -> None:
 def test_stability_map_hatches_what_a_snap_led_to(chart: StabilityMap) -> None:
     figure = plot_stability_map(chart, title="made up")
     axes = figure.axes[0]
-    (hatched,) = [each for each in axes.collections if isinstance(each, ContourSet)]
-    assert hatched.hatches == ["////"]
-    shapes = hatched.get_paths()
+    (region,) = [each for each in axes.patches if isinstance(each, PathPatch)]
+    assert region.get_hatch() == "////"
+    behind = region.get_path().contains_points
     # The map is made up: three directions lead to a snap, and what lies behind it in between is hatched.
-    folds = np.degrees(chart.boundary[np.isfinite(chart.boundary).all(1)])
-    assert any(path.contains_points(1.05 * folds[1:2]).any() for path in shapes)
-    assert not any(path.contains_points(0.95 * folds).any() for path in shapes)
-    assert not any(path.contains_points([[0.0, 0.0], [-90.0, 0.0]]).any() for path in shapes)
+    folds = np.degrees(chart.boundary[:3])
+    assert behind(1.01 * folds[1:2]).all()
+    assert behind([[179.0, 179.0], [179.0, 60.0], [60.0, 179.0]]).all()
+    assert not behind(0.99 * folds).any()
+    assert not behind([[0.0, 0.0], [-90.0, 0.0], [170.0, 20.0], [20.0, 170.0]]).any()
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names == ["reached through a snap", "snap on the straight way from home", "home"]
 
@@ -258,19 +263,45 @@ def test_stability_map_has_the_first_tube_to_the_right(chart: StabilityMap) -> N
     turned = replace(chart, margin=np.tile(np.linspace(0, 1, 7)[:, None], 7), tubes=(1, 2), **calm)
     axes = plot_stability_map(turned).axes[0]
     image: Any = axes.collections[0]
-    known = np.linspace(0, 1, 7)  # between the points the square is linear, as at a fold
-    expected = np.sqrt(np.interp(np.linspace(0, 1, 361), known, known**2))
-    np.testing.assert_allclose(np.reshape(image.get_array(), (361, 361))[180], expected, atol=1e-9)
+    shown = np.reshape(image.get_array(), (361, 361))
+    np.testing.assert_allclose(shown[180, ::60], np.linspace(0, 1, 7), atol=1e-9)
+    np.testing.assert_allclose(shown - shown[180], 0, atol=2e-2)
+    assert (np.diff(shown[180]) >= -1e-9).all()
     assert axes.get_xlabel().startswith("rotation of tube 2 ")
     assert axes.get_ylabel().startswith("rotation of tube 3 ")
+
+
+def test_margin_falls_to_the_boundary_as_it_was_found_ahead_of_it(chart: StabilityMap) -> None:
+    """Here like the root of the distance, in every direction alike."""
+    image: Any = plot_stability_map(chart).axes[0].collections[0]
+    shown = np.reshape(image.get_array(), (361, 361))
+    for k in range(1, 20):
+        place = 180 + np.degrees(1.75) - k  # along both axes
+        x = int(place)
+        ahead = np.sqrt(2) * (1.75 - np.radians(x - 180))
+        if ahead < APPROACH[0]:
+            assert shown[x, x] == pytest.approx(np.sqrt(ahead), abs=0.02)
 
 
 def test_snap_boundary_is_exact_and_broken_where_there_is_none(chart: StabilityMap) -> None:
     (line, _) = plot_stability_map(chart).axes[0].lines
     shown = np.asarray(line.get_xydata(), dtype=float)
-    np.testing.assert_allclose(shown[:3], np.degrees(chart.boundary[:3]))
-    assert np.isnan(shown[3:8]).all()
-    np.testing.assert_allclose(shown[8], shown[0])
+    np.testing.assert_allclose(shown[[0, len(shown) // 2, -1]], np.degrees(chart.boundary[:3]))
+    direction = np.arctan2(*shown.T[::-1])
+    assert (np.diff(direction) > 0).all()
+    assert (direction[0], direction[-1]) == pytest.approx(np.radians([10, 80]))
+
+
+def test_boundary_all_around_is_one_closed_curve(chart: StabilityMap) -> None:
+    directions = np.arange(8) * np.pi / 4
+    ring = np.column_stack([np.cos(directions), np.sin(directions)])
+    whole = replace(chart, directions=directions, boundary=2 * ring, approach=np.tile(np.sqrt(APPROACH), (8, 1)))
+    ((around, points, _),) = pieces(whole)
+    assert around[-1] - around[0] == pytest.approx(2 * np.pi)
+    assert points[0] == pytest.approx(points[-1])
+    (region,) = [each for each in plot_stability_map(whole).axes[0].patches if isinstance(each, PathPatch)]
+    behind = region.get_path().contains_points([[0.0, 0.0], [0.0, 110.0], [0.0, 120.0], [-170.0, -170.0]])
+    assert behind.tolist() == [False, False, True, True]
 
 
 def test_stability_map_without_snaps(chart: StabilityMap) -> None:

@@ -106,8 +106,9 @@ def test_stability_map_is_following_from_home() -> None:
     assert (chart.margin > 0).all()
     # The mirror image of home is home.
     assert chart.margin == pytest.approx(chart.margin[::-1, ::-1], abs=1e-6)
-    for k, point in enumerate(chart.boundary):
-        angle = 2 * np.pi * k / 8
+    asked = np.searchsorted(chart.directions, np.arange(8) * np.pi / 4)
+    assert chart.directions[asked] == pytest.approx(np.arange(8) * np.pi / 4)
+    for angle, point in zip(chart.directions[asked], chart.boundary[asked], strict=True):
         ray = np.array([np.cos(angle), np.sin(angle)])
         goal = [*(ray * np.pi / np.abs(ray).max()), 0.0]
         snap = find_snap(THESIS, ([0.0, 0.0, 0.0], None), (goal, None))

@@ -48,6 +48,9 @@ from .verification import verify_equilibrium
 SHORT = 0.01
 """Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
 
+TOLERANCE = 1e-8
+"""Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
+
 HOMOTOPY_STEP = np.pi / 8
 """Largest turn (rad) of a tube per step of the way from home."""
 
@@ -60,7 +63,7 @@ def forward_kinematics(  # noqa: PLR0913
     method: str | Newton | Ipopt = "newton",
     guess: Equilibrium | None = None,
     load: Load | None = None,
-    tolerance: float = 1e-8,
+    tolerance: float = TOLERANCE,
     verify: bool = False,
     discretisation: Discretisation = DEFAULT_DISCRETISATION,
 ) -> Equilibrium:
@@ -195,6 +198,13 @@ def _compiled(
         return None
     begin = "tubes without torsion" if start is None else "guess"
     return from_compiled(robot, rotations, shift, answer, (begin, *how))
+
+
+def nearby(guess: Equilibrium, rotations: Array) -> Equilibrium | None:
+    """The stable equilibrium of the branch of `guess` at rotations (n,), rad, a small motion away, by the compiled
+    kernel; None where that declines, as it does close to a fold."""
+    found = _compiled(guess.robot, rotations, tuple(guess.translations.tolist()), guess, (time.perf_counter(), 0))
+    return found if found is not None and _error(found) <= TOLERANCE else None
 
 
 @lru_cache(maxsize=256)

@@ -268,7 +268,7 @@ class StabilityMapStudy(Study):
     directions: Annotated[Whole, Field(ge=4)] = Field(
         120, description="directions in which the snap boundary is computed"
     )
-    workers: Annotated[Whole, Field(ge=1)] = Field(2, description="processes that share the work")
+    workers: Annotated[Whole, Field(ge=1)] = Field(1, description="processes that share the work")
 
     def run(self, progress: Progress | None = None) -> RobotMap:
         """The map; raises SolveError where there is no stable equilibrium to start from or to land on."""

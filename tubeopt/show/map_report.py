@@ -26,9 +26,12 @@ def _least_before(a: RobotMap) -> float | None:
     return None if snapped.all() else float(a.map.margin[~snapped].min())
 
 
-def _snapping(a: RobotMap) -> str:
-    boundary = a.map.boundary
-    return f"in {np.isfinite(boundary).all(1).sum()} of {len(boundary)} directions"
+def _snapping_fraction(a: RobotMap) -> float:
+    """Part of all directions; each stands for those that are closer to it than to its neighbours."""
+    angles = a.map.directions
+    wide = np.roll(angles, -1) - np.roll(angles, 1)
+    wide[[0, -1]] += 2 * np.pi
+    return float(wide @ np.isfinite(a.map.boundary).all(1)) / (4 * np.pi)
 
 
 def _nearest_words(a: RobotMap) -> str | None:
@@ -48,9 +51,11 @@ MAP: tuple[Quantity[RobotMap], ...] = (
     Quantity("snapped_fraction", "part of the map that is reached after a snap", lambda a: (a.map.snaps > 0).mean(),
              label="reached after a snap", words=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map"),
     Quantity("most_snaps", "most snaps on the way to a point", lambda a: a.map.snaps.max()),
-    line("snaps on the way", _snapping),
+    Quantity("snapping_fraction", "part of all directions from home in which a snap is met", _snapping_fraction,
+             label="snaps on the way", words=lambda a: f"in {100 * _snapping_fraction(a):.1f} % of all directions"),
     Quantity("nearest_snap_deg", "the snap that needs the least turning", _nearest, label="the nearest snap",
              words=_nearest_words),
+    Quantity("directions_deg", "from the axis of the first tube", lambda a: a.map.directions),
     Quantity("boundary_deg", "rotations of the first snap in every direction", lambda a: a.map.boundary),
 )  # fmt: skip
 
@@ -68,7 +73,10 @@ class RobotMapReport(Report[RobotMap]):
     def save(self, directory: Path) -> list[Path]:
         """Write map.npz: the fields of `StabilityMap` and the translations, in SI."""
         found = self.answer.map
-        fields = {name: getattr(found, name) for name in ("tubes", "angles", "margin", "snaps", "boundary")}
+        fields = {
+            name: getattr(found, name)
+            for name in ("tubes", "angles", "margin", "snaps", "directions", "boundary", "approach")
+        }
         return [save_arrays(directory / "map.npz", translations=self.answer.translations, **fields)]
 
     def pictures(self) -> dict[str, Drawing]:

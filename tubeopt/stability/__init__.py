@@ -4,12 +4,13 @@ from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
 from .deflection import deflection_bound
 from .eccentric_verdict import EccentricVerdict
+from .energy import EnergyMap, energy_map
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
 from .friction_band import FrictionBand, friction_band
 from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
-from .maps import EnergyMap, StabilityMap, energy_map, stability_map
+from .maps import StabilityMap, stability_map
 from .settings import SnapSearch
 from .snapping import find_snap
 from .stroke import find_stroke_force

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..block.transcription.buffered import section_function
 from ..block.transcription.mesh import make_mesh
@@ -35,12 +34,11 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
     Derivatives with respect to t are central differences; they shape the steps, not the result.
     """
     known = near.solution.problem
-    pieces = np.bincount(known.mesh.section, minlength=known.assembly.n_sections)
     z, t = near.solution.result.state.z, near.t
     v = softest(known, near.solution.result.state)
     size = len(z)
     for _ in range(FOLD_ITERATIONS):
-        problem = _problem_like(path, t, pieces)
+        problem = _problem_like(path, t, known)
         if problem is None or problem.size != size:
             return None
         state = evaluate(problem, path.at(t)[0], z)
@@ -50,7 +48,7 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
         matrix[size : 2 * size, :size] = _hessian_slope(problem, path.at(t)[0], state, v)
         matrix[size : 2 * size, size : 2 * size] = state.hessian
         matrix[2 * size, size : 2 * size] = v
-        slope = _t_slope(path, t, pieces, z, v)
+        slope = _t_slope(path, t, known, z, v)
         if slope is None:
             return None
         matrix[: 2 * size, 2 * size] = slope
@@ -67,11 +65,11 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
     else:
         if turn > 1e-7:
             return None
-    return _fold(path, t, pieces, z, v)
+    return _fold(path, t, known, z, v)
 
 
-def _fold(path: JointPath, t: float, pieces: NDArray[np.intp], z: Array, v: Array) -> Fold | None:
-    problem = _problem_like(path, t, pieces)
+def _fold(path: JointPath, t: float, known: ReducedProblem, z: Array, v: Array) -> Fold | None:
+    problem = _problem_like(path, t, known)
     if problem is None:
         return None
     rotations = path.at(t)[0]
@@ -80,18 +78,23 @@ def _fold(path: JointPath, t: float, pieces: NDArray[np.intp], z: Array, v: Arra
     return Fold(t, solution, v)
 
 
-def _problem_like(path: JointPath, t: float, pieces: NDArray[np.intp]) -> ReducedProblem | None:
-    """The problem at t on a mesh with the same pieces; None where the sections are others."""
-    assembly = path.robot.assembly(path.at(t)[1])
-    return reduce(assembly, make_mesh(assembly, pieces)) if assembly.n_sections == len(pieces) else None
+def _problem_like(path: JointPath, t: float, known: ReducedProblem) -> ReducedProblem | None:
+    """The problem at t on a mesh with the pieces of a known one of the path; None where the sections are others."""
+    n = path.robot.n_tubes
+    if (path.start[n:] == path.end[n:]).all():
+        return known
+    assembly, count = path.robot.assembly(path.at(t)[1]), known.assembly.n_sections
+    if assembly.n_sections != count:
+        return None
+    return reduce(assembly, make_mesh(assembly, np.bincount(known.mesh.section, minlength=count)))
 
 
-def _t_slope(path: JointPath, t: float, pieces: NDArray[np.intp], z: Array, v: Array) -> Array | None:
+def _t_slope(path: JointPath, t: float, known: ReducedProblem, z: Array, v: Array) -> Array | None:
     """d(g, H v)/dt by central differences within the same structure, one-sided where a side leaves it."""
     values: list[Array] = []
     places: list[float] = []
     for at in (t - 1e-6, t + 1e-6, t):
-        problem = _problem_like(path, at, pieces)
+        problem = _problem_like(path, at, known)
         if problem is None or problem.size != len(z) or len(values) == 2:
             continue
         state = evaluate(problem, path.at(at)[0], z)

@@ -327,9 +327,18 @@ def motion_along(path: JointPath, solution: Solution) -> Iterator[Point | Event]
 
 def leave_branch(path: JointPath, here: Point, goal: float) -> Event | Point:
     """What happens where the stable branch ends: a snap, or a smooth change to a neighbouring branch."""
+    fold = fold_ahead(path, here, min(goal, here.t + 1e-2))
+    return beyond(path, here, goal, fold or Fold(here.t, here.solution, _softest(here.solution)))
+
+
+def fold_ahead(path: JointPath, here: Point, far: float) -> Fold | None:
+    """The fold close ahead of a point of a stable branch, up to fraction `far`; None where none is found."""
     fold = polish_fold(path, here)
-    if fold is None or not here.t - 1e-6 <= fold.t <= min(goal, here.t + 1e-2):
-        fold = Fold(here.t, here.solution, _softest(here.solution))
+    return fold if fold is not None and here.t - 1e-6 <= fold.t <= far else None
+
+
+def beyond(path: JointPath, here: Point, goal: float, fold: Fold) -> Event | Point:
+    """What happens at a fold ahead of a point: a snap, or a smooth change to a neighbouring branch."""
     landed = land(fold.solution, fold.direction)
     turn = 0.0 if landed is None else distance(landed, fold.solution)
     t = min(goal, fold.t + PAST)

@@ -1,172 +1,37 @@
-"""Maps: elastic energy over two tip angles, and the margin over two relative rotations."""
+"""The margin over two relative rotations, and the curve at which a robot that comes straight from home snaps."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..block.transcription.green import ahead, reach
-from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline
 from ..display import Displayed
-from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, polish, reduced_problem
 from ..errors import InputError, vector
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array, Sentence
-from .equilibria import find_equilibria
-from .following import Event, motion_along
-from .snapping import find_snap
+from ..typing import Array, Mask, Sentence
+from .ways import straight_way
 
+TURN = 2 * np.pi
 
-@dataclass(frozen=True, eq=False)
-class EnergyMap(Displayed):
-    """Least elastic energy (J) with the tips of two tubes held at given angles; its stationary points are equilibria.
+HALVINGS = 7
+"""Of what lies between two directions, in search of the end of the boundary."""
 
-    first, second: (N,) tip angles (rad) of tubes `tubes`.  energy: (N, N), rows by `first`.  equilibria: all of them.
-    """
+APPROACH = np.array([0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025])
+"""Turns (rad) ahead of the first snap at which the margin is told: it falls to 0 within less than two points of the
+map."""
 
-    tubes: tuple[int, int]
-    first: Array
-    second: Array
-    energy: Array
-    equilibria: tuple[Equilibrium, ...]
-
-
-@small
-def energy_map(
-    robot: Robot,
-    rotations: ArrayLike,
-    translations: ArrayLike | None = None,
-    *,
-    tubes: tuple[int, int] = (0, 1),
-    samples: int = 61,
-    window: ArrayLike | None = None,
-) -> EnergyMap:
-    """Energy over the tip angles of two tubes at given joint values.
-
-    Everything else, the torsion inside and the tips of other tubes, takes the values of least energy, followed from
-    point to point.
-
-    Args:
-        tubes: the two whose tips are held, from 0.   samples: points per axis.
-        window: (2, 2) least and largest tip angle of each of them, rad; by default around all equilibria.
-
-    Raises:
-        InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part; a
-            window that is not two ranges.
-        SolveError: the equilibria at these joint values are not complete.
-
-    Examples:
-        >>> import tubeopt
-        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
-        >>> tubeopt.energy_map(robot, [1.0, 0.0], samples=11).energy.shape
-        (11, 11)
-    """
-    alpha = vector("rotations", rotations, robot.n_tubes)
-    home = robot.home_translations if translations is None else translations
-    shift = vector("translations", home, robot.n_tubes)
-    problem = on_centreline(reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION))
-    for tube in tubes:
-        if tube not in problem.tube:
-            raise InputError(f"tubes is {tubes}; each must be a tube, from 0, that is coupled to another one")
-    if tubes[0] == tubes[1]:
-        raise InputError(f"tubes is {tubes}; they must be two different tubes")
-    found = find_equilibria(robot, alpha, shift)
-    tips = np.array([e.tip_rotations for e in found])[:, list(tubes)]
-    first, second = (np.linspace(low, high, samples) for low, high in _window(tips, window))
-    holds = [_hold(problem, tube) for tube in tubes]
-    # Held is the elastic rotation; what natural twist adds to it is known.
-    ends = np.maximum(problem.assembly.end, 0.0)[list(tubes)]
-    wound = problem.assembly.wound(ends)[[0, 1], list(tubes)]
-    base = alpha[list(tubes)] + wound
-    energy = np.empty((samples, samples))
-    row = np.zeros(problem.size)
-    for i in range(samples):
-        z = row
-        order = range(samples)
-        for j in order:
-            z, energy[i, j] = _held_minimum(problem, alpha, z, holds, (first[i] - base[0], second[j] - base[1]))
-            if j == 0:
-                row = z
-    return EnergyMap(tubes, first, second, energy, tuple(found))
-
-
-def _window(tips: Array, window: ArrayLike | None) -> Array:
-    """(2, 2) ranges of two tip angles: as given, or around `tips` (k, 2)."""
-    if window is not None:
-        ranges = np.array(window, dtype=float)
-        if ranges.shape != (2, 2) or not np.isfinite(ranges).all() or not (ranges[:, 0] < ranges[:, 1]).all():
-            raise InputError(f"window is {window!r}; it must be two ranges, (least, largest) tip angle in rad each")
-        return ranges
-    low, high = tips.min(0), tips.max(0)
-    reach = np.maximum(0.6 * (high - low), np.radians(60))
-    return np.column_stack([low - reach, high + reach])
-
-
-def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
-    """The tip angle of a tube given z: alpha + a . z + d zeta, with zeta a further coordinate of unit stiffness.
-
-    (a, d) is the next row of the Cholesky factor when the tube's end joins the collocation points.
-    """
-    assembly = problem.assembly
-    mine = problem.tube == tube
-    end = float(assembly.end[tube])
-    # theta(end) responds to the moment at a point by |beta| + s, which the collocated integral has exactly.
-    across = problem.arc_length[problem.point[mine]]
-    if problem.here is None:
-        beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]
-        soft, whole = (beta + across) / kt, (beta + end) / kt
-    else:
-        places = np.append(problem.mesh.start, assembly.total_length)
-        whole = reach(problem.mesh, problem.here)[int(np.abs(places - end).argmin()), tube]
-        soft = ahead(problem.mesh, problem.here)[:, tube][problem.point[mine]]
-    a = np.zeros(problem.size)
-    a[mine] = np.linalg.solve(problem.factor[np.ix_(mine, mine)], soft)
-    return a, float(np.sqrt(max(whole - a @ a, 1e-30)))
-
-
-def _held_minimum(
-    problem: ReducedProblem,
-    rotations: Array,
-    z: Array,
-    holds: Sequence[tuple[Array, float]],
-    twists: tuple[float, float],
-) -> tuple[Array, float]:
-    """Newton on the energy with both tips held; z and the energy there."""
-
-    def total(at: Array) -> tuple[float, Array, Array]:
-        state = evaluate(problem, rotations, at)
-        energy, gradient, hessian = state.energy, state.gradient, state.hessian
-        for (a, d), twist in zip(holds, twists, strict=True):
-            zeta = (twist - float(a @ at)) / d
-            energy += zeta**2 / 2
-            gradient = gradient - a * (zeta / d)
-            hessian = hessian + np.outer(a, a) / d**2
-        return energy, gradient, hessian
-
-    energy, gradient, hessian = total(z)
-    for _ in range(60):
-        values, vectors = np.linalg.eigh(hessian)
-        step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-2))
-        turn = float(np.abs(problem.factor @ step).max())
-        if turn < 1e-7:
-            break
-        step *= min(1.0, 0.5 / turn)
-        for _ in range(30):
-            trial = total(z + step)
-            if trial[0] <= energy + 1e-4 * float(gradient @ step) + 1e-13 * abs(energy):
-                break
-            step /= 2
-        z = z + step
-        energy, gradient, hessian = trial
-    return z, energy
+JUMP, EDGE_ON = 0.1, 3.0
+"""Neighbouring directions see two pieces of the boundary if their distances from home differ by more than the first,
+rad, and by more than the second, the slope of a curve in polar coordinates, allows."""
 
 
 class MapStatus(Sentence):
@@ -191,14 +56,18 @@ class StabilityMap(Displayed):
 
     tubes: the two that turn; all others stay at home.  angles: (N,) rad, of both axes.
     margin: (N, N) at the end, rows by the first tube.  snaps: (N, N) snaps on the way.
-    boundary: (D, 2) rotations (rad) at the first snap in D directions; NaN in directions without.
+    directions: (D,) rad from the axis of the first tube, rising: those asked for, and more between two of them where
+    the boundary ends or goes on elsewhere.  boundary: (D, 2) rotations (rad) at the first snap in each; NaN in those
+    without.  approach: (D, A) margins at a turn of APPROACH (A,) rad ahead of it, where it falls; NaN likewise.
     """
 
     tubes: tuple[int, int]
     angles: Array
     margin: Array
     snaps: Array
+    directions: Array
     boundary: Array
+    approach: Array
 
     @property
     def value(self) -> Array:
@@ -225,22 +94,25 @@ def stability_map(
     tubes: tuple[int, int] = (0, 1),
     samples: int = 24,
     directions: int = 120,
-    workers: int = 2,
+    workers: int = 1,
     progress: Callable[[int, int], object] | None = None,
 ) -> StabilityMap:
     """Margin and snaps over two rotations relative to the other tubes, +-180 deg each.
 
     Args:
-        tubes: the tubes that turn, from 0.   samples: points per axis.   directions: of the snap boundary.
+        tubes: the tubes that turn, from 0.   samples: points per axis.
+        directions: of the snap boundary, evenly around home. Where it ends between two of them, or goes on elsewhere,
+            more are looked into, until that is known to a hundredth of what lies between the two.
         workers: processes.   progress: called with the tasks done and their number.
 
     Raises:
         InputError: fewer than three tubes, tubes that do not exist or are the same, a tube out of its actuator.
+        SolveError: no stable equilibrium at home, or none where the robot lands.
 
     Examples:
         >>> import tubeopt
         >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
-        >>> chart = tubeopt.stability_map(robot, samples=3, directions=4, workers=1)
+        >>> chart = tubeopt.stability_map(robot, samples=3, directions=4)
         >>> chart.margin.shape
         (3, 3)
     """
@@ -251,52 +123,110 @@ def stability_map(
     home = robot.home_translations if translations is None else translations
     shift = vector("translations", home, robot.n_tubes)
     robot.assembly(shift)
+    origin = forward_kinematics(robot, np.zeros(robot.n_tubes), shift)
     angles = np.linspace(-np.pi, np.pi, samples)
-    phi = np.arange(directions) * 2 * np.pi / directions
-    reach = np.pi / np.maximum(np.abs(np.cos(phi)), np.abs(np.sin(phi)))
     rows = [np.column_stack([np.full(samples, angle), angles]) for angle in angles]
-    rays = np.array_split(np.column_stack([np.cos(phi), np.sin(phi)]) * reach[:, None], max(1, directions // 15))
-    jobs = [(robot, shift, tubes, row, False) for row in rows] + [
-        (robot, shift, tubes, ray, True) for ray in rays if len(ray)
-    ]
+    around = np.arange(directions) * TURN / directions
+    parts = np.array_split(around, max(1, directions // 15))
+    jobs = [(origin, tubes, row, False) for row in rows] + [(origin, tubes, rim(part), True) for part in parts]
+    results = _done(jobs, workers, progress)
+    table, found = np.array(results[:samples]), np.concatenate(results[samples:])
+    around, found = _closed_in(around, found, lambda ends: _job((origin, tubes, ends, True)))
+    whole = table[:, :, 0], table[:, :, 1].astype(int)
+    return StabilityMap(tubes, angles, *whole, around, found[:, :2], found[:, 2:])
+
+
+def rim(directions: Array) -> Array:
+    """(D, 2) where rays from home in directions (D,) leave the map, rad."""
+    ray = np.column_stack([np.cos(directions), np.sin(directions)])
+    return np.asarray(ray * (np.pi / np.abs(ray).max(1, keepdims=True)))
+
+
+IGNORED = signal.SIGINT, signal.SIG_IGN
+
+Job = tuple[Equilibrium, tuple[int, int], Array, bool]
+"""The pose at home, the tubes that turn, pairs of rotations (k, 2), and whether only the first snap is wanted."""
+
+
+def _done(jobs: Sequence[Job], workers: int, progress: Callable[[int, int], object] | None) -> list[Array]:
+    """What becomes of jobs, in order."""
     results = []
-    if workers > 1:
-        with ProcessPoolExecutor(workers) as pool:
-            for result in pool.map(_map_job, jobs):
-                results.append(result)
-                if progress is not None:
-                    progress(len(results), len(jobs))
-    else:
-        for job in jobs:
-            results.append(_map_job(job))
+    alone = nullcontext()  # and of several, who asked them hears of Ctrl-C
+    with ProcessPoolExecutor(workers, None, signal.signal, IGNORED) if workers > 1 else alone as pool:
+        for result in map(_job, jobs) if pool is None else pool.map(_job, jobs):
+            results.append(result)
             if progress is not None:
                 progress(len(results), len(jobs))
-    table = np.array(results[:samples])
-    boundary = np.concatenate([np.zeros((0, 2)), *results[samples:]])
-    return StabilityMap(tubes, angles, table[:, :, 0], table[:, :, 1].astype(int), boundary)
+    return results
 
 
-def _map_job(job: tuple[Robot, Array, tuple[int, int], Array, bool]) -> Array:
-    """(k, 2) margin and number of snaps at each pair of rotations, or, for rays, the rotations at the first snap."""
-    robot, shift, tubes, ends, rays = job
-    n = robot.n_tubes
-    origin = forward_kinematics(robot, np.zeros(n), shift)
-    start = polish(origin)
-    out = np.full((len(ends), 2), np.nan)
+def _job(job: Job) -> Array:
+    """(k, 2) margin and number of snaps on the ways to pairs of rotations; or (k, 2 + A) the rotations at the first
+    snap and the margins ahead of it, NaN without."""
+    origin, tubes, ends, rays = job
+    out = np.full((len(ends), 2 + len(APPROACH) * rays), np.nan)
     for row, end in zip(out, ends, strict=True):
-        goal = np.zeros(n)
+        goal = np.zeros(origin.robot.n_tubes)
         goal[list(tubes)] = end
-        if rays:
-            snap = find_snap(robot, (np.zeros(n), shift), (goal, shift), equilibrium=origin)
-            if snap is not None:
-                row[:] = snap.rotations[list(tubes)]
-            continue
-        here, snaps = Point(0.0, start), 0
-        path = JointPath(robot, np.concatenate([np.zeros(n), shift]), np.concatenate([goal, shift]))
-        for step in motion_along(path, start):
-            if isinstance(step, Event):
-                snaps += 1
-            else:
-                here = step
-        row[:] = here.solution.margin, snaps
+        found = straight_way(origin, goal, to_first_snap=rays)
+        if not rays:
+            row[:] = found.pose.margin, found.snaps
+        elif found.first is not None:
+            row[:2], row[2:] = found.first[list(tubes)], _margins_ahead(origin, found.first)
     return out
+
+
+def _margins_ahead(origin: Equilibrium, snap: Array) -> Array:
+    """(A,) margins on the way to joint rotations (n,) at the first snap, APPROACH before these."""
+    here, whole, margins = origin, float(np.linalg.norm(snap)), []
+    for ahead in APPROACH:
+        here = straight_way(here, snap * max(0.0, 1 - ahead / whole)).pose
+        margins.append(here.margin)
+    return np.array(margins)
+
+
+def _closed_in(directions: Array, found: Array, first_snaps: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Directions, and what is found in them, with more where two neighbours do not see one piece of boundary."""
+    if len(directions) < 3:
+        return directions, found
+    closest = TURN / len(directions) / 2**HALVINGS
+    while True:
+        after = np.append(directions[1:], directions[0] + TURN)
+        apart = _torn(directions, after, found[:, :2]) & (after - directions > 1.5 * closest)
+        if not apart.any():
+            return directions, found
+        between = ((directions + after) / 2)[apart]
+        order = np.argsort(np.append(directions, between % TURN), kind="stable")
+        directions = np.append(directions, between % TURN)[order]
+        found = np.vstack([found, first_snaps(rim(between))])[order]
+
+
+def _torn(directions: Array, after: Array, boundary: Array) -> Mask:
+    """(D,) whether the boundary is not one curve from a direction to the one after: it is in one of them only, or so
+    much further away in one that the curve between would be seen edge-on."""
+    near = np.hypot(*boundary.T)
+    far = np.roll(near, -1)
+    with np.errstate(invalid="ignore"):
+        jump = np.abs(far - near) > np.maximum(EDGE_ON * (after - directions) * np.minimum(near, far), JUMP)
+    return np.asarray((np.isfinite(near) != np.isfinite(far)) | jump)
+
+
+def pieces(chart: StabilityMap) -> list[tuple[Array, Array, Array]]:
+    """The boundary as curves: directions (k,), rising, rotations (k, 2) at the first snap, rad, and the margins (k, A)
+    ahead of it, of each.
+
+    Where a curve ends inside the map, behind its end the next one begins, or ways lead on without a snap.
+    """
+    count = len(chart.directions)
+    after = np.append(chart.directions[1:], chart.directions[:1] + TURN)
+    cut = _torn(chart.directions, after, chart.boundary)
+    there = np.isfinite(chart.boundary).all(1)
+    if not there.any():
+        return []
+    first = int(np.argmax(cut)) + 1 if cut.any() else 0
+    order = (first + np.arange(count + (not cut.any()))) % count  # a closed curve comes back to where it begins
+    angle = np.unwrap(chart.directions[order])
+    ends = np.flatnonzero(cut[order[:-1]]) + 1
+    columns = angle, chart.boundary[order], chart.approach[order]
+    parts = zip(*(np.split(column, ends) for column in columns), strict=True)
+    return [part for part in parts if np.isfinite(part[1]).all()]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy
 
 from ...errors import InputError
 from ...files.units import TO_MILLI
+from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
 from .style import INK, angle_locator, narrow, new_figure, number, picture
 
@@ -28,6 +30,14 @@ ENERGY_LEVELS = 24
 MOST_MAPS = 4
 FINE = 361
 """Points per axis of a map as it is drawn: one per degree."""
+
+BETWEEN = 8
+"""Points of the boundary that are drawn for each that was computed."""
+
+CORNER = np.pi / 2
+"""Turn from one corner of a map to the next, rad."""
+
+SNAPS = "snap on the straight way from home"
 
 MARKS = (("o", "minimum: stable"), ("X", "saddle: unstable"), ("^", "maximum: unstable"))
 """Sign and name of an equilibrium, by its index; the last one for all that are higher."""
@@ -125,7 +135,7 @@ def _name_marks(figure: Figure, maps: Sequence[EnergyMap]) -> None:
 def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figure:
     """Margin over the rotations of two tubes relative to the others, turned together straight from home.
 
-    Hatched cells were reached through a snap; the line is where the robot snaps, computed exactly.
+    What is hatched is reached through a snap; the line is where the robot snaps, computed exactly.
 
     Args:
         stability_map: of `stability_map`.
@@ -145,91 +155,94 @@ def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figur
 
 
 def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]]:
-    """Fill `axes` with a map; return the image, for a colour bar, and what a legend explains."""
+    """Fill `axes` with a map; return the image, for a colour bar, and what a legend explains.
+
+    Both sides of the boundary are filled from their own points: before a snap the margin falls to 0 there, behind it
+    the map begins with where the robot lands. The boundary cuts the one picture out of the other.
+    """
     angles = np.degrees(stability_map.angles)
-    fine, values, snapped = _filled(stability_map)
-    image = axes.pcolormesh(
-        fine, fine, np.clip(values, 0, 1), cmap=MAP, vmin=0, vmax=1, shading="nearest", rasterized=True
-    )
-    handles = [_hatch(axes, fine, snapped), *_draw_boundary(axes, stability_map)]
+    fine = np.linspace(angles[0], angles[-1], max(FINE, len(angles)))
+    curves = [_smooth(*piece) for piece in pieces(stability_map)]
+    look: Any = {"cmap": MAP, "vmin": 0, "vmax": 1, "shading": "nearest", "rasterized": True}
+    reached = stability_map.snaps > 0
+    image = axes.pcolormesh(fine, fine, _filled(stability_map, fine, ~reached, curves), **look)
+    handles: list[Artist] = []
+    if curves:
+        behind = axes.pcolormesh(fine, fine, _filled(stability_map, fine, reached, ()), **look)
+        handles = [_cut_out(axes, behind, curves), _draw_boundary(axes, curves)]
     handles += axes.plot([0], [0], "o", ms=6, mfc="white", mec=INK, mew=1.0, ls="", label="home")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(angle_locator())
     axes.set_aspect("equal")
     axes.set(xlim=(angles[0], angles[-1]), ylim=(angles[0], angles[-1]))
-    return image, [h for h in handles if h]
+    return image, handles
 
 
-def _filled(stability_map: StabilityMap) -> tuple[Array, Array, Mask]:
-    """Angles (F,) deg of a finer map, its margins and whether its points are reached through a snap: (F, F) by rows of
-    the second tube.
+class Curve(NamedTuple):
+    """A piece of the boundary as it is drawn: directions (k,), rad, and rotations (k, 2), deg, of its points; known
+    margins on the ways to it: where (m, 2), deg, and their squares (m,)."""
 
-    Both sides of the boundary are filled from their own points: before a snap the margin falls to 0 there, behind it
-    the map begins with where the robot lands. Between points its square is linear, as it falls like
-    a root at a fold.
-    """
+    directions: Array
+    points: Array
+    known: Array
+    square: Array
+
+
+def _smooth(directions: Array, points: Array, approach: Array) -> Curve:
+    """A piece of the boundary with more points between those that were computed, and the same ahead of them."""
+    parts = [np.linspace(*two, BETWEEN, endpoint=False) for two in itertools.pairwise(directions)]
+    dense = np.concatenate([*parts, directions[-1:]])
+    distance, square = np.hypot(*points.T), approach**2
+    if len(directions) > 1:
+        distance, square = (scipy.interpolate.PchipInterpolator(directions, y)(dense) for y in (distance, square))
+    ray = np.column_stack([np.cos(dense), np.sin(dense)])
+    before = distance[:, None] - np.append(APPROACH, 0.0)
+    known, there = before[..., None] * ray[:, None], before >= 0
+    values = np.column_stack([square, np.zeros(len(dense))])
+    return Curve(dense, np.degrees(distance[:, None] * ray), np.degrees(known[there]), values[there])
+
+
+def _filled(stability_map: StabilityMap, fine: Array, mine: Mask, curves: Sequence[Curve]) -> Array:
+    """(F, F) margins at angles (F,) deg, rows by the second tube, from the points (N, N) that are `mine` and what is
+    known ahead of curves. It is the square of the margin that is smooth, since it falls like a root at a fold."""
     angles = np.degrees(stability_map.angles)
-    fine = np.linspace(angles[0], angles[-1], max(FINE, len(angles)))
-    points = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2)
-    grid = np.stack(np.meshgrid(angles, angles, indexing="ij"), axis=-1).reshape(-1, 2)
-    square, reached = np.maximum(stability_map.margin.ravel(), 0) ** 2, stability_map.snaps.ravel() > 0
-    boundary = np.degrees(stability_map.boundary)
-    folds = boundary[np.isfinite(boundary).all(1)]
-    behind = _behind(boundary, points)
-    values = np.empty(len(points))
-    sides = (
-        (~behind, np.vstack([grid[~reached], folds]), np.append(square[~reached], np.zeros(len(folds)))),
-        (behind, grid[reached], square[reached]),
-    )
-    for part, known, at in sides:
-        if part.any():
-            values[part] = np.sqrt(np.maximum(_interpolated(known, at, points[part]), 0)) if len(known) else np.nan
-    size = len(fine), len(fine)
-    return fine, values.reshape(size).T, behind.reshape(size).T
+    first, second = (axis[mine] for axis in np.meshgrid(angles, angles, indexing="ij"))
+    known = np.vstack([np.column_stack([first, second]), *(curve.known for curve in curves)])
+    own = np.clip(stability_map.margin[mine], 0, 1) ** 2
+    square = np.concatenate([own, *(curve.square for curve in curves)])
+    if not len(known):
+        return np.full((len(fine), len(fine)), np.nan)
+    places = np.stack(np.meshgrid(fine, fine), axis=-1).reshape(-1, 2)
+    return np.sqrt(np.clip(_interpolated(known, square, places), 0, 1)).reshape(len(fine), len(fine))
 
 
-def _behind(boundary: Array, points: Array) -> Mask:
-    """(k,) whether points lie behind the first snap in their direction; its distance is linear between directions."""
-    if not len(boundary):
-        return np.zeros(len(points), dtype=bool)
-    distance = np.append(np.hypot(*boundary.T), np.hypot(*boundary[0]))
-    turn = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi) / (2 * np.pi) * len(boundary)
-    first = np.minimum(turn.astype(int), len(boundary) - 1)
-    share = turn - first
-    between = (1 - share) * distance[first] + share * distance[first + 1]
-    alone = distance[first + np.round(share).astype(int)]  # beside a direction without a snap
-    limit = np.where(np.isfinite(between), between, np.where(np.isfinite(alone), alone, np.inf))
-    found: Mask = np.hypot(*points.T) > limit
-    return found
-
-
-def _interpolated(known: Array, values: Array, points: Array) -> Array:
-    """Linearly between known points, and as the nearest of them beyond."""
-    nearest: Array = scipy.interpolate.NearestNDInterpolator(known, values)(points)
+def _interpolated(known: Array, values: Array, places: Array) -> Array:
+    """Smoothly between known points, and as the nearest of them beyond."""
+    nearest: Array = scipy.interpolate.NearestNDInterpolator(known, values)(places)
     if len(known) < 4:
         return nearest
-    inside: Array = scipy.interpolate.LinearNDInterpolator(known, values)(points)
+    inside: Array = scipy.interpolate.CloughTocher2DInterpolator(known, values)(places)
     return np.where(np.isfinite(inside), inside, nearest)
 
 
-def _hatch(axes: Axes, fine: Array, snapped: Mask) -> Artist | None:
-    """Hatching of what is reached through a snap, and its name."""
-    from matplotlib.patches import Patch
+def _cut_out(axes: Axes, behind: Artist, curves: Sequence[Curve]) -> Artist:
+    """Leave of a picture what lies behind the boundary, and hatch it; returns its name."""
+    from matplotlib.patches import Patch, PathPatch
+    from matplotlib.path import Path
 
-    if not snapped.any():
-        return None
-    drawn = axes.contourf(fine, fine, snapped.astype(float), levels=[0.5, 1.5], colors="none", hatches=["////"])
-    drawn.set_edgecolor(HATCH_COLOUR)
-    drawn.set_linewidth(0)
-    look: dict[str, Any] = {"facecolor": "#7C7B78", "edgecolor": HATCH_COLOUR, "hatch": "////", "linewidth": 0}
-    return Patch(**look, label="reached through a snap")
+    rings = []
+    for directions, points, *_ in curves:
+        corners = np.arange(np.ceil(directions[0] / CORNER - 0.5), directions[-1] / CORNER - 0.5) * CORNER + CORNER / 2
+        outer = np.degrees(rim(np.sort(np.append(directions, corners))))
+        rings.append(Path(np.vstack([points, outer[::-1], points[:1]]), closed=True))
+    region = Path.make_compound_path(*rings)
+    look: Any = {"facecolor": "none", "edgecolor": HATCH_COLOUR, "hatch": "////", "linewidth": 0}
+    axes.add_patch(PathPatch(region, **look))
+    behind.set_clip_path(region, axes.transData)
+    return Patch(**look | {"facecolor": "#7C7B78"}, label="reached through a snap")
 
 
-def _draw_boundary(axes: Axes, stability_map: StabilityMap) -> list[Artist]:
-    """The closed curve of first snaps, broken where directions lead to none."""
-    points = np.degrees(np.vstack([stability_map.boundary, stability_map.boundary[:1]]))
-    if not np.isfinite(points).any():
-        return []
-    return [
-        *axes.plot(points[:, 0], points[:, 1], color=SNAP_COLOUR, lw=2.0, label="snap on the straight way from home")
-    ]
+def _draw_boundary(axes: Axes, curves: Sequence[Curve]) -> Artist:
+    """The curves of first snaps; returns their name."""
+    lines = [axes.plot(*points.T, color=SNAP_COLOUR, lw=2.0, label=SNAPS)[0] for _, points, *_ in curves]
+    return lines[0]

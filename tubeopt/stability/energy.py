@@ -1,0 +1,164 @@
+"""Elastic energy over two tip angles: its stationary points are the equilibria."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..block.transcription.green import ahead, reach
+from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline
+from ..display import Displayed
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from ..errors import InputError, vector
+from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
+from ..typing import Array
+from .equilibria import find_equilibria
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyMap(Displayed):
+    """Least elastic energy (J) with the tips of two tubes held at given angles; its stationary points are equilibria.
+
+    first, second: (N,) tip angles (rad) of tubes `tubes`.  energy: (N, N), rows by `first`.  equilibria: all of them.
+    """
+
+    tubes: tuple[int, int]
+    first: Array
+    second: Array
+    energy: Array
+    equilibria: tuple[Equilibrium, ...]
+
+
+@small
+def energy_map(
+    robot: Robot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    tubes: tuple[int, int] = (0, 1),
+    samples: int = 61,
+    window: ArrayLike | None = None,
+) -> EnergyMap:
+    """Energy over the tip angles of two tubes at given joint values.
+
+    Everything else, the torsion inside and the tips of other tubes, takes the values of least energy, followed from
+    point to point.
+
+    Args:
+        tubes: the two whose tips are held, from 0.   samples: points per axis.
+        window: (2, 2) least and largest tip angle of each of them, rad; by default around all equilibria.
+
+    Raises:
+        InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part; a
+            window that is not two ranges.
+        SolveError: the equilibria at these joint values are not complete.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> tubeopt.energy_map(robot, [1.0, 0.0], samples=11).energy.shape
+        (11, 11)
+    """
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    home = robot.home_translations if translations is None else translations
+    shift = vector("translations", home, robot.n_tubes)
+    problem = on_centreline(reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION))
+    for tube in tubes:
+        if tube not in problem.tube:
+            raise InputError(f"tubes is {tubes}; each must be a tube, from 0, that is coupled to another one")
+    if tubes[0] == tubes[1]:
+        raise InputError(f"tubes is {tubes}; they must be two different tubes")
+    found = find_equilibria(robot, alpha, shift)
+    tips = np.array([e.tip_rotations for e in found])[:, list(tubes)]
+    first, second = (np.linspace(low, high, samples) for low, high in _window(tips, window))
+    holds = [_hold(problem, tube) for tube in tubes]
+    # Held is the elastic rotation; what natural twist adds to it is known.
+    ends = np.maximum(problem.assembly.end, 0.0)[list(tubes)]
+    wound = problem.assembly.wound(ends)[[0, 1], list(tubes)]
+    base = alpha[list(tubes)] + wound
+    energy = np.empty((samples, samples))
+    row = np.zeros(problem.size)
+    for i in range(samples):
+        z = row
+        order = range(samples)
+        for j in order:
+            z, energy[i, j] = _held_minimum(problem, alpha, z, holds, (first[i] - base[0], second[j] - base[1]))
+            if j == 0:
+                row = z
+    return EnergyMap(tubes, first, second, energy, tuple(found))
+
+
+def _window(tips: Array, window: ArrayLike | None) -> Array:
+    """(2, 2) ranges of two tip angles: as given, or around `tips` (k, 2)."""
+    if window is not None:
+        ranges = np.array(window, dtype=float)
+        if ranges.shape != (2, 2) or not np.isfinite(ranges).all() or not (ranges[:, 0] < ranges[:, 1]).all():
+            raise InputError(f"window is {window!r}; it must be two ranges, (least, largest) tip angle in rad each")
+        return ranges
+    low, high = tips.min(0), tips.max(0)
+    reach = np.maximum(0.6 * (high - low), np.radians(60))
+    return np.column_stack([low - reach, high + reach])
+
+
+def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
+    """The tip angle of a tube given z: alpha + a . z + d zeta, with zeta a further coordinate of unit stiffness.
+
+    (a, d) is the next row of the Cholesky factor when the tube's end joins the collocation points.
+    """
+    assembly = problem.assembly
+    mine = problem.tube == tube
+    end = float(assembly.end[tube])
+    # theta(end) responds to the moment at a point by |beta| + s, which the collocated integral has exactly.
+    across = problem.arc_length[problem.point[mine]]
+    if problem.here is None:
+        beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]
+        soft, whole = (beta + across) / kt, (beta + end) / kt
+    else:
+        places = np.append(problem.mesh.start, assembly.total_length)
+        whole = reach(problem.mesh, problem.here)[int(np.abs(places - end).argmin()), tube]
+        soft = ahead(problem.mesh, problem.here)[:, tube][problem.point[mine]]
+    a = np.zeros(problem.size)
+    a[mine] = np.linalg.solve(problem.factor[np.ix_(mine, mine)], soft)
+    return a, float(np.sqrt(max(whole - a @ a, 1e-30)))
+
+
+def _held_minimum(
+    problem: ReducedProblem,
+    rotations: Array,
+    z: Array,
+    holds: Sequence[tuple[Array, float]],
+    twists: tuple[float, float],
+) -> tuple[Array, float]:
+    """Newton on the energy with both tips held; z and the energy there."""
+
+    def total(at: Array) -> tuple[float, Array, Array]:
+        state = evaluate(problem, rotations, at)
+        energy, gradient, hessian = state.energy, state.gradient, state.hessian
+        for (a, d), twist in zip(holds, twists, strict=True):
+            zeta = (twist - float(a @ at)) / d
+            energy += zeta**2 / 2
+            gradient = gradient - a * (zeta / d)
+            hessian = hessian + np.outer(a, a) / d**2
+        return energy, gradient, hessian
+
+    energy, gradient, hessian = total(z)
+    for _ in range(60):
+        values, vectors = np.linalg.eigh(hessian)
+        step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-2))
+        turn = float(np.abs(problem.factor @ step).max())
+        if turn < 1e-7:
+            break
+        step *= min(1.0, 0.5 / turn)
+        for _ in range(30):
+            trial = total(z + step)
+            if trial[0] <= energy + 1e-4 * float(gradient @ step) + 1e-13 * abs(energy):
+                break
+            step /= 2
+        z = z + step
+        energy, gradient, hessian = trial
+    return z, energy

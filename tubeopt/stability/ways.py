@@ -1,0 +1,97 @@
+"""Straight ways from a stable equilibrium, followed by the compiled kernel wherever it is at ease.
+
+Far from a fold one solve of the kernel makes a step of a sixth of a radian and more. Where it declines the general
+follower takes over, until the branch has ended in a snap or is at ease again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.kinematics import nearby
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import polish, to_equilibrium
+from ..solvers.compiled.binding import kernel_of
+from ..solvers.settings import LARGEST_TURN
+from ..typing import Array
+from .following import Event, beyond, fold_ahead, motion_along
+
+STEP = LARGEST_TURN
+"""Turn (rad) of a step of the kernel: most that it takes; of those that it declines half, down to SHORTEST_STEP."""
+
+SHORTEST_STEP = STEP / 2**7
+
+TAKEN_OVER, CLOSE = 0.1, 0.02
+"""Turn (rad) that the general follower makes before the kernel is asked again; and how close (rad) to where the kernel
+declines a fold lies that is the reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where a way ends: in which equilibrium, after how many snaps, and the joint rotations (n,), rad, at the first of
+    them, None without."""
+
+    pose: Equilibrium
+    snaps: int
+    first: Array | None
+
+
+def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> End:
+    """What a robot does that turns straight from a stable equilibrium to other rotations (n,), rad.
+
+    With `to_first_snap` the way ends where the robot lands from it.
+
+    Raises:
+        SolveError: descent from a fold found no stable equilibrium.
+    """
+    here, snaps, first = origin, 0, None
+    while True:
+        here = _by_kernel(here, rotations)
+        left = float(np.abs(rotations - here.rotations).max())
+        if not left:
+            return End(here, snaps, first)
+        path = JointPath(here.robot, _joints(here, here.rotations), _joints(here, rotations))
+        here, folds = _taken_over(path, here, left)
+        if folds and first is None:
+            first = path.at(folds[0])[0]
+            if to_first_snap:
+                return End(here, 1, first)
+        snaps += len(folds)
+
+
+def _joints(at: Equilibrium, rotations: Array) -> Array:
+    return np.concatenate([rotations, at.translations])
+
+
+def _by_kernel(here: Equilibrium, goal: Array) -> Equilibrium:
+    """As far as the kernel comes."""
+    step = STEP
+    while (left := float(np.abs(goal - here.rotations).max())) > 0:
+        there = nearby(here, goal if left <= step else here.rotations + (goal - here.rotations) * (step / left))
+        if there is not None and there.margin > 0:
+            here, step = there, min(2 * step, STEP)
+        else:
+            step /= 2
+            if step < SHORTEST_STEP:
+                break
+    return here
+
+
+def _taken_over(path: JointPath, here: Equilibrium, left: float) -> tuple[Equilibrium, list[float]]:
+    """What the general follower finds over the next fold, or through a turn of TAKEN_OVER of the `left` of a path; and
+    the fractions at which it snapped."""
+    start, folds = Point(0.0, polish(here)), []
+    far = 1.0 if kernel_of(path.robot) is None else min(1.0, TAKEN_OVER / left)
+    fold = fold_ahead(path, start, min(1.0, CLOSE / left))
+    for step in motion_along(path, start.solution) if fold is None else (beyond(path, start, 1.0, fold),):
+        if isinstance(step, Event):
+            folds.append(step.fold.t)
+        point = step.landed if isinstance(step, Event) else step
+        if folds or point.t >= far:
+            break
+    rotations, shift = path.at(point.t)
+    at = replace(point.solution, rotations=rotations)
+    return to_equilibrium(path.robot, at, tuple(shift.tolist()), ("newton", "the way", 0.0)), folds
