@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,12 @@ def moving_breakpoints(assembly: Assembly, cuts: Array, movers: Sequence[Mover],
         moment=there[:, 1] * (assembly.bending_stiffness * assembly.curvature),
         spread=(np.array(column)[:, None] == np.arange(size)).astype(float),
     )
+
+
+@lru_cache(maxsize=64)
+def _known_jumps(assembly: Assembly, cuts: bytes, movers: tuple[Mover, ...], side: int, size: int) -> Jumps:
+    """`moving_breakpoints`, which are the same for all rotations of the bundle."""
+    return moving_breakpoints(assembly, np.frombuffer(cuts), movers, side, size)
 
 
 def _there(transition: list[float], end: list[float], s: float) -> tuple[list[bool], list[bool]]:
@@ -199,7 +205,7 @@ class ArmChange:
     @cached_property
     def jumps(self) -> Jumps:
         """Every breakpoint in front of the plate that a parameter moves."""
-        return moving_breakpoints(self.assembly, self.cuts, self.movers, self.side, self.size)
+        return _known_jumps(self.assembly, self.cuts.tobytes(), tuple(self.movers), self.side, self.size)
 
     @cached_property
     def cuts(self) -> Array:

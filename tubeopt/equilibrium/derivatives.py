@@ -182,22 +182,32 @@ class Derivatives(ArmChange):
 
     @cached_property
     def energy(self) -> Array:
-        """(Q,) of the elastic energy, J."""
+        """(Q,) of the elastic energy, J.
+
+        On the centreline the equilibrium is a minimum of it: only what the parameters change at a fixed shape counts.
+        """
         arm, at, n = self.arm, self.slopes, self.arm.n_tubes
         t, kt, h = arm.tableau, arm.torsional_stiffness, arm.length[:, None, None]
-        weights = h * t.weights[:, None]
-        w = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        stretch, pull = weights * kt * at.stretch * w, weights * at.bending_slope
+        base, first = arm.twist[:1].sum(0), self.first("torsional_stiffness")
+        out = self.gains[2] @ self.jumps.spread
+        if arm.place or self.reshaped:
+            weights, w = h * t.weights[:, None], arm.twist[:, None] + h * (t.adjoint @ at.rate)
+            pull = weights * at.bending_slope
+            if arm.place:
+                stretch = weights * kt * at.stretch * w
+                pull += ((weights * kt * w**2 / 2)[..., None, :] @ at.stretch_slope)[..., 0, :]
+                out += _total(stretch, self.twist_change) + _total(pull[..., :n], self.response.inner)
+            if self.reshaped:
+                by_data = np.concatenate([pull[..., n:], weights * at.stretch * w**2 / 2], axis=2).sum(1)
+                out += _total(by_data, self.data)
         if arm.place:
-            pull += ((weights * kt * w**2 / 2)[..., None, :] @ at.stretch_slope)[..., 0, :]
-        out = _total(stretch, self.twist_change) + _total(pull[..., :n], self.response.inner)
-        if self.reshaped:
-            by_data = np.concatenate([pull[..., n:], weights * at.stretch * w**2 / 2], axis=2).sum(1)
-            out += _total(by_data, self.data)
-        out += self.gains[2] @ self.jumps.spread
-        base, change = arm.twist[:1].sum(0), self.response.end[0, n:]
-        out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ change
-        first = self.first("torsional_stiffness")
+            out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ self.response.end[0, n:]
+        else:
+            # At a fixed shape a longer transmission is a softer spring, kt / |beta|.
+            out -= (kt * base**2 / 2) @ self.transmitted
+            turned = self.first("rotations")
+            if turned is not None:
+                out[turned : turned + n] -= kt * base
         if first is not None:
             out[first : first + n] += arm.transmission * base**2 / 2
         return self.per_tube(out)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from ..errors import SolveError
-from ..robots.robot import is_general
+from ..robots.assembly import Assembly
+from ..robots.robot import Robot, is_general
 from ..solvers.parallel.blas import small
 from .derivatives import Derivatives
 from .general_derivatives import general_columns
@@ -21,7 +23,7 @@ JOINTS = ("rotations", "translations")
 
 def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, side: int = 1) -> Derivatives:
     """Derivatives of an equilibrium, computed where they are asked for; see `Derivatives`."""
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    assembly = _assembly(equilibrium.robot, tuple(equilibrium.translations.tolist()))
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
         off = float(np.abs(arm.theta[0] - assembly.transmission * arm.twist[0] - equilibrium.rotations).max())
@@ -38,6 +40,12 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
         margin=equilibrium.margin,
         problem=lambda: problem_of(equilibrium),
     )
+
+
+@lru_cache(maxsize=64)
+def _assembly(robot: Robot, translations: tuple[float, ...]) -> Assembly:
+    """The bundle of a robot at translations (n,), m."""
+    return robot.assembly(np.array(translations))
 
 
 @small
