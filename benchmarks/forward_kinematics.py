@@ -6,12 +6,11 @@ Cold: random configurations, from tubes without torsion; new translations each t
 compliance are laid out anew, but with compiled functions of the same structure from an untimed first round.
 Warm: a path on which all joints move by up to half a degree and 0.1 mm per step, each step from the one before; or the
 same with the translations held, so that the layout stays.
-All include shape, margin, energy and error estimates. First use: building the functions of a robot, in a new process,
-imports excluded. `solve_bvp` gets the Jacobians in closed form or not, starts cold from tubes without torsion and warm
-from the mesh and values of the step before, and its time includes the shape, but no margin and no error estimate.
-Times are processor times on one thread. The error of the tip is the distance to shooting with DOP853 at 3e-14;
-solves that ended in another equilibrium, or in
-none, are counted as astray.
+All include shape, margin, energy and error estimates. Jacobians are of the cold ones. First use: building the
+functions of a robot, in a new process, imports excluded. `solve_bvp` gets the Jacobians in closed form or not, starts
+cold from tubes without torsion and warm from the mesh and values of the step before, and its time includes the shape,
+but no margin and no error estimate. Times are processor times on one thread. The error of the tip is the distance to
+shooting with DOP853 at 3e-14; solves that ended in another equilibrium, or in none, are counted as astray.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from tubeopt import ConcentricRobot, Equilibrium, forward_kinematics, load_robot
+from tubeopt.equilibrium.arm_change import PARAMETERS
 
 from . import bvp
 from .shooting import Array, shoot
@@ -60,6 +60,8 @@ TARGETS = {
     "ipopt cold": (8e-3, "IPOPT cold"),
     "ipopt warm": (8e-3, "IPOPT warm"),
     "newton first use": (1.5, "first use of a robot"),
+    "jacobian": (0.5e-3, "Jacobian by joint values, with margin and energy"),
+    "jacobian, all dimensions": (1e-3, "Jacobian by joint values and all dimensions"),
 }
 
 RATIO = 200
@@ -170,6 +172,7 @@ def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int) -> list[
         out.append(_row(robot, f"{method} warm, translations held", runs, []))
         script = FIRST_USE.format(path=str(path), method=method)
         out.append(Measurement(robot.name, f"{method} first use", fresh_process(script, 5)))
+    out += slopes(robot, [e for _, e in solve_cold(robot, fresh)])
     for tolerance in BVP_TOLERANCES:
         for jacobians in (True, False):
             name = f"solve_bvp {{}}, tol {tolerance:g}{', with Jacobians' if jacobians else ''}"
@@ -177,6 +180,16 @@ def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int) -> list[
             out.append(_row(robot, name.format("cold"), runs, tips))
             runs = solve_bvp(robot, again[: bvps + 1], tolerance, jacobians=jacobians, warm=True)
             out.append(_row(robot, name.format("warm"), runs, walked))
+    return out
+
+
+def slopes(robot: ConcentricRobot, solved: list[Equilibrium]) -> list[Measurement]:
+    """Derivatives of tip pose, tips of the tubes, margin and energy of each equilibrium, after an untimed one."""
+    out = []
+    for what, wrt in (("jacobian", PARAMETERS[:2]), ("jacobian, all dimensions", PARAMETERS)):
+        solved[0].jacobian(wrt=wrt)
+        timing = summarise(clock(lambda e=e, wrt=wrt: e.jacobian(wrt=wrt))[0] for e in solved)
+        out.append(Measurement(robot.name, what, timing))
     return out
 
 

@@ -114,7 +114,7 @@ class Derivatives(ArmChange):
         (frame, position), end = self._poses, self.arm.position[-1]
         across = frame[..., :2] * (self.arm.length[:, None] * self.arm.tableau.weights)[..., None, None]
         levers = np.concatenate([across, cross(across, end - position)], axis=-2)
-        out = np.tensordot(levers, self.bent, axes=([0, 1, 3], [0, 1, 2]))
+        out = levers.swapaxes(0, 2).swapaxes(1, 2).reshape(6, -1) @ self.bent.reshape(-1, self.size)
         if len(self.jumps):
             behind = end - self.arm.position[self.jumps.index * (len(ENDS) - 1)]
             jumps = self._turns[..., None]

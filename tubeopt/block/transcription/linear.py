@@ -153,7 +153,8 @@ def chain_of(arm: Arm, at: Slopes, *, dimensions: bool) -> Chain:
     rate = at.rate_slope[..., :n]
     # Columns: theta, w where the piece begins, then the data. Of theta' / g at the points, by them and by the data.
     size = 2 * n + 3 * n * dimensions
-    twist_inner, twist_given = h * _spread(t.adjoint, rate), np.zeros((pieces, count * n, size))
+    twist_inner = h * _spread(t.adjoint, rate)
+    twist_given = np.zeros((pieces if dimensions or arm.place else 1, count * n, size))
     twist_given[:, :, n : 2 * n] = same
     if dimensions:
         gained = np.zeros((pieces, count * n, 3 * n))
@@ -178,7 +179,7 @@ def chain_of(arm: Arm, at: Slopes, *, dimensions: bool) -> Chain:
     inner = np.asarray(np.linalg.solve(matrix, right), dtype=float)
     moved = h * (t.weights[None, :, None, None] * rate).transpose(0, 2, 1, 3).reshape(pieces, n, count * n)
     end = np.empty((pieces, 2 * n, size))
-    end[:, :n] = h * (weights @ (twist_inner @ inner + twist_given))
+    end[:, :n] = h * ((weights @ twist_inner) @ inner + weights @ twist_given)
     end[:, n:] = moved @ inner
     if dimensions:
         end[:, n:, 2 * n :] += h * (weights @ gained)
