@@ -84,8 +84,9 @@ def _taken_over(path: JointPath, here: Equilibrium, left: float) -> tuple[Equili
     """What the general follower finds over the next fold, or through a turn of TAKEN_OVER of the `left` of a path; and
     the fractions at which it snapped."""
     start, folds = Point(0.0, polish(here)), []
-    far = 1.0 if kernel_of(path.robot) is None else min(1.0, TAKEN_OVER / left)
-    fold = fold_ahead(path, start, min(1.0, CLOSE / left))
+    far, fold = 1.0, None
+    if kernel_of(path.robot) is not None:
+        far, fold = min(1.0, TAKEN_OVER / left), fold_ahead(path, start, min(1.0, CLOSE / left))
     for step in motion_along(path, start.solution) if fold is None else (beyond(path, start, 1.0, fold),):
         if isinstance(step, Event):
             folds.append(step.fold.t)
