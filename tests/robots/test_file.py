@@ -214,7 +214,7 @@ PROBLEMS = [
     (
         "radius_mm: 100",
         "radius_mm: 0.4",
-        "tubes[0]: curvature is 2500 per m; its radius must exceed half the outer_diameter (0.0005 m)",
+        "tubes[0]: curvature is 2500 per m; its radius must exceed half the outer_diameter (0.5 mm)",
     ),
     ("radius_mm: 100", "radius_mm: 0", "tubes[0].radius_mm is 0; it must be greater than 0"),
     (
@@ -280,7 +280,7 @@ PROBLEMS = [
     (
         "kind: concentric",
         "kind: concentric\nlimits: {rotations_deg: [[0, 1]], translations_mm: [[1, 0]]}",
-        "limits: limit of translation 1 is [0.001, 0]; it must be least, greatest",
+        "limits: limit of translation 1 is 1 mm to 0 mm; it must be least, greatest",
     ),
     (
         "kind: concentric",
@@ -363,8 +363,8 @@ def test_all_problems_at_once(tmp_path: Path) -> None:
 
 def test_tubes_that_do_not_go_together(tmp_path: Path) -> None:
     assert problems(tmp_path / "x.yaml", ROBOT + TUBE) == [
-        "tube 1 does not fit into tube 2: its outer_diameter is 0.001 m; it must be at most the other's "
-        "inner_diameter, 0.0005 m"
+        "tube 1 does not fit into tube 2: its outer_diameter is 1 mm; it must be at most the other's "
+        "inner_diameter, 0.5 mm"
     ]
     outer = TUBE.replace("_mm: 1\n", "_mm: 2\n").replace("_mm: 0.5", "_mm: 1").replace("_mm: 10\n", "_mm: 11\n")
     assert problems(tmp_path / "x.yaml", ROBOT + outer) == [

@@ -22,7 +22,7 @@ from pydantic import (
 
 from ..errors import InputError, nearest
 from .plausible import models, suspects
-from .units import decimal, meant, shown
+from .units import as_typed, decimal, meant, shown
 
 LOGGER = logging.getLogger(__name__)
 
@@ -164,7 +164,7 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]
         case "value_error" if isinstance(context["error"], InputError):
-            return [f"{path}: {line}" if path else line for line in str(context["error"]).splitlines()]
+            return [f"{path}: {line}" if path else line for line in as_typed(str(context["error"])).splitlines()]
         case "value_error":
             return [f"{path} {context['error']}".strip()]
         case "literal_error":

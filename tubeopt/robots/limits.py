@@ -36,9 +36,12 @@ class JointLimits(Displayed):
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):
             table = tuple((float(low), float(high)) for low, high in getattr(self, name))
+            sign = "rad" if name == "rotations" else "m"
             for i, (low, high) in enumerate(table):
                 if not (np.isfinite([low, high]).all() and low <= high):
-                    raise InputError(f"limit of {name[:-1]} {i + 1} is [{low:g}, {high:g}]; it must be least, greatest")
+                    raise InputError(
+                        f"limit of {name[:-1]} {i + 1} is {low:g} {sign} to {high:g} {sign}; it must be least, greatest"
+                    )
             object.__setattr__(self, name, table)
         if len(self.rotations) != len(self.translations):
             raise InputError(
