@@ -230,7 +230,7 @@ PROBLEMS = [
     (
         "radius_mm: 100",
         "radius_mm: 100\n    material: nitinl",
-        "tubes[0].material is 'nitinl'; it must be nitinol; did you mean 'nitinol'?",
+        "tubes[0].material is 'nitinl'; it must be nitinol or a mapping with its keys; did you mean 'nitinol'?",
     ),
     (
         "radius_mm: 100",
@@ -368,7 +368,7 @@ def test_tubes_that_do_not_go_together(tmp_path: Path) -> None:
     ]
     outer = TUBE.replace("_mm: 1\n", "_mm: 2\n").replace("_mm: 0.5", "_mm: 1").replace("_mm: 10\n", "_mm: 11\n")
     assert problems(tmp_path / "x.yaml", ROBOT + outer) == [
-        "tube 1 is shorter than tube 2 around it: its overall length is 0.02 m; it must be at least 0.022 m"
+        "tube 1 is shorter than tube 2 around it: its overall length is 20 mm; it must be at least 22 mm"
     ]
 
 

@@ -64,7 +64,9 @@ def _meant(flag: str, known: list[str]) -> str:
     units = {name: unit_of(name.strip("-").replace("-", "_")) for name in (flag, *known)}
     stems = {name: name.strip("-")[: -len(unit) or None].rstrip("-") for name, unit in units.items()}
     own, others = stems.pop(flag), list(stems.values())
-    close = [own] if own in others else difflib.get_close_matches(own, others)
+    close = [own] if own in others else []
+    for cutoff in (0.85, 0.6):  # what is nearly the same leaves out what is only alike
+        close = close or difflib.get_close_matches(own, others, cutoff=cutoff)
     alike = [name for stem in dict.fromkeys(close) for name in known if stems[name] == stem]
     if alike:
         return f"; did you mean {' or '.join(alike)}?"

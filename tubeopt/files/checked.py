@@ -169,6 +169,8 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             return [f"{path} {context['error']}".strip()]
         case "literal_error":
             words = re.findall(r"'(.*?)'", context["expected"])
+            if "<name>" in loc:
+                words.append("a mapping with its keys")
             return [f"{path} is {shown(value)}; it must be {_either(words)}{_hint(value, words)}"]
         case "too_short":
             return [f"{path} has {_items(context['actual_length'])}; it must have at least {context['min_length']}"]

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
-from rich.table import Table
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
@@ -199,7 +198,7 @@ class DesignReport(Report[DesignAnswer]):
     def table(self) -> Group:
         """The answer as tables: summary, dimensions, what binds, checks."""
         s = self.answer.solution
-        parts: list[Text | Table] = [two_columns(s.robot.name or "design", self.summary())]
+        parts: list[RenderableType] = [two_columns(s.robot.name or "design", self.summary())]
         parts.append(grid(("", "before", "after", ""), self.dimension_rows(), title="dimensions", key=True))
         parts += [Text(f"  {words}") for words in self.answer.remarks]
         if s.sensitivities:

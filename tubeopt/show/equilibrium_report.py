@@ -15,7 +15,7 @@ from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
 from .report import Drawing, Report, drawing
-from .words import margin_in_words, millimetres
+from .words import counted, margin_in_words, millimetres
 
 VERIFICATION: tuple[Quantity[Verification], ...] = (
     Quantity("tip_position_mm", "distance of the tips"),
@@ -91,7 +91,7 @@ def _loose(e: Equilibrium) -> str | None:
 
 def _how(e: Equilibrium) -> str:
     s = e.statistics
-    return f"in {s.seconds * TO_MILLI:.2f} ms by {s.method}, {s.iterations} iterations, from {s.start}"
+    return f"in {s.seconds * TO_MILLI:.2f} ms by {s.method}, {counted(s.iterations, 'iteration')}, from {s.start}"
 
 
 class EquilibriumReport(Report[Equilibrium]):

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
-from rich.table import Table
+from rich.console import Group, RenderableType
 
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -250,7 +249,7 @@ class FitReport(Report[Fit]):
         lines = remarks(self.answer.remarks, what="remark")
         return Group(two_columns(self.title(), self.rows()), self._estimates(), *lines)
 
-    def _estimates(self) -> Table:
+    def _estimates(self) -> RenderableType:
         cells = []
         for e in self.answer.estimates:
             unit = SUFFIXES[e.unit]
