@@ -258,9 +258,9 @@ class DesignReport(Report[DesignAnswer]):
         from .plots.design import plot_front, plot_poses, plot_tolerance
 
         a, s = self.answer, self.answer.solution
-        robots = (s.task.robot, s.robot)
+        robots, name = (s.task.robot, s.robot), s.robot.name or "design"
         home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-        found: dict[str, Drawing] = {"shapes": drawing(plot_shapes, home, titles=("before", "after"))}
+        found: dict[str, Drawing] = {"shapes": drawing(plot_shapes, home, titles=("before", "after"), heading=name)}
         if s.equilibria:
             found["poses"] = drawing(plot_poses, s)
         if s.robot.n_tubes > 2:
@@ -268,7 +268,7 @@ class DesignReport(Report[DesignAnswer]):
         if a.front is not None:
             found["pareto"] = drawing(plot_front, a.front)
         if a.tolerance is not None:
-            found["tolerance"] = drawing(plot_tolerance, a.tolerance)
+            found["tolerance"] = drawing(plot_tolerance, a.tolerance, heading=name)
         return found
 
     def page(self) -> str:
@@ -312,7 +312,7 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
     from .plots.design import plot_before_after
 
     before, after = (stability_map(robot, samples=MAP_SAMPLES, directions=60, workers=1) for robot in robots)
-    return plot_before_after(before, after, path)
+    return plot_before_after(before, after, path, heading=robots[1].name)
 
 
 def _objectives(a: DesignAnswer) -> dict[str, float]:

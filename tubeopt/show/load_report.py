@@ -84,8 +84,11 @@ class BearingReport(Report[Bearing]):
         limit = self.answer.limit
         if limit is None:
             return {}
-        ghosts = [] if limit.after is None else [limit.after]
-        return {"load_limit": drawing(plot_shape, limit.before, ghosts=ghosts)}
+        words = f"{limit.factor:.4g} times the load, where the equilibrium is lost"
+        if limit.after is None:
+            return {"load_limit": drawing(plot_shape, limit.before, remark=words)}
+        return {"load_limit": drawing(plot_shape, limit.before, ghosts=[limit.after],
+                                      remark=f"{words}; ghost: where the robot lands")}  # fmt: skip
 
 
 ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (

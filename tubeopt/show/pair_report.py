@@ -155,5 +155,5 @@ class PairReport(Report[PairAnswer]):
         for arm in _arms(a):
             robots = (arm.solution.task.robot, arm.solution.robot)
             home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-            found[f"arm_{arm.number}_shapes"] = drawing(plot_shapes, home, titles=("before", "after"))
+            found[f"arm_{arm.number}_shapes"] = drawing(plot_shapes, home, titles=("before", "after"), heading=arm.name)
         return found

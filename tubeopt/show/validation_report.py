@@ -255,7 +255,10 @@ class FitReport(Report[Fit]):
             unit = SUFFIXES[e.unit]
             sign = f" {SIGNS.get(unit, unit)}" if unit else ""
             names = ("start", "value", "low", "high", "block_low", "block_high")
-            start, value, low, high, least, most = (f"{in_units(getattr(e, name), unit):.4g}" for name in names)
+            factor = "× " if not unit and e.start == 1.0 else ""  # what is given is 1 of factors alone
+            start, value, low, high, least, most = (
+                f"{factor * (name in names[:2])}{in_units(getattr(e, name), unit):.4g}" for name in names
+            )
             fitted = (
                 ("held", "–", "–")
                 if e.held
@@ -263,7 +266,7 @@ class FitReport(Report[Fit]):
             )
             cells.append((e.name, f"{start}{sign}", *fitted))
         interval = f"{100 * self.answer.confidence:g} % interval"
-        return grid(("parameter", "given >", "fitted >", f"{interval} >", "the same by blocks >"), cells, key=True)
+        return grid(("parameter", "given >", "fitted >", f"{interval} >", "from blocks of rows >"), cells, key=True)
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, residuals.csv and the calibrated robot.yaml."""
