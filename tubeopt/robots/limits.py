@@ -70,6 +70,8 @@ def check_turn(name: str, rotations: Array) -> None:
 
 def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
     """Raise InputError where translations (n,), m, draw every tube back by FAR of its lengths: they were in mm."""
+    if translations[0] >= -FAR * tubes[0].length:
+        return
     if all(shift < -FAR * tube.length for tube, shift in zip(tubes, translations, strict=True)):
         raise InputError(
             f"translation of tube 1 is {translations[0]:g} m, and the tube is {tubes[0].length:g} m long; it must "
