@@ -234,6 +234,18 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
             "--translations-mm: translation of tube 1 is 201 mm, which pulls it out of its actuator; it must be at "
             "most its straight_length, 200 mm",
         ),
+        (
+            ["--rotations-deg", "1e9,0,0"],
+            "--rotations-deg has 1e+09 deg; it must be at most 57295.8 deg (159 turns) to either side",
+        ),
+        (
+            ["--rotation-deg", "1,2,3"],
+            "there is no option --rotation-deg; did you mean --rotations-deg? see tubeopt fk --help",
+        ),
+        (
+            ["--load", "{tip_force_mN: [1, 0"],
+            "{tip_force_mN: [1, 0: line 1, column 21: not valid YAML: expected ',' or ']', but got '<stream end>'",
+        ),
     ],
 )
 def test_fk_refuses(run: Run, flags: list[str], problem: str) -> None:

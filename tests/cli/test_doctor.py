@@ -12,6 +12,7 @@ def test_an_installation_that_works(run: Run) -> None:
     found = answer(run("doctor", "--json"))
     assert found["passed"]
     assert 0 < found["difference_mm"] < 1e-6
+    assert found["solve_us"] < 1e6  # less than a second on any machine
     assert {"tubeopt", "casadi", "numpy", "scipy"} <= set(found["versions"])
 
 

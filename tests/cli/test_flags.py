@@ -100,6 +100,22 @@ def test_messages_name_the_flag(flags: tuple[str, ...], message: str) -> None:
     assert str(caught.value) == message
 
 
+def test_what_a_file_says_may_be_typed_in_its_place(run: Run) -> None:
+    typed = answer(run("fk", THESIS, "--load", "{tip_force_mN: [1, 0, 0]}", "--json"))
+    flagged = answer(run("fk", THESIS, "--tip-force-mN", "1,0,0", "--json"))
+    assert typed["tip_position_mm"] == flagged["tip_position_mm"]
+
+
+def test_a_format_without_a_place_to_save_is_told(run: Run) -> None:
+    told = answer(run("fk", THESIS, "--format", "pdf", "--json"))["warnings"]
+    assert told == ["--format has no effect without --out or --plot: nothing is saved"]
+
+
+def test_an_arm_of_no_length_is_told(run: Run) -> None:
+    told = answer(run("fk", THESIS, "--translations-mm", "-300,-300,-300", "--json"))["warnings"]
+    assert told == ["no tube is in front of the plate at these translations: the tip lies in it"]
+
+
 def test_the_help_is_that_of_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "160")
     text = " ".join(COLOUR.sub("", CliRunner().invoke(app, ["--help"]).stdout).split())

@@ -80,7 +80,7 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
         (("--free", "leads"), "--free[0] is 'leads'; it must be clearance, lead or vents; did you mean 'lead'?"),
         (
             ("--slot-s", "0.0333"),
-            "--slot-s: slot is 0.0333 s; for an Arduino it must be a whole number of milliseconds",
+            "--slot-s is 0.0333 s; for an Arduino it must be a whole number of milliseconds",
         ),
         (("--loss-percent", "120"), "--loss-percent is 120; it must be less than 100"),
     ],
@@ -131,7 +131,7 @@ def test_trials_calibrate_the_rig(run: Run, tmp_path: Path) -> None:
             ("calibrate", LOG, "--rig", RIG, "--trials"),
             "--trials is given; the file has the column temperature_degC, of a log and not of trials",
         ),
-        (("plan", RIG, "--tube", "4"), "--tube: tube is 4; without a robot it must be 1, the rig file's own"),
+        (("plan", RIG, "--tube", "4"), "--tube is 4; without a robot it must be 1, the rig file's own"),
     ],
 )
 def test_what_is_missing_or_not_meant_is_told_by_its_flag(run: Run, words: tuple[str, ...], message: str) -> None:

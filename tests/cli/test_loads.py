@@ -89,6 +89,9 @@ def test_what_makes_no_sense(run: Run) -> None:
         "--tip-force-mN has 2 numbers; it must have 3: x, y, z"
     ]
     assert "it must be 'newton'" in refused(run("fk", THESIS, "--tip-moment-mN-m", "1,2,3", "--method", "ipopt"))[0]
+    assert refused(run("load-limit", THESIS, "--tip-force-mN", "0,0,0")) == [
+        "the load is 0; give what can be put on the robot many times"
+    ]
     lost = run("fk", THESIS, "--tip-force-mN", "0,1500,-1500")
     assert lost.code == 3
     assert "bifurcates at 7.135 % of the load" in lost.err

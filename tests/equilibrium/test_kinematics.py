@@ -549,6 +549,11 @@ def test_every_array_has_the_shape_that_is_promised() -> None:
             "translation of tube 2 is 0.151 m, which pulls it out of its actuator; "
             "it must be at most its straight_length, 0.15 m",
         ),
+        (
+            {"translations": (-30, -20, -10)},  # mm, taken for m
+            "translation of tube 1 is -30 m, and the tube is 0.4 m long; it must be at least -10 times that: "
+            "translations are in m",
+        ),
         ({"method": "Newton"}, "method is 'Newton'; it must be one of newton, ipopt, energy; did you mean 'newton'?"),
         ({"tolerance": 0}, "tolerance is 0; it must be greater than 0"),
         ({"tolerance": -1e-8}, "tolerance is -1e-08; it must be greater than 0"),

@@ -214,7 +214,7 @@ PROBLEMS = [
     (
         "radius_mm: 100",
         "radius_mm: 0.4",
-        "tubes[0]: curvature is 2500 per m; its radius must exceed half the outer_diameter (0.0005 m)",
+        "tubes[0]: curvature is 2500 per m; its radius must exceed half the outer_diameter (0.5 mm)",
     ),
     ("radius_mm: 100", "radius_mm: 0", "tubes[0].radius_mm is 0; it must be greater than 0"),
     (
@@ -230,7 +230,7 @@ PROBLEMS = [
     (
         "radius_mm: 100",
         "radius_mm: 100\n    material: nitinl",
-        "tubes[0].material is 'nitinl'; it must be nitinol; did you mean 'nitinol'?",
+        "tubes[0].material is 'nitinl'; it must be nitinol or a mapping with its keys; did you mean 'nitinol'?",
     ),
     (
         "radius_mm: 100",
@@ -280,7 +280,7 @@ PROBLEMS = [
     (
         "kind: concentric",
         "kind: concentric\nlimits: {rotations_deg: [[0, 1]], translations_mm: [[1, 0]]}",
-        "limits: limit of translation 1 is [0.001, 0]; it must be least, greatest",
+        "limits: limit of translation 1 is 1 mm to 0 mm; it must be least, greatest",
     ),
     (
         "kind: concentric",
@@ -363,12 +363,12 @@ def test_all_problems_at_once(tmp_path: Path) -> None:
 
 def test_tubes_that_do_not_go_together(tmp_path: Path) -> None:
     assert problems(tmp_path / "x.yaml", ROBOT + TUBE) == [
-        "tube 1 does not fit into tube 2: its outer_diameter is 0.001 m; it must be at most the other's "
-        "inner_diameter, 0.0005 m"
+        "tube 1 does not fit into tube 2: its outer_diameter is 1 mm; it must be at most the other's "
+        "inner_diameter, 0.5 mm"
     ]
     outer = TUBE.replace("_mm: 1\n", "_mm: 2\n").replace("_mm: 0.5", "_mm: 1").replace("_mm: 10\n", "_mm: 11\n")
     assert problems(tmp_path / "x.yaml", ROBOT + outer) == [
-        "tube 1 is shorter than tube 2 around it: its overall length is 0.02 m; it must be at least 0.022 m"
+        "tube 1 is shorter than tube 2 around it: its overall length is 20 mm; it must be at least 22 mm"
     ]
 
 

@@ -408,7 +408,7 @@ def test_reasons_name_no_directories(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_sweep_is_no_study(run: Run, tmp_path: Path) -> None:
-    assert "this is for `tubeopt sweep`" in refused(run("run", written(tmp_path)))[0]
+    assert "that is run by `tubeopt sweep`" in refused(run("run", written(tmp_path)))[0]
 
 
 def test_where_every_point_fails_there_is_no_solution(run: Run, tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_a_study(run: Run, tmp_path: Path) -> None:
         ((ROBOT, MEASURED, "--fit", "nu", "--folds", "1.5"), "--folds is 1.5; it must be a whole number"),
         ((ROBOT, MEASURED, "--fit", "nu", "--folds", "1"), "folds is 1; it must be 0, or 2 to"),
         ((ROBOT, MEASURED, "--base-axis", "0,0,1"), "are for registration base-axis only"),
-        ((ROBOT, MEASURED, "--registration", "base-axis", "--base-axis", "0,0,0"), "base axis is (0, 0, 0)"),
+        ((ROBOT, MEASURED, "--registration", "base-axis", "--base-axis", "0,0,0"), "--base-axis is (0, 0, 0)"),
         (
             (ROBOT, MEASURED, "--registration", "base-axis", "--base-axis", "0,0"),
             "--base-axis has 2 numbers; it must have 3",

@@ -140,6 +140,10 @@ class EquilibriumBlock(ComposedBlock[N]):
             OrderWarning: breakpoints meet at the solution, so that another order of them may be better; `reorder`
                 changes places. Of a `Problem`, which tries that by itself, only where they still press on each other.
         """
+        if not hasattr(solution, "value"):
+            raise InputError(
+                f"solution is a {type(solution).__name__}; it must be what casadi.Opti.solve or Problem.solve returned"
+            )
         tried = hasattr(solution, "multipliers") and self.pressing(solution) is None
         for text in () if tried else self.meetings(solution):
             better = "another order may be better: Problem.solve tries it, with casadi.Opti ask block.reorder"

@@ -125,6 +125,8 @@ class Outputs:
         `body` is any of `tubeopt.bodies`, or whatever has `distance(x, y, z)` written with arithmetic alone. Between
         the points nothing is known: `verify_trajectory` proves clearance.
         """
+        if not hasattr(body, "distance"):
+            raise InputError(f"body is {body!r}; it must be one of tubeopt.bodies, or have distance(x, y, z)")
         places = self.points()
         thick = np.array([tube.outer_diameter / 2 for tube in self.robot.tubes]) + self._bundle.offset
         radius: Any = ca.DM.zeros(1, self.model.n_pieces)

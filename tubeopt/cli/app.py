@@ -11,7 +11,6 @@ from __future__ import annotations
 import ast
 import functools
 import importlib
-import inspect
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from typer.main import get_command
 
 from .. import __version__
 from .failures import INTERRUPTED, complain, failure
+from .help import flowing
 from .interruption import awake, interruptible, kept, stop_workers
 from .messages import LEVELS, listening, log_level
 
@@ -57,7 +57,7 @@ def _documented(module: str, function: str) -> str:
     """The docstring of a function, read from its file without running it."""
     tree = ast.parse((Path(__file__).parent / f"{module}.py").read_text(encoding="utf-8"))
     (node,) = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == function)
-    return inspect.cleandoc(ast.get_docstring(node) or "")
+    return flowing(ast.get_docstring(node) or "")
 
 
 class PlanByDefault(TyperGroup):

@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from ..errors import InputError, NotProvedError, SolveError
+from ..files.units import as_typed, unit_of
 from .messages import warnings
 
 BAD_INPUT, NO_SOLUTION, NOT_PROVED, INTERRUPTED = 2, 3, 4, 130
@@ -42,7 +43,7 @@ def failure(error: Exception) -> tuple[str, int, str] | None:
         return None
     words = _in_our_words(error) or message().rstrip(".")
     if words and context is not None:  # without words the help itself was shown
-        words += f"; see {context.command_path} --help"
+        words += f"{'' if words.endswith('?') else ';'} see {context.command_path} --help"
     return words, BAD_INPUT, "usage"
 
 
@@ -60,12 +61,12 @@ def _in_our_words(error: Any) -> str:
 
 def _meant(flag: str, known: list[str]) -> str:
     """Flags that are called alike, whatever their unit; where there is none, those of the same unit."""
-    from ..files.units import unit_of
-
     units = {name: unit_of(name.strip("-").replace("-", "_")) for name in (flag, *known)}
     stems = {name: name.strip("-")[: -len(unit) or None].rstrip("-") for name, unit in units.items()}
     own, others = stems.pop(flag), list(stems.values())
-    close = [own] if own in others else difflib.get_close_matches(own, others)
+    close = [own] if own in others else []
+    for cutoff in (0.85, 0.6):  # what is nearly the same leaves out what is only alike
+        close = close or difflib.get_close_matches(own, others, cutoff=cutoff)
     alike = [name for stem in dict.fromkeys(close) for name in known if stems[name] == stem]
     if alike:
         return f"; did you mean {' or '.join(alike)}?"
@@ -109,12 +110,16 @@ def _in_flags(line: str, flags: Mapping[str, str]) -> str:
 
 def _with_flag(line: str, flags: Mapping[str, str]) -> str:
     """A line such as "slot is 0.03 s; ..." after the one flag whose name is in what is said to be something."""
-    what, found, _ = line.partition(" is ")
+    what, found, rest = re.match("(.*?)( is | has |$)(.*)", line).groups()  # type: ignore[union-attr]
     if not found or ":" in what or what.startswith("-"):
         return line
     words = _words(what)
     named = [key for key, flag in flags.items() if flag and _words(_parted(key)[0]) <= words]
-    return f"{flags[named[0]]}: {_in_unit(line, _parted(named[0])[1])}" if len(named) == 1 else line
+    if len(named) != 1:
+        return line
+    stem, unit = _parted(named[0])
+    said = f"{flags[named[0]]}{found}{rest}" if words == _words(stem) else f"{flags[named[0]]}: {line}"
+    return as_typed(said) if unit in ("mm", "deg") else said
 
 
 def _words(text: str) -> set[str]:
@@ -124,19 +129,8 @@ def _words(text: str) -> set[str]:
 
 def _parted(key: str) -> tuple[str, str]:
     """What a key is called, and its unit."""
-    from ..files.units import unit_of
-
     unit = unit_of(key)
     return (key.removesuffix(f"_{unit}"), unit) if unit else (key, "")
-
-
-def _in_unit(line: str, unit: str) -> str:
-    """Lengths in m are told in mm to those who typed mm."""
-    if unit != "mm":
-        return line
-    return re.sub(
-        r"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) m(?![\w/])", lambda found: f"{1e3 * float(found[1]):g} mm", line
-    )
 
 
 def error_record(message: str, code: int, kind: str) -> dict[str, object]:

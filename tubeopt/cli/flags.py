@@ -27,13 +27,14 @@ from pydantic.fields import FieldInfo
 from ..errors import InputError, SolveError
 from ..files.checked import Entry, check, check_kind
 from ..files.units import parse_number, plainest, unit_of
-from ..files.yaml_file import load_yaml
+from ..files.yaml_file import load_yaml, read_flow
 from ..robots.fit import fit_warnings
 from ..runs.base import Study
 from ..show.progress import working
 from ..show.report import PICTURE_FORMATS
 from ..show.reports import report
 from .failures import told_by_flag
+from .help import flowing
 from .interruption import keeping
 from .messages import LOGGER
 from .output import Output, can_be_saved, present
@@ -95,7 +96,7 @@ def _command(function: Made, own: Sequence[inspect.Parameter], example: str, not
         for name, (kind, default) in SHARED.items()
     ]
     signature = inspect.Signature([*own, *shared])
-    run.__name__, run.__doc__ = function.__name__, function.__doc__
+    run.__name__, run.__doc__ = function.__name__, flowing(function.__doc__ or "")
     run.__signature__ = signature  # type: ignore[attr-defined]
     run.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
     run.epilog = f"{note}\n\nExample: {example}" if note else f"Example: {example}"  # type: ignore[attr-defined]
@@ -321,7 +322,7 @@ def _read(field: FieldInfo, typed: Any) -> Any:
         return typed
     kind = _plain(field.annotation)
     if _is_file(field):
-        return typed
+        return read_flow(typed) if typed.startswith(("{", "[")) else typed
     if get_origin(kind) is list:
         if typed in (NONE, ""):
             return []

@@ -21,7 +21,7 @@ from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS
 from ..show.reports import report
 from .failures import error_record, failure
 from .interruption import keeping
-from .messages import warnings
+from .messages import LOGGER, warnings
 
 NARROWEST_MM, WIDEST_MM = 60, 400
 
@@ -54,6 +54,10 @@ class Output:
                 raise InputError(
                     f"--width-mm is {self.width_mm}; it must be a number from {NARROWEST_MM} to {WIDEST_MM}"
                 )
+        if self.out is None and not self.plot:
+            for flag, idle in (("--format", self.formats == PICTURE_FORMATS[0]), ("--width-mm", self.width_mm is None)):
+                if not idle:
+                    LOGGER.warning(f"{flag} has no effect without --out or --plot: nothing is saved")
 
     @property
     def wanted(self) -> tuple[str, ...]:

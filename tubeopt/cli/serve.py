@@ -39,7 +39,7 @@ class ServeEntry(Entry):
     turn_rate_deg_per_s: Positive = Field(Decimal(170), description="most that a tube turns")
     shift_rate_mm_per_s: Positive = Field(Decimal(50), description="most that a tube slides")
     objective: str | None = Field(
-        None, description=f"to which goes what the tip leaves free: {', '.join(OBJECTIVES)}", examples=["margin"]
+        None, description=f"to which goes what the tip leaves free: {', '.join(OBJECTIVES)}", examples=["WORD"]
     )
     port: Annotated[Whole, Field(ge=0, le=65535)] = Field(8765, description="where to listen; 0 takes any that is free")
     token: str | None = Field(

@@ -15,7 +15,7 @@ from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.limits import check_turn
 from ..robots.load import Load
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot, check_robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
 from ..typing import Array, Mask, Sentence
 from .kinematics import forward_kinematics, measure
@@ -163,6 +163,7 @@ def forward_kinematics_batch(
 
 def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
     """Rotations and translations as finite (N, n) arrays; raises InputError naming what is wrong."""
+    check_robot(robot)
     n = robot.n_tubes
     alpha = _table("rotations", rotations)
     if alpha.ndim != 2 or alpha.shape[1] != n:

@@ -12,9 +12,9 @@ from ..block.transcription import arm as arms
 from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, to_unknowns, worst_equation
 from ..block.transcription.second_variation import margin
 from ..errors import InputError, SolveError, positive, vector
-from ..robots.limits import check_turn
+from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot, check_robot, is_general
 from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
@@ -87,9 +87,9 @@ def forward_kinematics(  # noqa: PLR0913
         discretisation: collocation family and degree.
 
     Raises:
-        InputError: wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube out of its
-            actuator, unknown method; a load on an eccentric robot, with `verify` or a discretisation, or with IPOPT
-            where it has no energy.
+        InputError: no robot, wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube
+            out of its actuator, translations that are not in m, unknown method; a load on an eccentric robot, with
+            `verify` or a discretisation, or with IPOPT where it has no energy.
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
             or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
             out of reach; `.solution` holds the best equilibrium found, where there is one.
@@ -102,10 +102,12 @@ def forward_kinematics(  # noqa: PLR0913
         (True, 76.151)
     """
     began = time.perf_counter()
+    check_robot(robot)
     alpha = vector("rotations", rotations, robot.n_tubes)
     check_turn("rotations", alpha)
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    check_reach(robot.tubes, shift)
     by = method_of(method)
     positive("tolerance", tolerance)
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:

@@ -38,7 +38,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     assembly = robot.assembly(np.array(translations))
     if assembly.eccentric:
         raise InputError(
-            "load is given for tubes beside one another; the model of eccentric robots has no forces on it, "
+            "the tubes of this robot run beside one another; the model of eccentric robots has no forces on it, "
             "so only concentric robots can be loaded"
         )
     length = assembly.total_length

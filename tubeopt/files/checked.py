@@ -22,7 +22,7 @@ from pydantic import (
 
 from ..errors import InputError, nearest
 from .plausible import models, suspects
-from .units import decimal, meant, shown
+from .units import as_typed, decimal, meant, shown
 
 LOGGER = logging.getLogger(__name__)
 
@@ -164,11 +164,13 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]
         case "value_error" if isinstance(context["error"], InputError):
-            return [f"{path}: {line}" if path else line for line in str(context["error"]).splitlines()]
+            return [f"{path}: {line}" if path else line for line in as_typed(str(context["error"])).splitlines()]
         case "value_error":
             return [f"{path} {context['error']}".strip()]
         case "literal_error":
             words = re.findall(r"'(.*?)'", context["expected"])
+            if "<name>" in loc:
+                words.append("a mapping with its keys")
             return [f"{path} is {shown(value)}; it must be {_either(words)}{_hint(value, words)}"]
         case "too_short":
             return [f"{path} has {_items(context['actual_length'])}; it must have at least {context['min_length']}"]

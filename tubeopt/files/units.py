@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 import reprlib
 from collections.abc import Collection, Iterator
 from decimal import Context, Decimal, InvalidOperation
@@ -130,6 +131,17 @@ def meant(key: str, known: Collection[str]) -> str:
 def per_si(unit: str) -> float:
     """How many of a unit (a key of `UNITS`, or "" for a plain number) make one in SI."""
     return float(_CONTEXT.divide(Decimal(1), UNITS[unit])) if unit else 1.0
+
+
+def as_typed(sentence: str) -> str:
+    """A sentence of the library, which is in SI, for those who typed mm and deg: its lengths and angles in these."""
+    return _ANGLE.sub(
+        lambda found: f"{math.degrees(float(found[1])):.6g} deg",
+        _LENGTH.sub(lambda found: f"{TO_MM * float(found[1]):.6g} mm", sentence),
+    )
+
+
+_LENGTH, _ANGLE = (re.compile(rf"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) {unit}(?![\w/^²])") for unit in ("m", "rad"))
 
 
 def to_si(number: Decimal, unit: Decimal) -> float:

@@ -31,9 +31,27 @@ def load_yaml(path: str | PathLike[str], under: str = "") -> dict[str, Any]:
     Raises:
         InputError: no such file, not YAML, a key given twice, a tag such as `!!python/object`, or not a mapping.
     """
-    text = read_text(path)
+    data = _parsed(read_text(path), str(path))
+    if data is None:
+        raise InputError(f"{path}: the file is empty; it must be a mapping of keys to values")
+    if not isinstance(data, dict):
+        hint = f"; write the line '{under}:' above the list" if under and isinstance(data, list) else ""
+        raise InputError(f"{path}: the file holds {_noun(data)}; it must be a mapping of keys to values{hint}")
+    return data
+
+
+def read_flow(text: str) -> Any:
+    """What is written on one line as YAML, as "{tip_force_mN: [10, 0, 0]}", read as `load_yaml` reads a file.
+
+    Raises:
+        InputError: it is not YAML.
+    """
+    return _parsed(text, text)
+
+
+def _parsed(text: str, path: str) -> Any:
     try:
-        data = yaml.load(text, Loader=_Loader)  # a SafeLoader
+        return yaml.load(text, Loader=_Loader)  # a SafeLoader
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""
@@ -45,12 +63,6 @@ def load_yaml(path: str | PathLike[str], under: str = "") -> dict[str, Any]:
         raise InputError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
     except RecursionError:
         raise InputError(f"{path}: not valid YAML: nested too deeply") from None
-    if data is None:
-        raise InputError(f"{path}: the file is empty; it must be a mapping of keys to values")
-    if not isinstance(data, dict):
-        hint = f"; write the line '{under}:' above the list" if under and isinstance(data, list) else ""
-        raise InputError(f"{path}: the file holds {_noun(data)}; it must be a mapping of keys to values{hint}")
-    return data
 
 
 def save_yaml(path: str | PathLike[str], data: Mapping[str, Any], header: str) -> None:

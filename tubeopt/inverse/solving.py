@@ -13,7 +13,7 @@ from ..bodies.obstacles import Obstacle
 from ..errors import InputError, choice, vector
 from ..robots.limits import JointLimits
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
@@ -121,6 +121,7 @@ def inverse_kinematics(  # noqa: PLR0913
         (True, True)
     """
     began = time.perf_counter()
+    check_robot(robot)
     kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     choice("on_failure", on_failure, ("raise", "closest"))
     if load is not None:

@@ -188,7 +188,8 @@ class ConcentricEntry(RobotEntry):
     tubes: list[TubeEntry] = Field(min_length=1)
     friction: FrictionEntry | None = Field(None, description="between neighbouring tubes; none where not given")
     clearance_mm: list[NotNegative] | None = Field(
-        None, description="radial, of every tube in the next one, or one for all; it does not count where not given"
+        None,
+        description="radial, a list: of every tube in the next one, or one for all; it does not count where not given",
     )
 
     def build(self) -> ConcentricRobot:

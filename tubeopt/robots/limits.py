@@ -18,6 +18,9 @@ Ranges = tuple[tuple[float, float], ...]
 """Least and greatest value, one pair per tube."""
 
 
+FAR = 10.0
+"""Lengths of itself by which nobody draws a tube back."""
+
 MOST_TURN = 1e3
 """Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
 
@@ -36,9 +39,12 @@ class JointLimits(Displayed):
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):
             table = tuple((float(low), float(high)) for low, high in getattr(self, name))
+            sign = "rad" if name == "rotations" else "m"
             for i, (low, high) in enumerate(table):
                 if not (np.isfinite([low, high]).all() and low <= high):
-                    raise InputError(f"limit of {name[:-1]} {i + 1} is [{low:g}, {high:g}]; it must be least, greatest")
+                    raise InputError(
+                        f"limit of {name[:-1]} {i + 1} is {low:g} {sign} to {high:g} {sign}; it must be least, greatest"
+                    )
             object.__setattr__(self, name, table)
         if len(self.rotations) != len(self.translations):
             raise InputError(
@@ -60,3 +66,14 @@ def check_turn(name: str, rotations: Array) -> None:
     most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
     if abs(most) > MOST_TURN:
         raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
+
+
+def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
+    """Raise InputError where translations (n,), m, draw every tube back by FAR of its lengths: they were in mm."""
+    if translations[0] >= -FAR * tubes[0].length:
+        return
+    if all(shift < -FAR * tube.length for tube, shift in zip(tubes, translations, strict=True)):
+        raise InputError(
+            f"translation of tube 1 is {translations[0]:g} m, and the tube is {tubes[0].length:g} m long; it must "
+            f"be at least {-FAR:g} times that: translations are in m"
+        )

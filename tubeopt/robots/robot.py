@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import reprlib
 from os import PathLike
 from typing import Protocol
 
+from ..errors import InputError
 from ..typing import Array
 from .assembly import Assembly
 from .calibration import Calibration
@@ -58,6 +60,14 @@ class Robot(Protocol):
         """Write the robot as YAML that `load_robot` reads back."""
 
     def __hash__(self) -> int: ...
+
+
+def check_robot(robot: object) -> None:
+    """Raise InputError where something else is given for a robot, as the path of its file."""
+    if not hasattr(robot, "assembly"):
+        raise InputError(
+            f"robot is {reprlib.repr(robot)}; it must be a robot; tubeopt.load_robot reads one from a file"
+        )
 
 
 def is_general(robot: Robot) -> bool:

@@ -98,7 +98,7 @@ class MoldCalibrationStudy(Study):
         description="path of a CSV file with the columns mold_radius_mm and obtained_radius_mm"
     )
     model: Literal["auto", "constant", "linear"] = Field(
-        "auto", description="constant: one lost fraction; linear: it grows with curvature; auto: as trials tell"
+        "auto", description="of the lost fraction: constant, linear (it grows with curvature), or auto (as trials tell)"
     )
 
     def run(self, progress: Progress | None = None) -> Calibration:

@@ -89,7 +89,7 @@ class DesignStudy(Study):
     doing = "designing"
 
     kind: Literal["design"]
-    name: str = ""
+    name: str = Field("", description="of the design")
     robot: RobotPath
     free: Annotated[list[FreeEntry], Field(min_length=1)]
     requirements: Requirements
@@ -98,7 +98,7 @@ class DesignStudy(Study):
         True, description="whether the tubes are in order at home and at all translations that the task names"
     )
     starts: Count = Field(1, description="dimensions from which to start: the robot's own, and random ones")
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
     turns: Annotated[Whole, Field(ge=0)] = Field(
         6, description="random full turns per translations on which no certified robot may snap"
     )

@@ -86,7 +86,7 @@ class FabricationStudy(Study):
     rig: RigPath = Field(examples=["RIG.yaml"])
     mold: MoldPath | None = Field(None, description="what is asked of the mold", examples=["MOLD.yaml"])
     hold_s: Positive | None = Field(None, description="length of the hold; by default the mold file's, 60")
-    objective: Literal["time", "energy", "margin"] = Field("time", description="time, energy or margin")
+    objective: Literal["time", "energy", "margin"] = Field("time", description="what is best: time, energy or margin")
     charges_percent: list[Positive] = Field(
         [], description="also tables for these states of charge; none for no tables"
     )

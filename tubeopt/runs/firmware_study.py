@@ -64,7 +64,7 @@ class LedHeatingStudy(HeatedTube):
         return self
 
     def _sensor(self) -> Sensor:
-        kind = SENSORS[choice("sensor", self.sensor, tuple(SENSORS))]
+        kind = SENSORS[choice("sensor", self.sensor, READS)]
         return kind() if self.bias_K is None else kind(bias=float(self.bias_K))
 
     def _wiring(self) -> Wiring:

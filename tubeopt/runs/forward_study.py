@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from decimal import Decimal
 from typing import Literal
 
@@ -14,6 +15,8 @@ from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
 from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
+
+LOGGER = logging.getLogger(__name__)
 
 
 class ForwardKinematicsStudy(LoadedStudy):
@@ -33,7 +36,7 @@ class ForwardKinematicsStudy(LoadedStudy):
         """The equilibrium; raises SolveError where none is found."""
         rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
         translations = metres(self.translations_mm, self.robot.home_translations)
-        return forward_kinematics(
+        found = forward_kinematics(
             self.robot,
             *to_model(self.robot, rotations, translations),
             load=self.pushing(),
@@ -41,3 +44,6 @@ class ForwardKinematicsStudy(LoadedStudy):
             tolerance=float(self.tolerance_rad),
             verify=self.verify,
         )
+        if not found.arc_length[-1]:
+            LOGGER.warning("no tube is in front of the plate at these translations: the tip lies in it")
+        return found

@@ -61,9 +61,12 @@ class LoadLimitStudy(LoadedStudy):
 
     @model_validator(mode="after")
     def _pushed(self) -> Self:
-        if self.pushing() is None and not self.axial:
-            raise ValueError("no load is given; give tip_force_mN, gravity_m_per_s2, load or axial")
-        if self.pushing() is not None and self.axial:
+        given = self.pushing()
+        if given is None and not self.axial:
+            raise ValueError("no load is given; give tip_force_mN, tip_moment_mN_m, gravity_m_per_s2 or load, or axial")
+        if given is not None and given == Load(frame=given.frame):
+            raise ValueError("the load is 0; give what can be put on the robot many times")
+        if given is not None and self.axial:
             raise ValueError("axial is given beside a load; it is a load of its own, so give one of them")
         return self
 

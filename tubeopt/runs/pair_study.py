@@ -115,7 +115,7 @@ class PairStudy(Study, SearchPart):
     )
     points: Count = Field(80, description="of the roadmap of every robot that is looked at")
     starts: Count = Field(1, description="dimensions from which to start: the robots' own, and random ones")
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
     turns: Annotated[Whole, Field(ge=0)] = Field(
         6, description="random full turns per translations on which no certified robot may snap"
     )

@@ -123,7 +123,9 @@ class PlanStudy(LoadedStudy):
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
     cut: CutPart | None = Field(None, description="a plane along which a picture cuts the bodies open")
     rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
-    search: Literal["auto", "rrt_connect", "optimal"] = Field("auto", description="auto, rrt_connect or optimal")
+    search: Literal["auto", "rrt_connect", "optimal"] = Field(
+        "auto", description="how a way is looked for: auto, rrt_connect or optimal"
+    )
     objective: Literal["length", "time", "effort", "margin", "none"] = Field(
         "length", description="of the smoothing: length, time, effort, margin or none"
     )

@@ -69,8 +69,19 @@ PAGE = "docs/files.md"
 
 INTRODUCTION = """# Files
 
-What the keys of a file may be. A key ends in the unit of its number; one without a default must be given. Editors
-complete the keys by the schemas in `configs/schema/`; messages name a wrong key with the one that was probably meant.
+What the keys of a file may be. A key ends in the unit of its number. The second column has its default, or says that it
+is required; where that is empty the key may be left out. Editors complete the keys by the schemas in `configs/schema/`;
+messages name a wrong key with the one that was probably meant.
+
+A whole robot, whose tubes are listed inner to outer; `configs/robots/` has twenty more:
+
+```yaml
+kind: concentric
+name: my robot
+tubes:
+  - {outer_diameter_mm: 1.1, inner_diameter_mm: 0.9, straight_length_mm: 150, curved_length_mm: 60, radius_mm: 80}
+  - {outer_diameter_mm: 1.6, inner_diameter_mm: 1.3, straight_length_mm: 80, curved_length_mm: 50, curvature_per_m: 9}
+```
 
 This page is written by `python -m tubeopt.runs.schema` from the models that files are checked against.
 """
@@ -103,7 +114,7 @@ def _title(name: str) -> str:
 
 def _row(key: str, value: dict[str, Any], required: bool) -> str:
     default = value.get("default")
-    shown = "" if required or default is None else f"`{json.dumps(default)}`"
+    shown = "required" if required else "" if default is None else f"`{json.dumps(default)}`"
     words = [value.get("description", ""), _allowed(value)]
     return f"| `{key}` | {shown} | {'; '.join(word for word in words if word)} |"
 

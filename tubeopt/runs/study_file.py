@@ -55,5 +55,5 @@ def load_study(path: str | PathLike[str]) -> Study:
     """
     data = load_yaml(path)
     if data.get("kind") == "sweep":
-        raise InputError(f"{path}: kind is 'sweep'; this is for `tubeopt sweep`, where a study is asked for")
+        raise InputError(f"{path}: kind is 'sweep'; that is run by `tubeopt sweep`")
     return cast(Study, check_kind(STUDY_KINDS, data, path))

@@ -53,11 +53,18 @@ def _bound(pair: PairProof) -> str:
     return f"{i + 1} and {j + 1}: at least {shown:.3f} mm at all times ({measured})"
 
 
+def _called(arm: _Arm) -> str:
+    """Its number and, where it has one, its name."""
+    return f"{arm.number} ({arm.name})" if arm.name != f"arm {arm.number}" else f"{arm.number}"
+
+
 def _moves(arm: _Arm) -> str:
     t = arm.motion
     if len(t.time) == 1:
-        return f"{arm.name} rests"
-    return f"{arm.name} moves from {t.time[0]:.2f} to {t.time[-1]:.2f} s, margin at least {t.proof.least_margin:.4f}"
+        return f"{_called(arm)} rests"
+    return (
+        f"{_called(arm)} moves from {t.time[0]:.2f} to {t.time[-1]:.2f} s, margin at least {t.proof.least_margin:.4f}"
+    )
 
 
 ARM: tuple[Quantity[_Arm], ...] = (
@@ -83,6 +90,7 @@ ARMS: tuple[Quantity[ArmsPlan], ...] = (
     Quantity("status", "how the planning ended"),
     Quantity("duration_s", "until the last arm rests", form=".2f"),
     Quantity("order", "in which the arms were planned for, from 1", lambda p: [k + 1 for k in p.order],
+             label="planned in the order",
              words=lambda p: ", ".join(str(k + 1) for k in p.order)),
     Quantity("made_way", "arms that first withdrew, to go on when it was their turn, from 1",
              lambda p: [k + 1 for k in p.made_way],
@@ -92,7 +100,8 @@ ARMS: tuple[Quantity[ArmsPlan], ...] = (
     Quantity("faults", "what does not hold, in words", lambda p: list(p.proof.faults)),
     Quantity("arms", "each of the arms", _arms, of=ARM),
     Quantity("pairs", "what is known of two arms each", lambda p: p.proof.pairs, of=PAIR),
-    Quantity("seconds_s", "that planning and proof took", lambda p: p.seconds, form=".1f"),
+    Quantity("seconds_s", "that planning and proof took", lambda p: p.seconds, form=".1f",
+             label="planning and proof took"),
 )  # fmt: skip
 
 

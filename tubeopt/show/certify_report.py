@@ -7,8 +7,7 @@ import shlex
 
 import numpy as np
 import typer
-from rich.console import Group
-from rich.table import Table
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
@@ -231,7 +230,7 @@ class CertificationReport(Report[Certification]):
     def table(self) -> Group:
         """The verdict in words; what limits it; the gradient; the command that repeats it."""
         a = self.answer
-        parts: list[Text | Table] = [Text(f"{a.robot.name or 'the robot'} {sentence(a)}", style="bold")]
+        parts: list[RenderableType] = [Text(f"{a.robot.name or 'the robot'} {sentence(a)}", style="bold")]
         parts += [Text(note) for note in self._notes()]
         parts += [two_columns("", self.rows()), self._gradient()]
         again = command(a)
@@ -255,7 +254,7 @@ class CertificationReport(Report[Certification]):
             notes += _eccentric_notes(verdict)
         return notes
 
-    def _gradient(self) -> Table | Text:
+    def _gradient(self) -> RenderableType:
         certificate = self.answer.verdict.certificate
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):

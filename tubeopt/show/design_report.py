@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
-from rich.table import Table
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
@@ -199,7 +198,7 @@ class DesignReport(Report[DesignAnswer]):
     def table(self) -> Group:
         """The answer as tables: summary, dimensions, what binds, checks."""
         s = self.answer.solution
-        parts: list[Text | Table] = [two_columns(s.robot.name or "design", self.summary())]
+        parts: list[RenderableType] = [two_columns(s.robot.name or "design", self.summary())]
         parts.append(grid(("", "before", "after", ""), self.dimension_rows(), title="dimensions", key=True))
         parts += [Text(f"  {words}") for words in self.answer.remarks]
         if s.sensitivities:
@@ -259,9 +258,9 @@ class DesignReport(Report[DesignAnswer]):
         from .plots.design import plot_front, plot_poses, plot_tolerance
 
         a, s = self.answer, self.answer.solution
-        robots = (s.task.robot, s.robot)
+        robots, name = (s.task.robot, s.robot), s.robot.name or "design"
         home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-        found: dict[str, Drawing] = {"shapes": drawing(plot_shapes, home, titles=("before", "after"))}
+        found: dict[str, Drawing] = {"shapes": drawing(plot_shapes, home, titles=("before", "after"), heading=name)}
         if s.equilibria:
             found["poses"] = drawing(plot_poses, s)
         if s.robot.n_tubes > 2:
@@ -269,7 +268,7 @@ class DesignReport(Report[DesignAnswer]):
         if a.front is not None:
             found["pareto"] = drawing(plot_front, a.front)
         if a.tolerance is not None:
-            found["tolerance"] = drawing(plot_tolerance, a.tolerance)
+            found["tolerance"] = drawing(plot_tolerance, a.tolerance, heading=name)
         return found
 
     def page(self) -> str:
@@ -313,7 +312,7 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
     from .plots.design import plot_before_after
 
     before, after = (stability_map(robot, samples=MAP_SAMPLES, directions=60, workers=1) for robot in robots)
-    return plot_before_after(before, after, path)
+    return plot_before_after(before, after, path, heading=robots[1].name)
 
 
 def _objectives(a: DesignAnswer) -> dict[str, float]:

@@ -68,8 +68,12 @@ class Doctor:
     test: SelfTest
 
 
-def _extra(name: str, lacks: tuple[str, ...]) -> str:
-    return f"{name} lacks {', '.join(lacks)} (pip install 'tubeopt[{name}]')" if lacks else f"{name} is there"
+def _extras(a: Doctor) -> str:
+    there = ", ".join(name for name, lacks in a.missing.items() if not lacks)
+    absent = (
+        f"{name} lacks {', '.join(lacks)} (pip install 'tubeopt[{name}]')" for name, lacks in a.missing.items() if lacks
+    )
+    return "; ".join([f"installed: {there or 'none'}", *absent])
 
 
 def _verdict(a: Doctor) -> str:
@@ -97,11 +101,11 @@ DOCTOR: tuple[Quantity[Doctor], ...] = (
         "what each extra lacks",
         lambda a: {name: list(lacks) for name, lacks in a.missing.items()},
         label="extras",
-        words=lambda a: "; ".join(_extra(name, lacks) for name, lacks in a.missing.items()),
+        words=_extras,
     ),
     Quantity("passed", "whether the self-test passed", lambda a: a.test.passed),
     Quantity("difference_mm", "how far the tip is from that of a re-integration", lambda a: a.test.difference),
-    Quantity("solve_us", "one solve of two tubes, microseconds", lambda a: 1e6 * a.test.seconds),
+    Quantity("solve_us", "one solve of two tubes, microseconds", lambda a: a.test.seconds),
     line("self-test", _verdict),
 )
 

@@ -15,7 +15,7 @@ from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
 from .report import Drawing, Report, drawing
-from .words import margin_in_words, millimetres
+from .words import counted, margin_in_words, millimetres
 
 NOTICED = 1e-3
 """Seconds of getting a kernel ready from which on they are told: in a process that has it, finding it takes less."""
@@ -95,7 +95,7 @@ def _loose(e: Equilibrium) -> str | None:
 def _how(e: Equilibrium) -> str:
     s = e.statistics
     loading = f", after {s.loading * TO_MILLI:.0f} ms to get its kernel ready" if s.loading > NOTICED else ""
-    return f"in {s.seconds * TO_MILLI:.2f} ms by {s.method}, {s.iterations} iterations, from {s.start}{loading}"
+    return f"in {s.seconds * TO_MILLI:.2f} ms by {s.method}, {counted(s.iterations, 'iteration')}, from {s.start}{loading}"
 
 
 class EquilibriumReport(Report[Equilibrium]):

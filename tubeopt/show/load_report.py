@@ -16,9 +16,12 @@ from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
-from .report import Drawing, Report, drawing, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, two_columns
 from .snap_report import JOINTS, STATE
 from .words import counted, margin_in_words, millimetres, row
+
+SHOWN = 20
+"""Rows of a recording that a table shows."""
 
 HAPPENS = {
     "fold": "the equilibrium vanishes, and the robot snaps",
@@ -81,8 +84,11 @@ class BearingReport(Report[Bearing]):
         limit = self.answer.limit
         if limit is None:
             return {}
-        ghosts = [] if limit.after is None else [limit.after]
-        return {"load_limit": drawing(plot_shape, limit.before, ghosts=ghosts)}
+        words = f"{limit.factor:.4g} times the load, where the equilibrium is lost"
+        if limit.after is None:
+            return {"load_limit": drawing(plot_shape, limit.before, remark=words)}
+        return {"load_limit": drawing(plot_shape, limit.before, ghosts=[limit.after],
+                                      remark=f"{words}; ghost: where the robot lands")}  # fmt: skip
 
 
 ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
@@ -112,7 +118,7 @@ RECORD: tuple[Quantity[ForceRecord], ...] = (
     Quantity("noise_mm", "noise of a measured coordinate", form=".3g"),
     line("largest force", lambda r: _largest(r)),
     line("standard errors (median)", lambda r: _errors(r)),
-    line("not told from none", lambda r: _untold(r)),
+    line("too small to be told", lambda r: _untold(r)),
     Quantity("estimates", "the force in every row that tells one", lambda r: _told(r), of=ESTIMATE),
     Quantity("failures", "other rows, from 1, and why", lambda r: [[k + 1, why] for k, why in r.failures]),
 )  # fmt: skip
@@ -127,7 +133,7 @@ def _largest(r: ForceRecord) -> str | None:
     if np.isnan(sizes).all():
         return None
     k = int(np.nanargmax(sizes))
-    return f"{row(r.force[k] * TO_MILLI, '.4g')} mN in row {k + 1}"
+    return f"{sizes[k] * TO_MILLI:.4g} mN in row {k + 1}: {row(r.force[k] * TO_MILLI, '.4g')} mN"
 
 
 def _errors(r: ForceRecord) -> str | None:
@@ -137,7 +143,7 @@ def _errors(r: ForceRecord) -> str | None:
 
 def _untold(r: ForceRecord) -> str:
     count = sum(e is not None and e.untold.startswith("not told") for e in r.estimates)
-    return f"{counted(count, 'row', none='no row')} in some direction"
+    return f"in some direction in {counted(count, 'row', none='no row')}"
 
 
 class ForceReport(Report[ForceRecord]):
@@ -153,9 +159,22 @@ class ForceReport(Report[ForceRecord]):
         return f"{r.robot.name or 'robot'}: forces on the tip in {counted(len(r.estimates), 'row')}"
 
     def table(self) -> Group:
-        """The recording in short."""
+        """The recording in short, and its first rows."""
         failed = [(f"row {k + 1}", why) for k, why in self.answer.failures[:5]]
-        return Group(two_columns(self.title(), [*self.rows(), *failed]))
+        told = _told(self.answer)
+        columns = ("row >", "force x, y, z (mN) >", "size (mN) >", "standard errors (mN) >")
+        cells = (
+            [
+                str(k),
+                row(e.force * TO_MILLI, ".2f"),
+                f"{np.linalg.norm(e.force) * TO_MILLI:.2f}",
+                row(np.sqrt(np.diag(e.covariance)) * TO_MILLI, ".3g"),
+            ]
+            for k, e in told[:SHOWN]
+        )
+        more = len(told) - SHOWN
+        rest = [f"and {counted(more, 'row')} more, which --out saves in forces.csv"] if more > 0 else []
+        return Group(two_columns(self.title(), [*self.rows(), *failed]), grid(columns, cells), *remarks(rest))
 
     def save(self, directory: Path) -> list[Path]:
         """Write forces.json, and forces.csv with a row per row of the recording."""

@@ -146,7 +146,8 @@ class MoldReport(Report[RobotMold]):
         """The grooves, and the plates as milled."""
         from .plots.mold import plot_milled, plot_mold
 
-        return {"mold": drawing(plot_mold, self.answer.mold), "milled": drawing(plot_milled, self.answer.mold)}
+        return {name: drawing(plot, self.answer.mold, title=self.answer.name)
+                for name, plot in (("mold", plot_mold), ("milled", plot_milled))}  # fmt: skip
 
 
 def _springback(back: Springback) -> dict[str, Any]:
@@ -307,4 +308,4 @@ class RankingReport(Report[Ranking]):
         """The materials side by side."""
         from .plots.mold import plot_materials
 
-        return {"materials": drawing(plot_materials, self.answer.ratings)}
+        return {"materials": drawing(plot_materials, self.answer.ratings, title=self.title().replace("degC", "°C"))}

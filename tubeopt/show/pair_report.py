@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group
-from rich.table import Table
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..bodies.frames import Frame, roll_of
@@ -123,7 +122,7 @@ class PairReport(Report[PairAnswer]):
 
     def table(self) -> Group:
         """The answer as tables: summary, and of each arm its dimensions and what was checked again."""
-        parts: list[Text | Table] = [two_columns(self.title(), self.rows())]
+        parts: list[RenderableType] = [two_columns(self.title(), self.rows())]
         for arm in _arms(self.answer):
             rows = [
                 (f"{d.name} ({d.unit})" if d.unit else d.name, f"{d.before:.5g}", f"{d.after:.5g}",
@@ -156,5 +155,5 @@ class PairReport(Report[PairAnswer]):
         for arm in _arms(a):
             robots = (arm.solution.task.robot, arm.solution.robot)
             home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-            found[f"arm_{arm.number}_shapes"] = drawing(plot_shapes, home, titles=("before", "after"))
+            found[f"arm_{arm.number}_shapes"] = drawing(plot_shapes, home, titles=("before", "after"), heading=arm.name)
         return found

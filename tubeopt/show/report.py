@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
 from pydantic_core import to_json
-from rich.console import RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -146,26 +146,30 @@ def to_text(data: dict[str, Any]) -> str:
     return to_json(data, indent=2, inf_nan_mode="null").decode() + "\n"
 
 
-def two_columns(title: str, rows: Sequence[tuple[str, str]]) -> Table:
-    """A table of names and values."""
-    table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
+def two_columns(title: str, rows: Sequence[tuple[str, str]]) -> Group:
+    """A table of names and values below its title, which may be wider than the table."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
     for name, value in rows:
         table.add_row(name, Text(value))  # as it is: a name may have brackets, which rich takes for markup
-    return table
+    return Group(*_titled(title), table)
 
 
-def grid(columns: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "", key: bool = False) -> Table:
+def grid(columns: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "", key: bool = False) -> Group:
     """A table with a heading for every column, to the right where that ends in " >"; `key`: the first is in bold."""
-    table = Table(title=title or None, title_justify="left", box=None, padding=(0, 2, 0, 0))
+    table = Table(box=None, padding=(0, 2, 0, 0))
     for k, name in enumerate(columns):
         bold = key and k == 0
         justify: Literal["left", "right"] = "right" if name.endswith(" >") else "left"
         table.add_column(name.removesuffix(" >"), justify=justify, style="bold" if bold else None, no_wrap=bold)
     for row in rows:
         table.add_row(*row)
-    return table
+    return Group(*_titled(title), table)
+
+
+def _titled(title: str) -> list[Text]:
+    return [Text(title, style="italic")] if title else []
 
 
 def remarks(lines: Iterable[str], *, what: str = "", style: str = "yellow") -> list[Text]:

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
-from rich.table import Table
+from rich.console import Group, RenderableType
 
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -250,13 +249,16 @@ class FitReport(Report[Fit]):
         lines = remarks(self.answer.remarks, what="remark")
         return Group(two_columns(self.title(), self.rows()), self._estimates(), *lines)
 
-    def _estimates(self) -> Table:
+    def _estimates(self) -> RenderableType:
         cells = []
         for e in self.answer.estimates:
             unit = SUFFIXES[e.unit]
             sign = f" {SIGNS.get(unit, unit)}" if unit else ""
             names = ("start", "value", "low", "high", "block_low", "block_high")
-            start, value, low, high, least, most = (f"{in_units(getattr(e, name), unit):.4g}" for name in names)
+            factor = "× " if not unit and e.start == 1.0 else ""  # what is given is 1 of factors alone
+            start, value, low, high, least, most = (
+                f"{factor * (name in names[:2])}{in_units(getattr(e, name), unit):.4g}" for name in names
+            )
             fitted = (
                 ("held", "–", "–")
                 if e.held
@@ -264,7 +266,7 @@ class FitReport(Report[Fit]):
             )
             cells.append((e.name, f"{start}{sign}", *fitted))
         interval = f"{100 * self.answer.confidence:g} % interval"
-        return grid(("parameter", "given >", "fitted >", f"{interval} >", "the same by blocks >"), cells, key=True)
+        return grid(("parameter", "given >", "fitted >", f"{interval} >", "from blocks of rows >"), cells, key=True)
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, residuals.csv and the calibrated robot.yaml."""

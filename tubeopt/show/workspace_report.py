@@ -38,7 +38,8 @@ def _least_margin(a: Findings) -> float:
 
 
 def _spans(a: Findings) -> str:
-    low, high = _extent(a, 0) * TO_MM, _extent(a, 1) * TO_MM
+    parts = [part[:, -7:-4] for _, part in a.workspace.chunks()]
+    low, high = (TO_MM * of([of(tips, axis=0) for tips in parts], axis=0) for of in (np.nanmin, np.nanmax))
     return ", ".join(f"{a} {x:.4g} to {y:.4g}" for a, x, y in zip("xyz", low, high, strict=True)) + " mm"
 
 

@@ -135,7 +135,7 @@ def test_ticks_are_round() -> None:
 def test_words_are_escaped() -> None:
     session = open_session(replace(THESIS, name="<script>alert(1)</script>"))
     assert "<script" not in words.readout(session, None) + words.log_words(note(session, "<b>").log)
-    assert "&lt;b&gt;" in words.message_words("<b>", bad=True)
+    assert "&lt;b&gt;<br>two" in words.message_words("<b>\ntwo", bad=True)
     assert "cannot snap at any rotation" in words.certificate_words(0.2)
     assert "not proved" in words.certificate_words(-0.2)
 

@@ -107,7 +107,9 @@ def _draw(scene: Axes, plan: ArmsPlan, times: Array, stage: tuple[View, Box]) ->
 
 def _name(scene: Axes, seen: View, base: Frame, name: str) -> None:
     at = seen.project(base.origin)
-    scene.annotate(name, (float(at[0]), float(at[1])), (0, -12), textcoords="offset points", ha="center", fontsize=8)
+    scene.annotate(
+        name, (float(at[0]), float(at[1])), (7, 0), textcoords="offset points", va="center", fontsize=8, zorder=7
+    )
 
 
 def _distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:

@@ -117,7 +117,9 @@ def _draw_targets(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
 
 
 @styled
-def plot_before_after(before: StabilityMap, after: StabilityMap, path: str | PathLike[str] | None = None) -> Figure:
+def plot_before_after(
+    before: StabilityMap, after: StabilityMap, path: str | PathLike[str] | None = None, *, heading: str = ""
+) -> Figure:
     """Stability maps of a robot before and after a design, at one scale.
 
     Raises:
@@ -135,7 +137,7 @@ def plot_before_after(before: StabilityMap, after: StabilityMap, path: str | Pat
             figure.legend(handles=handles, loc="outside lower center", ncols=3)
     bar = figure.colorbar(image, ax=views, label="stability margin", pad=0.02, shrink=0.8, aspect=28)
     bar.outline.set_visible(False)
-    return finish(figure, path)
+    return finish(headed(figure, heading) if heading else figure, path)
 
 
 @picture
@@ -160,7 +162,7 @@ def plot_front(front: ParetoFront) -> Figure:
 
 
 @picture
-def plot_tolerance(analysis: ToleranceAnalysis) -> Figure:
+def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
     """The certificate of robots as they may be made, those that may snap apart from the others; and how far the tips of
     the task poses spread.
     """
@@ -188,7 +190,7 @@ def plot_tolerance(analysis: ToleranceAnalysis) -> Figure:
         beside.set_xlabel("task pose")
         beside.set_ylabel("distance of the tip (mm)")
         beside.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    return figure
+    return headed(figure, heading) if heading else figure
 
 
 @styled

@@ -13,8 +13,9 @@ from ...files.units import TO_MILLI, TO_MM
 from ...shaping.mold.drawing import PARTS, draw_plate
 from ...shaping.mold.gcode import as_milled, clear_room
 from ...shaping.mold.groove import Arc, Piece
+from ...shaping.mold.ranking import MOST_LEAK
 from ...typing import Array
-from .style import FAINT, INK, new_figure, picture, tube_colour
+from .style import FAINT, INK, headed, new_figure, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +41,7 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
 
     Args:
         mold: what to draw.
+        title: what it is for.
     """
     low, high = _extent(mold)
     wide, tall = high - low
@@ -49,7 +51,7 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     axes.set_xlabel("x (mm)")
     axes.set_ylabel("y (mm)")
     radii = ",  ".join(f"tube {groove.number}: {_least(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
-    axes.set_title(f"{title or _heading(mold)}\nradius of the groove  {radii}", loc="left")
+    axes.set_title(f"{_named(mold, title)}\nradius of the groove  {radii}", loc="left")
     return figure
 
 
@@ -59,6 +61,7 @@ def plot_milled(mold: Mold, *, title: str = "") -> Figure:
 
     Args:
         mold: what is milled.
+        title: what it is for.
     """
     wide, tall = mold.size
     figure = new_figure(7.5, max(4.0, 15 * tall / wide + 1.6))
@@ -73,7 +76,7 @@ def plot_milled(mold: Mold, *, title: str = "") -> Figure:
             cmap="cividis_r", vmin=0, vmax=most,
         )  # fmt: skip
         figure.colorbar(image, ax=axes, label="depth (mm)", shrink=0.8)
-        axes.set_title(f"{title or _heading(mold)}: {part}" if k == 0 else part, loc="left")
+        axes.set_title(f"{_named(mold, title)}: {part}" if k == 0 else part, loc="left")
         axes.set_ylabel("y (mm)")
     axes.set_xlabel("x (mm)")
     return figure
@@ -148,6 +151,10 @@ def _extent(mold: Mold) -> tuple[Array, ...]:
     ]
     points = np.array([(0.0, 0.0), mold.size, *tips]) * TO_MM
     return points.min(axis=0) - 4, points.max(axis=0) + 4
+
+
+def _named(mold: Mold, title: str) -> str:
+    return f"{title}: m{_heading(mold)[1:]}" if title else _heading(mold)
 
 
 def _heading(mold: Mold) -> str:
@@ -319,7 +326,7 @@ def _reciprocal(values: Any) -> Any:
 
 
 @picture
-def plot_materials(ratings: Sequence[MaterialRating]) -> Figure:
+def plot_materials(ratings: Sequence[MaterialRating], *, title: str = "") -> Figure:
     """Mold materials side by side: heat drawn, temperature to spare, current that leaks; the unsuitable hatched."""
     figure = new_figure(9.0, 0.5 * len(ratings) + 1.3)
     panels = figure.subplots(1, 3, sharey=True)
@@ -327,7 +334,7 @@ def plot_materials(ratings: Sequence[MaterialRating]) -> Figure:
     columns = (
         ("heat drawn in the hold (kJ per m of tube)", [r.heat_drawn / TO_MILLI for r in ratings]),
         ("limit above the set temperature (K)", [r.limit_margin for r in ratings]),
-        ("current beside the tube, at most", [max(r.leak, 1e-18) for r in ratings]),
+        ("share of the current that leaks", [max(r.leak, 1e-18) for r in ratings]),
     )
     for axes, (label, values) in zip(panels, columns, strict=True):
         bars = axes.barh(names, values, color=[tube_colour(1 if r.suitable else 0) for r in ratings], height=0.6)
@@ -339,8 +346,9 @@ def plot_materials(ratings: Sequence[MaterialRating]) -> Figure:
     panels[0].invert_yaxis()
     panels[1].axvline(0, color=INK, lw=0.8)
     panels[2].set_xscale("log")
-    panels[2].axvline(0.01, color=INK, lw=0.8, ls=(0, (4, 3)))
+    most = panels[2].axvline(MOST_LEAK, color=INK, lw=0.8, ls=(0, (4, 3)))
     shown = [r.suitable for r in ratings]
     signs = {"suitable" if suitable else "not suitable": bars[shown.index(suitable)] for suitable in sorted({*shown})}
-    figure.legend(signs.values(), signs.keys(), loc="outside lower center", ncols=2)
-    return figure
+    legend: dict[str, Any] = {**signs, "most that may leak": most}
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=3)
+    return headed(figure, title) if title else figure

@@ -83,13 +83,13 @@ def _draw_board(axes: Axes, board: PegBoard) -> None:
         axes.text(float(at[0]), float(at[1]), words, ha="center", va="center", fontsize=6.5, zorder=5)
     for name, end in (("proximal", 0), ("distal", -1)):
         axes.text(
-            float(points[end, 0]),
+            float(points[end, 0]) + (1.5 if end else -1.5),
             float(points[end, 1]),
             name,
             fontsize=6.5,
             color=INK,
-            ha="left" if end == 0 else "right",
-            va="bottom",
+            ha="right" if end == 0 else "left",
+            va="center",
         )
     axes.set_aspect("equal")
     axes.set_xlim(-2, width + 2)

@@ -49,16 +49,18 @@ def plot_shape(
     *,
     ghosts: Sequence[Equilibrium] = (),
     view: tuple[float, float] | None = None,
+    remark: str = "",
 ) -> Figure:
     """Picture of the robot's shape to scale, with close-ups of the ends of its tubes.
 
     Args:
         equilibrium: what to draw.
         ghosts: other equilibria, drawn translucent.
+        remark: a line more of the heading, as of what the ghosts are.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the shape.
     """
     figure = new_figure(7.0, 5.0)
-    headed(figure, caption(equilibrium))
+    headed(figure, "\n".join(filter(None, (caption(equilibrium), remark))))
     draw_scenes(figure, [equilibrium], [ghosts], view)
     return figure
 
@@ -100,19 +102,20 @@ def plot_shapes(
     *,
     titles: Sequence[str] | None = None,
     view: tuple[float, float] | None = None,
+    heading: str = "",
 ) -> Figure:
     """Picture of several shapes side by side, from one side and at one scale; close-ups of the last one.
 
     Args:
         equilibria: what to draw, left to right.
         path, view: as in `plot_shape`.
-        titles: a heading for each; None is the robot's name.
+        titles: a heading for each; None is the robot's name.   heading: above all of them.
     """
     figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
     scenes = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
     for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
         scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
-    return figure
+    return headed(figure, heading) if heading else figure
 
 
 def draw_scenes(

@@ -265,10 +265,14 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     verdict = f"{margin}, {word}" if word in ("unstable", "at a snap") else margin
     verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
-    pushed = [] if equilibrium.load is None else [f"load: {load_in_words(equilibrium.load)}"]
+    pushed = [] if equilibrium.load is None else [f"load: {_with_minus(load_in_words(equilibrium.load))}"]
     if narrow:
         return "\n".join([name, *joints, *state, *pushed])
     return "\n".join([f"{name}:  {',  '.join(state)}", ",  ".join(joints), *pushed])
+
+
+def _with_minus(words: str) -> str:
+    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", words)
 
 
 def _millimetres(lengths: Array) -> str:

@@ -307,7 +307,8 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
     rest = iter(axes[2:])
     margin = next(rest)
     margin.plot(t.time, t.margin, color=INK, lw=1.4)
-    margin.axhline(t.min_margin, color=FAINT, lw=0.8, ls="--")
+    margin.axhline(t.min_margin, color=FAINT, lw=0.8, ls="--", label="asked for")
+    margin.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     _margin_scale(margin, float(t.margin.min()))
     if np.isfinite(t.clearance).all():
         clear = next(rest)

@@ -112,7 +112,7 @@ def plot_errors(validation: Validation, *, when: str = "") -> Figure:
     else:
         _draw_by_row(figure.add_subplot(places[0]), errors)
     _draw_histogram(figure.add_subplot(places[-1]), v)
-    return headed(figure, _named(v, when)) if when else figure
+    return headed(figure, _named(v, when))
 
 
 def _named(v: Validation, when: str) -> str:
@@ -147,7 +147,10 @@ def _draw_radar(axes: Axes, direction: Array, separation: Array, error: Array) -
     axes.set_xticks(np.radians(np.arange(0, 360, 40)))
     axes.set_rlabel_position(350)
     axes.yaxis.set_major_locator(MaxNLocator(6, min_n_ticks=3))
-    axes.tick_params(axis="y", labelsize=7, labelcolor=FAINT)
+    axes.tick_params(axis="y", labelsize=7, labelcolor=INK)
+    for words in axes.get_yticklabels():
+        words.set_bbox({"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6})
+    axes.set_axisbelow(False)  # numbers above the lines
     axes.grid(color="#D5D8DC", lw=0.5)
     axes.legend(title="separation", loc="upper left", bbox_to_anchor=(-0.28, 1.13), handlelength=1.4)
     axes.set_title("tip error (mm) over direction", pad=12)
@@ -159,8 +162,8 @@ def _draw_by_separation(axes: Axes, separation: Array, errors: Array) -> None:
         here = errors[apart == value]
         spread = np.linspace(-0.25, 0.25, len(here)) if len(here) > 1 else np.zeros(1)
         axes.plot(k + spread, here, "o", ms=3, mfc="none", mec=tube_colour(k), mew=0.9)
-        axes.plot([k - 0.33, k + 0.33], [here.mean()] * 2, color=INK, lw=1.4)
-        axes.annotate(f"{here.mean():.1f}", (k + 0.36, here.mean()), va="center", fontsize=7)
+        axes.plot([k - 0.28, k + 0.28], [here.mean()] * 2, color=INK, lw=1.4)
+        axes.annotate(f"{here.mean():.2f}", (k + 0.3, here.mean()), va="center", fontsize=6.5)
     axes.set_xticks(range(len(np.unique(apart))), [f"{value:g}" for value in np.unique(apart)])
     axes.set_xlabel("separation (deg), line: mean")
     axes.set_ylabel("tip error (mm)")

@@ -86,13 +86,13 @@ def log_words(log: Sequence[Event]) -> str:
 
 
 def message_words(text: str, *, bad: bool = False) -> str:
-    """One sentence to the user; an empty one takes no room."""
+    """Sentences to the user, each on a line of its own; none takes no room."""
     if not text:
         return '<div data-testid="message"></div>'
     colour = "#c81e1e" if bad else "#3b6fb5"
     return (
         f'<div data-testid="message" role="status" style="{BOX};border-left:4px solid {colour};margin:2px 8px 8px">'
-        f"{escape(text)}</div>"
+        f"{'<br>'.join(escape(line) for line in text.splitlines())}</div>"
     )
 
 
