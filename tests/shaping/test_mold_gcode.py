@@ -70,7 +70,8 @@ def test_all_holes_are_there_and_go_through(dialect: str) -> None:
 
 @pytest.mark.parametrize("part", PARTS)
 def test_what_is_milled_away_is_what_the_solid_lacks(part: str, tmp_path: Path) -> None:
-    mold = plan_mold(load_robot(CONFIGS / "robots" / "thesis_ctr.yaml").tubes)
+    spec = MoldSpec(vents=VentSpec(profile=(0.1,)))
+    mold = plan_mold([SMALL, Tube(1.2e-3, 0.9e-3, 0.0, 20e-3, 20.0)], spec)
     solid = trimesh.load_mesh(write_stl(mold, tmp_path / "plate.stl", part=part))
     thickness = 12.7 if part == "base" else 6.35
     block = Block((1e3 * mold.size[0], 1e3 * mold.size[1]), thickness)
