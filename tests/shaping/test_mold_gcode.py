@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, load_robot, plan_mold
+from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping.mold.checks import beyond_edge
 from tubeopt.shaping.mold.gcode import programs, stages_of, write_gcode
 from tubeopt.shaping.mold.gcode_reader import hazards, milled
@@ -17,7 +17,6 @@ from tubeopt.shaping.mold.spec import PlateSpec, VentSpec, WorkshopSpec
 from tubeopt.shaping.mold.stl import write_stl
 
 from .gcode_machine import Block, mill
-from .heating_reference import CONFIGS
 
 SMALL = Tube(1.92e-3, 1.57e-3, 0.0, 30e-3, 1 / 0.12)
 PARTS = ("base", "lid")
