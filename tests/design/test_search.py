@@ -76,7 +76,8 @@ def test_a_plate_that_is_moved_sees_all_else_moved() -> None:
 
 
 def study(directory: Path, **objective: Any) -> Path:
-    write_case(directory)
+    if not (directory / "anatomy.yaml").exists():
+        write_case(directory)
     path = directory / "design.yaml"
     asked = {"kind": "reach_share", "anatomy": "anatomy.yaml", "start_mm": [-33, -92, -96], "places": 2, "judged": 2}
     content = {
@@ -88,7 +89,8 @@ def study(directory: Path, **objective: Any) -> Path:
     return path
 
 
-def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
+def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.show.design_report.MAP_SAMPLES", 2)
     told = answer(run("design", str(study(tmp_path)), "--json", "--out", str(tmp_path / "out")))
     region = told["region"]
     assert region["places"] == 2
