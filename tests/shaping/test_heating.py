@@ -33,7 +33,7 @@ PARTS = 20
 """Times in every slot at which a plan is looked at on a finer grid."""
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=8)
 def finer(plan: HeatingPlan) -> tuple[ThermalModel, History]:
     """What the counts of a plan do on a finer grid."""
     model = thermal_model(plan.tube, plan.rig, replace(FINE, clearance=8, lead=18, curved=24, shells=18))
