@@ -83,7 +83,7 @@ def study(directory: Path, **objective: Any) -> Path:
     content = {
         "kind": "design", "robot": str(CRL), "ordered": False, "requirements": {"strain": {"limits_percent": [3]}},
         "free": [{"tubes": [1, 2, 3], "curvature_per_m": [2, 50]}],
-        "objective": asked | {"points": 30, "seconds": 2, "tilt_deg": 5} | objective,
+        "objective": asked | {"points": 20, "seconds": 0.5, "tilt_deg": 5} | objective,
     }  # fmt: skip
     path.write_text(yaml.safe_dump(content))
     return path
