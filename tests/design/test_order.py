@@ -53,6 +53,7 @@ CASES: dict[str, tuple[tuple[Requirement, ...], Objective, list[tuple[float, ...
 }
 
 
+@pytest.mark.usefixtures("few_places")
 @pytest.mark.parametrize("name", CASES)
 def test_tubes_are_in_order_wherever_the_task_puts_them(name: str) -> None:
     requirements, objective, places = CASES[name]

@@ -11,6 +11,7 @@ import pytest
 from tests.design.tasks import THESIS, two_tubes
 from tubeopt import (
     ConcentricRobot,
+    DesignSolver,
     DesignTask,
     InputError,
     JointLimits,
@@ -104,7 +105,7 @@ def test_derivatives_of_all_rows_are_those_of_differences() -> None:
 
 
 def test_robot_reaches_around_a_corner() -> None:
-    task = corner_task()
+    task = corner_task(2)
     design = optimize_design(task)
     reach = task.requirements[0]
     assert isinstance(reach, Reach)
@@ -144,7 +145,8 @@ def test_direction_and_stroke_are_kept() -> None:
         Target((0.02, -0.03, 0.12), 2e-4),
     )
     free = (Free("curvature", (0, 1), 5.0, 25.0),)
-    task = DesignTask(two_tubes(), free, (SnapFree(0.1), Reach(targets), Stroke(0.02)), Objective("margin"))
+    few = DesignSolver(iterations=40, ball_iterations=10)
+    task = DesignTask(two_tubes(), free, (SnapFree(0.1), Reach(targets), Stroke(0.02)), Objective("margin"), solver=few)
     design = optimize_design(task, turns=1)
     first, second = design.equilibria
     assert np.degrees(np.arccos(first.tip_rotation[:, 2] @ wanted)) <= 12.0 + 1e-4
@@ -156,7 +158,10 @@ def test_reach_at_depth_avoids_a_sphere_and_sits_on_a_kink() -> None:
     ball = Sphere((0.0, -0.05, 0.08), 0.012)
     requirements = (SnapFree(0.1), Strain((0.012,), in_poses=False), Avoid((ball,), 1e-3))
     free = (Free("curvature", (0, 1), 0.0, 25.0),)
-    design = optimize_design(DesignTask(two_tubes(), free, requirements, Objective("reach_radius", depth=0.1)), turns=1)
+    task = DesignTask(
+        two_tubes(), free, requirements, Objective("reach_radius", depth=0.1), solver=DesignSolver(iterations=40)
+    )
+    design = optimize_design(task, turns=1)
     (pose,) = design.equilibria
     assert pose.tip_position[2] == pytest.approx(0.1, abs=2e-6)
     assert np.linalg.norm(pose.tip_position[:2]) == pytest.approx(design.objective, abs=1e-6)

@@ -76,19 +76,21 @@ def test_a_plate_that_is_moved_sees_all_else_moved() -> None:
 
 
 def study(directory: Path, **objective: Any) -> Path:
-    write_case(directory)
+    if not (directory / "anatomy.yaml").exists():
+        write_case(directory)
     path = directory / "design.yaml"
     asked = {"kind": "reach_share", "anatomy": "anatomy.yaml", "start_mm": [-33, -92, -96], "places": 2, "judged": 2}
     content = {
         "kind": "design", "robot": str(CRL), "ordered": False, "requirements": {"strain": {"limits_percent": [3]}},
         "free": [{"tubes": [1, 2, 3], "curvature_per_m": [2, 50]}],
-        "objective": asked | {"points": 30, "seconds": 2, "tilt_deg": 5} | objective,
+        "objective": asked | {"points": 20, "seconds": 0.5, "tilt_deg": 5} | objective,
     }  # fmt: skip
     path.write_text(yaml.safe_dump(content))
     return path
 
 
-def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
+def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.show.design_report.MAP_SAMPLES", 2)
     told = answer(run("design", str(study(tmp_path)), "--json", "--out", str(tmp_path / "out")))
     region = told["region"]
     assert region["places"] == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from tubeopt.design import Free, Objective, SnapFree, Strain, count_snaps, paret
 from tubeopt.design.program import compile_task
 from tubeopt.design.solve import solve
 
-CASES = np.random.default_rng(50).uniform((0.05, 0.0, 0.0), (0.3, 0.3, 0.9), (50, 3))
+CASES = np.random.default_rng(50).uniform((0.05, 0.0, 0.0), (0.3, 0.3, 0.9), (12, 3))
 
 
 def test_two_equal_tubes_are_as_curved_as_the_closed_form_allows() -> None:
@@ -71,8 +72,8 @@ def test_thesis_robot_becomes_snap_free_with_the_least_change() -> None:
 
 def test_full_turns_snap_the_thesis_robot_and_not_its_design() -> None:
     design = optimize_design(snap_free_thesis(), turns=2)
-    assert count_snaps(design.robot, 24, seed=3) == (0, 0)
-    assert count_snaps(THESIS, 24, seed=3)[1] > 5
+    assert count_snaps(design.robot, 12, seed=3) == (0, 0)
+    assert count_snaps(THESIS, 12, seed=3)[1] > 2
 
 
 def test_prices_are_those_of_differences() -> None:
@@ -87,6 +88,7 @@ def test_prices_are_those_of_differences() -> None:
     assert "less certified margin buys" in price.sentence
 
 
+@pytest.mark.usefixtures("few_places")
 def test_box_of_translations_holds_its_worst_case() -> None:
     box = ((-0.03, -0.015, 0.0), (0.0, 0.0, 0.0))
     free = (Free("curvature", (0, 1, 2), 0.5, 30.0),)
@@ -96,10 +98,12 @@ def test_box_of_translations_holds_its_worst_case() -> None:
     assert design.rounds >= 1
     assert worst_certificate(design.robot, *box).certificate.margin >= 0.1 - 1.1e-4
     assert all(tube.straightened_strain <= 0.01 + 1e-9 for tube in design.robot.tubes)
-    corners_only = replace(task, requirements=(SnapFree(0.1, box), Strain((0.01,))))
-    assert optimize_design(corners_only, turns=1).objective >= design.objective - 1e-6
+    corners = tuple(product(*(sorted({low, high}) for low, high in zip(*box, strict=True))))
+    corners_only = replace(task, requirements=(SnapFree(0.1, corners), Strain((0.01,))))
+    assert optimize_design(corners_only, turns=0).objective >= design.objective - 1e-6
 
 
+@pytest.mark.usefixtures("few_places")
 def test_certificate_that_is_told_is_the_least_in_the_box() -> None:
     """Whether it is a limit with room, or what is wanted."""
     low, high = np.array([-0.06, -0.04]), np.array([0.05, 0.05])

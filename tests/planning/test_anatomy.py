@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ ROBOT = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
 WITHDRAWN = np.zeros(3), np.array([-0.033, -0.092, -0.096])
 
 
+@lru_cache(maxsize=2)
 def lung(voxel: float = 1e-3, frame: Frame | None = None) -> LabelImage:
     return bronchial_tree().image(voxel, frame)
 
@@ -62,9 +64,8 @@ def test_an_insertion_is_smoothed_as_asked_and_touches_no_voxel_that_is_barred(t
     goal = end.tip_position
     assert field.signed_distance(goal) > 1e-3
     # However busy the machine is, there is time to smooth.
-    options = PlanOptions(
-        clearance=2e-4, objective="effort", effort=WaySearch(smoothing_seconds=300.0), time_limit=600.0
-    )
+    effort = WaySearch(smoothing_seconds=300.0, smoothing_intervals=12)
+    options = PlanOptions(clearance=2e-4, objective="effort", effort=effort, time_limit=600.0)
     plan = plan_trajectory(ROBOT, WITHDRAWN, end, obstacles=[field], options=options)
     assert plan.proved
     assert plan.statistics.smoothed == "effort"
@@ -130,12 +131,21 @@ def test_phantoms_are_where_their_formulas_are(make: object) -> None:
     assert (phantom.depth(inside) > 0).all()
 
 
-def write_case(directory: Path) -> tuple[Anatomy, Frame]:
-    """A lung on a table that lies anyhow, in files, and the anatomy as the library makes it of the same numbers."""
-    nibabel = pytest.importorskip("nibabel")
+@lru_cache(maxsize=1)
+def case() -> tuple[LabelImage, Frame, DistanceField]:
+    """The lung on that table, in the axes of the patient; the plate of the robot, and how far all is from its wall."""
     base = base_frame([0.02, -0.11, 0.2], [0.1, 0.2, -1.0], 0.4)
     image = lung(1e-3, Frame(base.axes.T, -base.axes.T @ base.origin))
     patient = Frame(base.axes @ image.frame.axes, base.placed(image.frame.origin))
+    placed = LabelImage(image.values, image.spacing, patient)
+    return placed, base, field_of_image(placed, lumen=placed.chosen([1, 2]))
+
+
+def write_case(directory: Path) -> tuple[Anatomy, Frame]:
+    """A lung on a table that lies anyhow, in files, and the anatomy as the library makes it of the same numbers."""
+    nibabel = pytest.importorskip("nibabel")
+    placed, base, field = case()
+    image, patient = placed, placed.frame
     affine = np.eye(4)
     affine[:3, :3], affine[:3, 3] = patient.axes * image.spacing * 1e3, patient.origin * 1e3
     nibabel.save(nibabel.Nifti1Image(image.values, affine), directory / "lung.nii.gz")
@@ -156,8 +166,6 @@ def write_case(directory: Path) -> tuple[Anatomy, Frame]:
             }
         )
     )
-    placed = LabelImage(image.values, image.spacing, patient)
-    field = field_of_image(placed, lumen=placed.chosen([1, 2]))
     return anatomy_seen([field], base, target=centres(placed, placed.chosen([2])), landmarks=marks), base
 
 

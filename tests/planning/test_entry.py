@@ -79,6 +79,7 @@ def test_what_is_no_region_is_refused(given: dict[str, Any], message: str) -> No
         EntryRegion(**given)
 
 
+@pytest.mark.usefixtures("short_films")
 def test_a_study_saves_where_the_plate_stands(run: Run, tmp_path: Path) -> None:
     study = {
         "kind": "plan",

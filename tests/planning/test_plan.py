@@ -50,6 +50,7 @@ from tubeopt.typing import Array
 
 OBJECTIVES = ("none", "length", "time")
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+FEW_KNOTS = WaySearch(smoothing_intervals=8, smoothing_refinements=0)
 TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])
 
 
@@ -130,7 +131,7 @@ def test_a_goal_modulo_turns_tells_how_many() -> None:
 @pytest.mark.parametrize("objective", ["time", "effort", "margin"])
 def test_objectives(objective: str) -> None:
     goal = ([150 * DEG, 30 * DEG, 0.0], [-0.02, -0.02, -0.01])
-    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective=objective))
+    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective=objective, effort=FEW_KNOTS))
     assert plan.proof.holds
     if objective == "time":
         assert plan.time[-1] < 150 / 90 + 1.5
@@ -138,8 +139,7 @@ def test_objectives(objective: str) -> None:
 
 def test_knots_of_the_smooth_motion_are_as_many_as_asked_for() -> None:
     goal = ([60 * DEG, 30 * DEG, 0.0], [-0.02, -0.02, -0.01])
-    effort = WaySearch(smoothing_intervals=8, smoothing_refinements=0)
-    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective="effort", effort=effort))
+    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective="effort", effort=FEW_KNOTS))
     assert plan.statistics.knots == 9
     assert plan.proof.holds
     with pytest.raises(InputError, match="smoothing_intervals is 0; it must be at least 1"):
@@ -150,7 +150,8 @@ def test_obstacles_are_kept_clear_of_by_the_surface() -> None:
     start = forward_kinematics(THESIS, [-90 * DEG, -30 * DEG, 0.0])
     goal = forward_kinematics(THESIS, [110 * DEG, 0.0, 0.0])
     body = Sphere(tuple(forward_kinematics(THESIS, [0.0, 0.0, 0.0]).tip_position.tolist()), 0.02)
-    plan = plan_trajectory(THESIS, start, goal, obstacles=[body], options=PlanOptions(clearance=1e-3))
+    options = PlanOptions(clearance=1e-3, effort=FEW_KNOTS)
+    plan = plan_trajectory(THESIS, start, goal, obstacles=[body], options=options)
     assert plan.proof.holds
     here, least = start, np.inf
     for alpha, shift in zip(plan.rotations, plan.translations, strict=True):
@@ -421,7 +422,8 @@ def test_a_plan_is_as_fast_as_its_own_path_can_be_passed(turn: Trajectory) -> No
 
 def test_a_plan_for_time_is_no_slower_than_one_for_length() -> None:
     goal = ([100 * DEG, -40 * DEG, 20 * DEG], [-0.03, -0.02, -0.01])
-    times = [plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective=name)).time[-1] for name in OBJECTIVES]
+    asked = [PlanOptions(objective=name, effort=FEW_KNOTS) for name in OBJECTIVES]
+    times = [plan_trajectory(THESIS, HOME, goal, options=options).time[-1] for options in asked]
     none, length, fast = times
     assert fast <= min(none, length) * (1 + 1e-9)
 

@@ -121,7 +121,7 @@ def test_no_body_between_samples_is_closer_than_the_bound(moving: list[Equilibri
     table = [e.rotations for e in ends][: 2 - at_rest], [e.translations for e in ends][: 2 - at_rest]
     lines = [surface(e, 1e-4) for e in arms]
     points, radius = (np.concatenate(part) for part in zip(*lines, strict=True))
-    for _ in range(30):
+    for _ in range(15):
         k = int(random.integers(len(points)))
         body = body_at(points[k], float(radius[k]), random)
         true = float((body.signed_distance(points) - radius).min())

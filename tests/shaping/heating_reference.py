@@ -27,6 +27,7 @@ THESIS_RIG = CONFIGS / "rigs" / "thesis_calcium_silicate.yaml"
 TUBE = Tube(1.92e-3, 1.57e-3, 0.0, 94e-3, 1 / 0.12)
 
 
+@lru_cache(maxsize=1)
 def thesis_rig() -> Rig:
     return load_rig(THESIS_RIG)
 

@@ -137,9 +137,12 @@ def test_a_solid_of_another_mandrel_is_seen(made: tuple[Tube, Mandrel, Path]) ->
         check_mandrel_stl(plan_mandrel(tube, MoldSpec(springback=Springback(0.09))), out / "mandrel.stl")
 
 
-def test_pictures(made: tuple[Tube, Mandrel, Path], tmp_path: Path) -> None:
-    plot_mandrel(made[1], tmp_path / "mandrel.png")
-    plot_mandrel_sheet(made[1], tmp_path / "setup.png")
+@pytest.mark.parametrize("name", ["left", "general"])
+def test_pictures(name: str, tmp_path: Path) -> None:
+    """Of one that is turned, and of one that is printed."""
+    mandrel = plan_mandrel(TUBES[name], MoldSpec(springback=BACK))
+    plot_mandrel(mandrel, tmp_path / "mandrel.png")
+    plot_mandrel_sheet(mandrel, tmp_path / "setup.png")
     assert all((tmp_path / name).stat().st_size > 10_000 for name in ("mandrel.png", "setup.png"))
 
 

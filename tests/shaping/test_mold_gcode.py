@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, load_robot, plan_mold
+from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping.mold.checks import beyond_edge
 from tubeopt.shaping.mold.gcode import programs, stages_of, write_gcode
 from tubeopt.shaping.mold.gcode_reader import hazards, milled
@@ -17,7 +17,6 @@ from tubeopt.shaping.mold.spec import PlateSpec, VentSpec, WorkshopSpec
 from tubeopt.shaping.mold.stl import write_stl
 
 from .gcode_machine import Block, mill
-from .heating_reference import CONFIGS
 
 SMALL = Tube(1.92e-3, 1.57e-3, 0.0, 30e-3, 1 / 0.12)
 PARTS = ("base", "lid")
@@ -70,7 +69,8 @@ def test_all_holes_are_there_and_go_through(dialect: str) -> None:
 
 @pytest.mark.parametrize("part", PARTS)
 def test_what_is_milled_away_is_what_the_solid_lacks(part: str, tmp_path: Path) -> None:
-    mold = plan_mold(load_robot(CONFIGS / "robots" / "thesis_ctr.yaml").tubes)
+    spec = MoldSpec(vents=VentSpec(profile=(0.1,)))
+    mold = plan_mold([SMALL, Tube(1.2e-3, 0.9e-3, 0.0, 20e-3, 20.0)], spec)
     solid = trimesh.load_mesh(write_stl(mold, tmp_path / "plate.stl", part=part))
     thickness = 12.7 if part == "base" else 6.35
     block = Block((1e3 * mold.size[0], 1e3 * mold.size[1]), thickness)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -46,11 +47,17 @@ def poses(given: ConcentricRobot, drives: Calibration, readings: Array) -> Poses
     return solve_poses(given, *drives.to_model(readings[:, :2], readings[:, 2:]), np.zeros(1))
 
 
+@cache
+def seen(drives: Calibration, count: int) -> Array:
+    """(N, 3) tips along the way, in the frame of the device, without noise."""
+    time = np.arange(count) / RATE
+    return in_device(poses(robot(), drives, joints(time - drives.latency, time[-1])).position[:, 0])
+
+
 def driven(drives: Calibration = DRIVES, count: int = 300, noise: float = 0.3 * MM, seed: int = 0) -> Measurements:
     """Rows of the way, measured with noise."""
     time = np.arange(count) / RATE
-    lagging = joints(time - drives.latency, time[-1])
-    tips = in_device(poses(robot(), drives, lagging).position[:, 0])
+    tips = seen(drives, count)
     read = joints(time, time[-1])
     noisy = tips + np.random.default_rng(seed).normal(0, noise, tips.shape)
     return Measurements(read[:, :2], read[:, 2:], noisy, time=time, source="a way")

@@ -213,12 +213,13 @@ class Quantities:
 class Expression:
     """A recorded expression of K numbers.
 
-    quantities: what it speaks of, Q numbers in this order.  value: function (Q,) -> (K,).  slope: -> (K, Q).
+    quantities: what it speaks of, Q numbers in this order.  value: function (Q,) -> (K,).  both: -> (K,) and (K, Q),
+    its slope.
     """
 
     quantities: tuple[Quantity, ...]
     value: Any
-    slope: Any
+    both: Any
 
     def __call__(self, look: Look) -> Any:
         """Its value in terms of the given quantities: expressions give an expression, arrays an array (K,).
@@ -240,7 +241,8 @@ class Expression:
         given = [look(one) for one in self.quantities]
         at = np.concatenate([np.ravel(value) for value, _ in given])
         change = np.concatenate([np.atleast_2d(slope) for _, slope in given])
-        return _checked(self.value(at))[:, 0], _checked(self.slope(at)) @ change
+        value, slope = map(_checked, self.both(at))
+        return value[:, 0], slope @ change
 
 
 def _checked(value: Any) -> Array:
@@ -278,5 +280,5 @@ def recorded(
         )
     column, x = ca.densify(ca.vec(column)), ca.vertcat(*symbols.values())
     slope = ca.densify(ca.jacobian(column, x))
-    functions = [ca.Function(name, [x], [part], {"cse": True}) for name, part in (("value", column), ("slope", slope))]
-    return Expression(tuple(symbols), *functions)
+    value = ca.Function("value", [x], [column], {"cse": True})
+    return Expression(tuple(symbols), value, ca.Function("both", [x], [column, slope], {"cse": True}))

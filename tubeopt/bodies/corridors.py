@@ -90,8 +90,11 @@ class Corridor:
         """(..., 3) unit vectors along which the distance from the wall grows."""
         array = as_points(points)
         nearest = np.argmin([part.signed_distance(array) for part in self._parts], axis=0)
-        towards = np.array([-part.gradient(array) for part in self._parts])
-        return np.asarray(np.take_along_axis(towards, nearest[None, ..., None], axis=0)[0])
+        towards = np.empty_like(array)
+        for k in np.unique(nearest).tolist():
+            mine = nearest == k
+            towards[mine] = -self._parts[k].gradient(array[mine])
+        return towards
 
 
 def _radius(radius: Any, count: int) -> float | tuple[float, ...]:

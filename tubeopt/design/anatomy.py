@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..block.quantities import CLEARANCES, PoseNumber
+from ..block.transcription.linear import cross
 from ..typing import Array
 from .piece_pose import PiecePose
 from .pose import Pose
@@ -54,12 +55,12 @@ def arm_slopes(pose: Pose | PiecePose, share: Array) -> Array:
     position, turn, arc = pose.shape_slopes
     tangent = pose.frame[:, :, 2]
     weights, rates = _cubic(x)
-    turned = np.cross(turn, tangent[:, :, None], axis=1)
     nodes = np.stack([pose.position[k], h[:, None] * tangent[k], pose.position[k + 1], h[:, None] * tangent[k + 1]])
     dh = arc[k + 1] - arc[k]
     moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
     for w, end in ((weights[1], k), (weights[3], k + 1)):
-        moved = moved + w[:, None, None] * (h[:, None, None] * turned[end] + tangent[end][:, :, None] * dh[:, None, :])
+        turned = cross(turn[end], tangent[end])
+        moved = moved + w[:, None, None] * (h[:, None, None] * turned + tangent[end][:, :, None] * dh[:, None, :])
     dx = (share[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
     return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
 

@@ -323,9 +323,13 @@ class Avoid:
 
     def gradient(self, points: Array) -> Array:
         """(m, 3) of `signed_distance`."""
+        if len(self.obstacles) == 1:
+            return np.asarray(self.obstacles[0].gradient(points))
         nearest = np.argmin([body.signed_distance(points) for body in self.obstacles], axis=0)
-        gradient = np.array([body.gradient(points) for body in self.obstacles])
-        return np.asarray(gradient[nearest, np.arange(len(points))])
+        gradient = np.empty_like(points)
+        for k in np.unique(nearest).tolist():
+            gradient[nearest == k] = self.obstacles[k].gradient(points[nearest == k])
+        return gradient
 
 
 def Corridor(centreline: tuple[tuple[float, float, float], ...], radius: float | tuple[float, ...]) -> Avoid:

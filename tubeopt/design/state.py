@@ -113,6 +113,7 @@ class State:
         self._strokes: dict[PoseNumber, tuple[float, Array]] = {}
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._certified: dict[tuple[float, ...], Pose | PiecePose] = {}
+        self._chains: dict[PoseNumber, Array] = {}
 
     @cached_property
     def tubes(self) -> tuple[Tube, ...]:
@@ -206,7 +207,9 @@ class State:
 
     def chain(self, index: PoseNumber) -> Array:
         """(L, X) change of what a pose is differentiated by: its joint values, then DIMENSIONS, or unknown pieces."""
-        return np.concatenate([*self.joint_slopes(index), self._reshaped])
+        if index not in self._chains:
+            self._chains[index] = np.concatenate([*self.joint_slopes(index), self._reshaped])
+        return self._chains[index]
 
     def jacobian(self, index: PoseNumber, *, turning: bool = False) -> tuple[Array, Array]:
         """(6 n,) change of the tip's place with the joint values of a pose, joint by joint, or of its frame (turn

@@ -9,16 +9,18 @@ from typing import Annotated
 
 import numpy as np
 
+from ..block.transcription.mesh import make_mesh
+from ..block.transcription.reduced import reduce
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector, whole
 from ..files.marks import NOT_NEGATIVE, OneOf, unit
+from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import OfCrossSection, Tube
 from ..stability import snap_free_certificate
+from ..stability.certificate import least_of_worst_case
 from ..typing import Array
 from .pool import Progress, executor, run_all
-from .pose import Pose
-from .solved import without_solving
 
 NORMAL_95 = 1.959963984540054
 """Half width of the 95 % interval of the normal distribution."""
@@ -186,4 +188,5 @@ def _batch(
 def _certificate(tubes: tuple[Tube, ...], translations: Array) -> float:
     if any(tube.general for tube in tubes):
         return snap_free_certificate(ConcentricRobot(tubes), translations)
-    return float(Pose(without_solving(tubes, translations)).certificate[0])
+    assembly = assemble(tubes, translations)
+    return least_of_worst_case(reduce(assembly, make_mesh(assembly)))

@@ -152,7 +152,7 @@ class Derivatives(ArmChange):
         out = cross(turn, self.arm.position) - cumulate(self.arm, cross(rate, place))
         for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
             k = index * (len(ENDS) - 1)
-            out[k:, :, column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
+            out[k:, :, column] += cross(gain[:, None], self.arm.position[k:] - self.arm.position[k])[..., 0]
         out[-1] = self._tip[0]
         return self.per_tube(out)
 

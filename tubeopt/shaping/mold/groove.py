@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -68,12 +69,12 @@ class Arc:
         """Length, m."""
         return self.radius * abs(self.sweep)
 
-    @property
+    @cached_property
     def start(self) -> Point:
         """Where the arc begins, m."""
         return _point(self.point(np.zeros(1))[0])
 
-    @property
+    @cached_property
     def end(self) -> Point:
         """Where the arc ends, m."""
         return _point(self.point(np.array([self.length]))[0])

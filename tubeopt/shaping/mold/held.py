@@ -69,7 +69,8 @@ def held_between(
     at = (which, np.repeat(index, rows.shape[1], axis=0).ravel())
     matrix = scipy.sparse.csr_array((rows.ravel(), at), shape=(which[-1] + 1, count))
     free = np.arange(2, count - 2)
-    reduced = scipy.sparse.csc_array((matrix.T @ (weight[:, None] * matrix.toarray()))[np.ix_(free, free)])
+    inner = matrix[:, free]
+    reduced = (inner.T @ scipy.sparse.diags_array(weight) @ inner).tocsc()
     load = (matrix.T @ (weight * np.repeat(kappa, len(_PLACES))))[free]
     touched = 2 * np.searchsorted(nodes, places - 1e-12) - 2
     pushed = np.zeros((len(free), len(places)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -37,10 +38,15 @@ class Blank:
     least_lead: float
     width: float
 
-    @property
+    @cached_property
     def core(self) -> Centreline:
         """The least groove: bend and least leads."""
         return with_leads(self.bend, self.least_lead, self.least_lead)
+
+    @cached_property
+    def boxes(self) -> tuple[Array, Array]:
+        """(2, 2) least and greatest coordinates of the bend, and of the core."""
+        return np.array(chain_bounds(self.bend)), np.array(bounds(self.core))
 
     @property
     def turn(self) -> float:
@@ -83,8 +89,7 @@ def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
 def _orders(blanks: Sequence[Blank]) -> list[list[int]]:
     """Orders that are tried, each once: as given; flatter bends over sharper ones; wider ones over narrower ones."""
     turn = [blank.turn for blank in blanks]
-    span = [chain_bounds(blank.bend) for blank in blanks]
-    wide = [high[0] - low[0] for low, high in span]
+    wide = [high[0] - low[0] for low, high in (blank.boxes[0] for blank in blanks)]
     given = list(range(len(blanks)))
     orders = [given, sorted(given, key=lambda k: -turn[k]), sorted(given, key=lambda k: wide[k])]
     return [order for k, order in enumerate(orders) if order not in orders[:k]]
@@ -149,9 +154,7 @@ def _plate(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) -> 
 
 def _extent(blanks: Sequence[Blank], shifts: Sequence[Array]) -> tuple[Array, Array]:
     """Least and greatest coordinates of the cores, walls of the grooves included."""
-    corners = [
-        (np.array(bounds(blank.core)), blank.width / 2, shift) for blank, shift in zip(blanks, shifts, strict=True)
-    ]
+    corners = [(blank.boxes[1], blank.width / 2, shift) for blank, shift in zip(blanks, shifts, strict=True)]
     low = np.min([box[0] - half + shift for box, half, shift in corners], axis=0)
     high = np.max([box[1] + half + shift for box, half, shift in corners], axis=0)
     return np.asarray(low), np.asarray(high)
@@ -162,8 +165,8 @@ def _inside(blanks: Sequence[Blank], shifts: Sequence[Array], origin: Array, siz
     slack = 1e-12
     for blank, shift in zip(blanks, shifts, strict=True):
         rim = blank.width / 2 + spec.groove.wall
-        for pieces, room in ((blank.bend, rim), (blank.core.pieces, 0.0)):
-            low, high = np.array(chain_bounds(pieces)) + shift - origin
+        for box, room in zip(blank.boxes, (rim, 0.0), strict=True):
+            low, high = box + shift - origin
             if (low < room - slack).any() or (high > np.array(size) - room + slack).any():
                 return False
     return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from ...files.files import atomic_write
 from ...files.units import TO_MM
 from .drawing import PARTS
 from .groove import polygon
+from .holes import Hole
 from .mold import Mold
 
 ABOVE = 1e-3
@@ -66,33 +67,32 @@ def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name
 def _base(mold: Mold) -> Any:
     library = manifold()
     thickness = mold.spec.plate.thickness
-    solid = _box(mold, thickness, -thickness)
+    solid = _plate(mold, mold.holes, thickness, -thickness)
     for groove in mold.grooves:
         # Beyond the edge by more than an oblique exit needs.
         curve = groove.centreline.lengthened(20 * groove.width)
         corners = polygon(curve, groove.width, mold.spec.solver.sagitta)
         cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
         solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
-    return _drilled(solid, mold.holes, (-thickness, 0.0), mold.spec.solver.hole_sides)
+    return solid
 
 
 def _lid(mold: Mold) -> Any:
-    thickness = mold.spec.plate.lid_thickness
-    holes = *mold.holes, *mold.vents
-    return _drilled(_box(mold, thickness, 0.0), holes, (0.0, thickness), mold.spec.solver.hole_sides)
+    return _plate(mold, (*mold.holes, *mold.vents), mold.spec.plate.lid_thickness, 0.0)
 
 
-def _box(mold: Mold, thickness: float, bottom: float) -> Any:
-    box = manifold().Manifold.cube((mold.size[0] * TO_MM, mold.size[1] * TO_MM, thickness * TO_MM))
-    return box.translate((0.0, 0.0, bottom * TO_MM))
-
-
-def _drilled(solid: Any, holes: Any, heights: tuple[float, float], sides: int) -> Any:
-    library, (bottom, top) = manifold(), heights
-    for hole in holes:
-        drill = library.Manifold.cylinder((top - bottom + 2 * ABOVE) * TO_MM, hole.diameter / 2 * TO_MM, -1.0, sides)
-        solid -= drill.translate((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM, (bottom - ABOVE) * TO_MM))
-    return solid
+def _plate(mold: Mold, holes: Sequence[Hole], thickness: float, bottom: float) -> Any:
+    """The plate with its holes, which go through: cut out of its outline, in the plane, and made thick."""
+    library = manifold()
+    outline = library.CrossSection.square((mold.size[0] * TO_MM, mold.size[1] * TO_MM))
+    drills = [
+        library.CrossSection.circle(hole.diameter / 2 * TO_MM, mold.spec.solver.hole_sides).translate(
+            (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
+        )
+        for hole in holes
+    ]
+    drilled = library.CrossSection.batch_boolean([outline, *drills], library.OpType.Subtract)
+    return library.Manifold.extrude(drilled, thickness * TO_MM).translate((0.0, 0.0, bottom * TO_MM))
 
 
 def manifold() -> Any:
