@@ -53,7 +53,7 @@ def check_fold(robot: Robot, snap: Snap, start: Array, end: Array) -> None:
 def test_folds_of_mixed_ways() -> None:
     """Rotations and translations of random robots moving together, and translations alone."""
     count = {"mixed": 0, "translations": 0}
-    for seed in range(18):
+    for seed in range(30):
         random = np.random.default_rng([30, seed])
         robot = strong(random, 2 + seed % 2, bend=2.5)
         n = robot.n_tubes
