@@ -16,13 +16,20 @@ TIMEOUT = 120
 """Seconds that a cell may take."""
 
 
-def run(path: Path) -> Any:
-    """The notebook, executed; raises nbclient's CellExecutionError where a cell fails."""
+def run(path: Path, kernel: Any = None) -> Any:
+    """The notebook, executed, in a process of its own or in that of `kernel`, its manager, which forgets what others
+    left there; raises nbclient's CellExecutionError where a cell fails."""
     import nbformat
     from nbclient import NotebookClient
 
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=TIMEOUT, resources={"metadata": {"path": str(path.parent)}}).execute()
+    if kernel is not None:
+        notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f"))
+    client = NotebookClient(notebook, km=kernel, timeout=TIMEOUT, resources={"metadata": {"path": str(path.parent)}})
+    client.execute()
+    if kernel is not None:
+        client.kc.stop_channels()
+        del notebook.cells[0]
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
         for output in cell.get("outputs", []):

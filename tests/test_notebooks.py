@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import runpy
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,18 +16,29 @@ pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 
 
+@pytest.fixture(scope="module")
+def kernel() -> Iterator[Any]:
+    """One process for all: most of the time of each is that of its start."""
+    from jupyter_client import KernelManager
+
+    manager = KernelManager()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT))
+        patch.setenv("OPENBLAS_NUM_THREADS", "1")
+        yield manager
+    manager.shutdown_kernel(now=True)
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_it_prints_what_it_says(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_prints_what_it_says(path: Path, kernel: Any) -> None:
     import nbformat
 
     if "to_dataframe" in path.read_text(encoding="utf-8"):
         pytest.importorskip("pandas")
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
     tool = runpy.run_path(str(ROOT / ".ci" / "notebooks.py"))
     kept = nbformat.read(path, as_version=4)
-    assert tool["printed"](tool["run"](path)) == tool["printed"](kept)
+    assert tool["printed"](tool["run"](path, kernel)) == tool["printed"](kept)
 
 
 def test_there_is_one_for_each_thing_that_a_beginner_asks() -> None:

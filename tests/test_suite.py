@@ -11,7 +11,7 @@ import pytest
 import tubeopt
 from benchmarks.suite import model
 from benchmarks.suite.questions import KINDS, MM, questions, robots, scenes, withdrawn
-from benchmarks.suite.score import Answers, arm_of, look, score, table
+from benchmarks.suite.score import Answers, arm_of, look, plans, score, table
 from benchmarks.suite.solve import ANSWERS, bodies_of, robot_of
 from tubeopt.typing import Array
 
@@ -117,11 +117,15 @@ def test_walls_are_the_same_for_solver_and_judge() -> None:
 def test_a_plan_is_followed_to_its_goal_and_one_that_stops_short_is_told() -> None:
     question = first("plan", robot="two_tubes", scene="free")
     answer = ANSWERS["plan"](question)
-    assert why(question, answer) == ""
-    short = {key: answer[key][:-5] for key in ("rotations_deg", "translations_mm")}
-    assert why(question, short) == "goal"
-    late = {key: answer[key][5:] for key in ("rotations_deg", "translations_mm")}
-    assert why(question, late) == "start"
+    joints = {key: answer[key] for key in ("rotations_deg", "translations_mm")}
+    given = {
+        "whole": joints,
+        "short": {key: value[:-5] for key, value in joints.items()},
+        "late": {key: value[5:] for key, value in joints.items()},
+    }
+    answers = {name: {"id": name, "seconds": 1.0, **each} for name, each in given.items()}
+    told = plans(robots()["two_tubes"], [{**question, "id": name} for name in given], answers)
+    assert {one.id: one.why for one in told} == {"whole": "", "short": "goal", "late": "start"}
 
 
 def test_a_design_that_snaps_is_told() -> None:

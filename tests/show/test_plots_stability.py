@@ -397,7 +397,6 @@ def test_pictures_are_whole(name: str, drawings: dict[str, Callable[[FilePath], 
 def test_equal_data_give_equal_files(maps: list[EnergyMap], chart: StabilityMap, tmp_path: FilePath) -> None:
     draws: list[tuple[str, Callable[[FilePath], Figure]]] = [
         ("png", lambda file: plot_energy_maps(maps, file)),
-        ("pdf", lambda file: plot_stability_map(chart, file)),
         ("svg", lambda file: plot_stability_map(chart, file)),
     ]
     for suffix, draw in draws:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy
 
-from ..block.transcription.buffered import section_function
+from ..block.transcription.buffered import mapped
+from ..block.transcription.march import march_function
 from ..block.transcription.offset_margin import softenings
 from ..block.transcription.reduced import ReducedProblem, to_unknowns
 from ..block.transcription.second_variation import margin
@@ -97,37 +96,19 @@ def shoot(problem: ReducedProblem, tips: Array) -> tuple[Array, Array]:
     """Joint rotations (B, n) and theta (B, N, n) at the collocation points of the equilibria with tip angles (B, n)."""
     mesh, assembly = problem.mesh, problem.assembly
     count, n = tips.shape
-    function = section_function("moment", count, n, True)
-    place = assembly.offset, assembly.offset_angle
-    theta, twist, at = tips.copy(), np.zeros_like(tips), len(problem.weight)
+    nodes, degree = mesh.tableau.nodes, mesh.tableau.degree
+    lengths = np.repeat(-np.diff([1.0, *nodes[::-1], 0.0]) / STEPS, STEPS)
+    march = mapped(march_function(n, True, False, len(lengths)), count)
+    theta, twist, at = tips, np.zeros_like(tips), len(problem.weight)
     out = np.empty((count, at, n))
     for p in range(len(mesh.length) - 1, -1, -1):
         if not mesh.collocated[p]:
             theta = theta - mesh.length[p] * twist
             continue
-        kb, m = problem.piece_stiffness[p], problem.piece_moment[p]
-
-        def rates(a: Array, w: Array, kb: Array = kb, m: Array = m) -> tuple[Array, Array]:
-            moment, stretch = function(a, kb, m, *place)
-            return stretch * w, moment / assembly.torsional_stiffness
-
-        nodes = [1.0, *mesh.tableau.nodes[::-1].tolist(), 0.0]
-        for k in range(1, len(nodes)):
-            h = (nodes[k - 1] - nodes[k]) * mesh.length[p] / STEPS
-            for _ in range(STEPS):
-                theta, twist = _runge_kutta(rates, theta, twist, h)
-            if k <= mesh.tableau.degree:
-                at -= 1
-                out[:, at] = theta
+        tubes = assembly.torsional_stiffness, problem.piece_stiffness[p], problem.piece_moment[p]
+        place = assembly.offset, assembly.offset_angle
+        ends = march(theta, twist, 0.0, mesh.length[p] * lengths, *tubes, *place)
+        theta, twist, values = ends[0].copy(), ends[1].copy(), ends[3].reshape(count, -1, n)
+        at -= degree
+        out[:, at : at + degree] = values[:, STEPS : STEPS * (degree + 1) : STEPS][:, ::-1]
     return theta - assembly.transmission * twist, out
-
-
-def _runge_kutta(
-    rates: Callable[[Array, Array], tuple[Array, Array]], theta: Array, twist: Array, h: float
-) -> tuple[Array, Array]:
-    """A step of h towards the plate."""
-    a1, b1 = rates(theta, twist)
-    a2, b2 = rates(theta - h / 2 * a1, twist - h / 2 * b1)
-    a3, b3 = rates(theta - h / 2 * a2, twist - h / 2 * b2)
-    a4, b4 = rates(theta - h * a3, twist - h * b3)
-    return theta - h / 6 * (a1 + 2 * a2 + 2 * a3 + a4), twist - h / 6 * (b1 + 2 * b2 + 2 * b3 + b4)

@@ -107,9 +107,9 @@ def _hessian_slope(problem: ReducedProblem, rotations: Array, state: Evaluation,
     """(U, U) derivative of H v with respect to z; for tubes off the centreline by central differences."""
     count, n = state.theta.shape
     if problem.assembly.eccentric:
-        steps = 1e-6 * np.eye(len(v))
-        pairs = ((evaluate(problem, rotations, state.z + s), evaluate(problem, rotations, state.z - s)) for s in steps)
-        return np.column_stack([(up.hessian - down.hessian) @ v / 2e-6 for up, down in pairs])
+        # Second derivatives of the residual, so that v may be the direction in which H changes.
+        ahead, back = (evaluate(problem, rotations, state.z + step * v).hessian for step in (1e-6, -1e-6))
+        return (ahead - back) / 2e-6
     y = np.zeros((count, n))
     y.ravel()[problem.flat] = problem.factor @ v
     direction = state.theta if problem.phase is None else state.theta + problem.phase

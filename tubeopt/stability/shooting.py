@@ -13,8 +13,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..block.transcription.buffered import section_function
+from ..block.transcription.buffered import mapped, section_function
 from ..block.transcription.green import reach, sections_at
+from ..block.transcription.march import march_function
 from ..block.transcription.reduced import ReducedProblem
 from ..typing import Array, Index, Mask
 
@@ -28,6 +29,8 @@ State = tuple[Array, ...]
 """theta and w (B, n), the length of every tube so far (B, n); where they are wanted, the derivatives (B, n, n) of theta
 and w by the tip angles."""
 
+Grid = tuple[Array, Array]
+"""theta and theta' (B, K, n) at places from the tip side of a piece to its base side."""
 
 GRID = np.arange(2 * STEPS + 1) / (2 * STEPS)
 """Fractions of a piece at which the steps look at its cross-sections."""
@@ -165,8 +168,7 @@ def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
     """Rotations, w, travel and, if `slopes`, the derivatives of the rotations."""
     state = _at_tip(tips, slopes)
     for piece in reversed(range(len(bundle.length))):
-        for k in reversed(range(steps if bundle.bent[piece] else 1)):
-            state, _ = _step(bundle, (piece, k, steps), state)
+        state, _ = _over(bundle, piece, steps, state)
     held = bundle.transmission
     shot = (state[0] - held * state[1], state[1], state[2])
     return (*shot, state[3] - held[:, None] * state[4]) if slopes else shot
@@ -179,16 +181,10 @@ def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
     at = len(problem.weight)
     state = _at_tip(tips, False)
     for piece in reversed(range(len(mesh.length))):
-        h = mesh.length[piece] / STEPS
-        grid = []
-        for k in reversed(range(STEPS if mesh.collocated[piece] else 1)):
-            before = state[0]
-            state, slope = _step(bundle, (piece, k, STEPS), state)
-            grid.append((before, slope))
+        state, grid = _over(bundle, piece, STEPS, state)
         if mesh.collocated[piece]:
-            grid.append((state[0], _rate(bundle, piece, 0, state)[0]))
             at -= degree
-            out[:, at : at + degree] = _hermite(grid, nodes, h)
+            out[:, at : at + degree] = _hermite(grid, nodes, mesh.length[piece] / STEPS)
     return out
 
 
@@ -198,25 +194,48 @@ def _at_tip(tips: Array, slopes: bool) -> State:
     return (*state, np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))) if slopes else state
 
 
-def _step(bundle: Bundle, place: tuple[int, int, int], state: State) -> tuple[State, Array]:
-    """One step of the classical Runge-Kutta method towards the base, all of a piece where torsion is linear; and
-    theta' where it began. `place`: the piece, which step from its beginning, and how many these are."""
-    piece, step, steps = place
-    low, middle, high = (k * STEPS // steps for k in (2 * step, 2 * step + 1, 2 * step + 2))
+def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, Grid]:
+    """The state at the base side of a piece, and theta and theta' where its steps begin and end."""
     if not bundle.bent[piece]:
-        k1 = _rate(bundle, piece, len(GRID) - 1, state)
-        if bundle.along is None:
-            return _back(state, bundle.length[piece], k1), k1[0]
-        gain = bundle.along.whole[piece]
-        moved = (state[0] - gain * state[1], state[1], state[2] + bundle.length[piece])
-        return (moved if len(state) == 3 else (*moved, state[3] - gain[:, None] * state[4], state[4])), k1[0]
-    h = bundle.length[piece] / steps
-    k1 = _rate(bundle, piece, high, state)
-    k2 = _rate(bundle, piece, middle, _back(state, h / 2, k1))
-    k3 = _rate(bundle, piece, middle, _back(state, h / 2, k2))
-    k4 = _rate(bundle, piece, low, _back(state, h, k3))
-    mean = tuple((a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
-    return _back(state, h, mean), k1[0]
+        return _straight(bundle, piece, state)
+    if bundle.along is not None:
+        return _along(bundle.along, piece, bundle.length[piece] / steps, state, steps)
+    count, n = state[0].shape
+    march = mapped(march_function(n, bool(bundle.place), len(state) > 3, steps), count)
+    # CasADi has matrices by columns: derivatives (B, n, n) are (B n, n) there, those by one tip in a row.
+    columns = [part.swapaxes(1, 2).reshape(-1, n) for part in state[3:]]
+    constants = bundle.torsional_stiffness, bundle.stiffness[piece], bundle.moment[piece], *bundle.place
+    *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *constants)
+    moved = [part.copy() for part in after[:3]]
+    moved += [part.reshape(count, n, n).swapaxes(1, 2).copy() for part in after[3:]]
+    return tuple(moved), (values.reshape(count, -1, n), slopes.reshape(count, -1, n))
+
+
+def _straight(bundle: Bundle, piece: int, state: State) -> tuple[State, Grid]:
+    """The same of a piece where torsion is linear."""
+    theta, twist, travel, *slopes = state
+    n, along = bundle.n_tubes, bundle.along
+    gain = np.full(n, bundle.length[piece]) if along is None else along.whole[piece]
+    moved = [theta - gain * twist, twist, travel + bundle.length[piece]]
+    if slopes:
+        moved += [slopes[0] - gain[:, None] * slopes[1], slopes[1]]
+    return tuple(moved), (np.stack([theta, moved[0]], axis=1), np.stack([twist, twist], axis=1))
+
+
+def _along(along: Along, piece: int, h: float, state: State, steps: int) -> tuple[State, Grid]:
+    """The same of tubes made of pieces, whose cross-sections change along it: phi and torque for theta and w."""
+    values, slopes = [state[0]], []
+    for k in reversed(range(steps)):
+        low, middle, high = (k * STEPS // steps for k in (2 * k, 2 * k + 1, 2 * k + 2))
+        k1 = _rate(along, piece, high, state)
+        k2 = _rate(along, piece, middle, _back(state, h / 2, k1))
+        k3 = _rate(along, piece, middle, _back(state, h / 2, k2))
+        k4 = _rate(along, piece, low, _back(state, h, k3))
+        state = _back(state, h, tuple((a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)))
+        values.append(state[0])
+        slopes.append(k1[0])
+    slopes.append(_rate(along, piece, 0, state)[0])
+    return state, (np.stack(values, axis=1), np.stack(slopes, axis=1))
 
 
 def _back(state: State, h: float, rate: State) -> State:
@@ -226,34 +245,8 @@ def _back(state: State, h: float, rate: State) -> State:
     return tuple(moved)
 
 
-def _rate(bundle: Bundle, piece: int, at: int, state: State) -> State:
-    """Derivatives of a state by arc length, at the place `at` of GRID."""
-    if bundle.along is not None:
-        return _general_rate(bundle.along, piece, at, state)
-    theta, twist = state[:2]
-    count, n = theta.shape
-    if not bundle.bent[piece]:
-        straight = (twist, np.zeros_like(twist), np.ones_like(twist))
-        return (*straight, state[4], np.zeros_like(state[4])) if len(state) > 3 else straight
-    function = section_function("balance" if len(state) > 3 else "moment", count, n, bool(bundle.place))
-    out = function(theta, bundle.stiffness[piece], bundle.moment[piece], *bundle.place)
-    kt = bundle.torsional_stiffness
-    bend = out[0] / kt
-    if len(state) == 3:
-        return (out[1] * twist, bend, out[1].copy()) if bundle.place else (twist, bend, np.ones_like(twist))
-    # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
-    stiff = out[1].reshape(count, n, n).swapaxes(1, 2) / kt[:, None]
-    theta_by_tip, twist_by_tip = state[3:]
-    turned = stiff @ theta_by_tip
-    if not bundle.place:
-        return twist, bend, np.ones_like(twist), twist_by_tip, turned
-    stretch = out[3].copy()
-    stretched = out[4].reshape(count, n, n).swapaxes(1, 2) @ theta_by_tip
-    return stretch * twist, bend, stretch, stretch[:, :, None] * twist_by_tip + twist[:, :, None] * stretched, turned
-
-
-def _general_rate(along: Along, piece: int, at: int, state: State) -> State:
-    """Derivatives of the elastic rotation and the torque of tubes made of pieces."""
+def _rate(along: Along, piece: int, at: int, state: State) -> State:
+    """Derivatives of the elastic rotation and the torque of tubes made of pieces, at the place `at` of GRID."""
     phi, torque = state[:2]
     count, n = phi.shape
     soft = along.compliance[piece, at]
@@ -266,13 +259,12 @@ def _general_rate(along: Along, piece: int, at: int, state: State) -> State:
     return turned, bend, one, soft[:, None] * state[4], stiff @ state[3]
 
 
-def _hermite(grid: list[tuple[Array, Array]], nodes: Array, h: float) -> Array:
+def _hermite(grid: Grid, nodes: Array, h: float) -> Array:
     """(B, K, n) cubic interpolation, at fractions `nodes` from the base side, of a grid that runs from the tip side."""
-    back = (1 - nodes) * (len(grid) - 1)
-    k = np.minimum(back.astype(int), len(grid) - 2)
+    value, slope = grid[0], -h * grid[1]
+    back = (1 - nodes) * (value.shape[1] - 1)
+    k = np.minimum(back.astype(int), value.shape[1] - 2)
     x = (back - k)[None, :, None]
-    value, slope = (np.stack([state[j] for state in grid], axis=1) for j in range(2))
-    slope = -h * slope
     left, right = value[:, k], value[:, k + 1]
     blend = left * (1 + 2 * x) * (1 - x) ** 2 + right * x**2 * (3 - 2 * x)
     return np.asarray(blend + slope[:, k] * x * (1 - x) ** 2 - slope[:, k + 1] * x**2 * (1 - x))
