@@ -124,7 +124,7 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel_text(robot.n_tubes, home.eccentric, home.general, _room(space)),
         _data(robot, space),
-        *(with_included(C_FOLDER / file) for file in ("quadratic.c", "robot.c", slopes, "servo.c")),
+        *(with_included(C_FOLDER / file) for file in ("robot.c", slopes, "servo.c")),
     ]
     return "".join(parts)
 

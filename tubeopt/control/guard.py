@@ -7,6 +7,7 @@ farther than a small motion twists them, where margin or clearance fall short, t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import dist
 
 import numpy as np
 
@@ -62,7 +63,7 @@ class Guard:
     def go(self, change: Array, why: Why) -> tuple[Equilibrium, Why]:
         """The equilibrium after a change of the joints (m,), of as much of it as passes, and what is in the way."""
         here = self.here
-        if not np.abs(change / self.space.scale).max() > 1e-14:
+        if not any(abs(by) > 1e-14 for by in (change / self.space.scale).tolist()):
             return here.equilibrium, why
         floor = min(self.options.min_margin, here.margin)
         for halving in range(HALVINGS + 1):
@@ -90,7 +91,7 @@ class Guard:
     def left(self, command: Command) -> tuple[float, float]:
         """Distance (m) and angle (rad) from what is commanded; NaN where nothing is."""
         here = self.here
-        away = np.nan if command.position is None else float(np.linalg.norm(np.asarray(command.position) - here.tip))
+        away = np.nan if command.position is None else dist(np.asarray(command.position), here.tip)
         if command.direction is None:
             return away, np.nan
         return away, angle(here.direction, np.asarray(command.direction) / np.linalg.norm(command.direction))

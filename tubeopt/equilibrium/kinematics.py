@@ -164,8 +164,9 @@ def _to_tolerance(
 
 def _error(equilibrium: Equilibrium) -> float:
     """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, whichever is larger."""
-    length = float(measure(equilibrium.robot, equilibrium.arc_length[-1]))
-    return max(equilibrium.mesh_error, equilibrium.tip_error / length)
+    length = max(float(equilibrium.arc_length[-1]), 1e-300)
+    by = min(length, SHORT) if is_general(equilibrium.robot) else length
+    return max(equilibrium.mesh_error, equilibrium.tip_error / by)
 
 
 def measure(robot: Robot, length: ArrayLike) -> Array:
@@ -205,8 +206,9 @@ def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
 
 def _small(turn: Array, shift: Array, length: float) -> bool:
     """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
-    moved = abs(shift).max() / max(length, 1e-300)
-    return bool(abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT)
+    farthest = LARGEST_SHIFT * max(length, 1e-300)
+    turned, moved = turn.tolist(), shift.tolist()
+    return all(abs(by) <= LARGEST_TURN for by in turned) and all(abs(by) <= farthest for by in moved)
 
 
 @small

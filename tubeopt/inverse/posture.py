@@ -41,6 +41,11 @@ class Posture:
     q: Array
     equilibrium: Equilibrium
 
+    @cached_property
+    def room(self) -> Array:
+        """(2m + k,) bounds of a step that stays admissible, as `JointSpace.inequalities`."""
+        return self.space.inequalities(self.q)[1]
+
     @property
     def margin(self) -> float:
         """Stability margin."""
@@ -77,7 +82,7 @@ class Posture:
     @cached_property
     def _free(self) -> _Slopes:
         """Of each joint towards the side to which it is free to move, where it has but one."""
-        return self._slopes(self.space.free_sides(self.q))
+        return self._slopes(self.space.free_sides(self.room))
 
     def _slopes(self, sides: tuple[int, ...]) -> _Slopes:
         """Those that are asked for all the time, by the compiled kernel where it has them."""
@@ -123,8 +128,8 @@ class Posture:
 
     def margin_slope(self) -> Array:
         """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
-        slope = self.jacobian[2]
-        return np.where(np.isfinite(slope), slope, 0.0)
+        slope, known = self.jacobian[2], np.isfinite(self.jacobian[2])
+        return slope if known.all() else np.where(known, slope, 0.0)
 
     @cached_property
     def outline(self) -> Outline:

@@ -34,7 +34,7 @@ struct tubeopt_memory {
     tubeopt_joints joints, origin;                      /* of the last one, and of that before */
     double rotation[N * MOST_SHAPE], torsion[N * MOST_SHAPE]; /* of the last one, by tubes */
     Slopes slopes;
-    Quadratic quadratic;
+    double rows[MOST_ROWS * JOINTS], bounds[MOST_ROWS], multipliers[MOST_ROWS]; /* of a servo step */
 #if TUBEOPT_LOADS
     int bears;
     tubeopt_load load;

@@ -67,6 +67,12 @@ static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, 
     aim->rows = 6;
 }
 
+/* Room for one row more, whose bound is known. */
+static double *new_row(Quadratic *p, double bound) {
+    p->bounds[p->count] = bound;
+    return p->rows + JOINTS * p->count++;
+}
+
 /* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
    than `rise`; where that is 0, to stay keeps them all. */
 static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Quadratic *p,
@@ -76,59 +82,41 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const doubl
         double rate = fmin((k < N ? c->turn_rate : c->shift_rate) * c->step, k < N ? LARGEST_TURN : LARGEST_SHIFT * LONGEST_TUBE);
         aim->low[k] = fmin(0, fmax(-rate, LOWER[k] - q[k])) / SCALE[k];
         aim->high[k] = fmax(0, fmin(rate, UPPER[k] - q[k])) / SCALE[k];
-        for (int side = 0; side < 2; side++, p->count++) {
-            memset(p->rows[p->count], 0, sizeof p->rows[p->count]);
-            p->rows[p->count][k] = side ? -1 : 1;
-            p->bounds[p->count] = side ? -aim->high[k] : aim->low[k];
+        for (int side = 0; side < 2; side++) {
+            double *row = new_row(p, side ? -aim->high[k] : aim->low[k]);
+            memset(row, 0, JOINTS * sizeof(double));
+            row[k] = side ? -1 : 1;
         }
     }
-    for (int r = 0; r < ORDERS; r++, p->count++) {
-        double gap = LEAST[r];
-        for (int k = 0; k < JOINTS; k++) {
-            gap -= ORDER[r * JOINTS + k] * q[k];
-            p->rows[p->count][k] = ORDER[r * JOINTS + k] * SCALE[k];
-        }
-        p->bounds[p->count] = fmin(gap, 0);
+    for (int r = 0; r < ORDERS; r++) {
+        double *row = new_row(p, fmin(LEAST[r] - dot(ORDER + r * JOINTS, q, JOINTS), 0));
+        for (int k = 0; k < JOINTS; k++) row[k] = ORDER[r * JOINTS + k] * SCALE[k];
     }
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
-    memcpy(p->rows[p->count], aim->margin, sizeof aim->margin);
-    p->bounds[p->count++] = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_here(m)), RISE * most), rise);
+    double raised = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_here(m)), RISE * most), rise);
+    memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
 }
 
 /* The step (n) over the joints' scale that brings the tip closest, in least squares with a little damping, and within
    what that leaves free towards a larger margin. 0 where there is none. */
 static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Aim *aim,
                         double *step) {
-    Quadratic *p = &m->quadratic;
-    double matrix[JOINTS][JOINTS], pull[JOINTS], row[JOINTS];
-    hedge(m, c, q, rise, p, aim);
+    double matrix[(6 + JOINTS) * JOINTS], right[6 + JOINTS];
+    Quadratic p = {m->rows, m->bounds, m->multipliers, JOINTS, 0, {0}, 0};
+    hedge(m, c, q, rise, &p, aim);
     double steep = sqrt(dot(aim->margin, aim->margin, JOINTS)), push = steep > 0 ? c->push * c->turn_rate * c->step / steep : 0;
-    for (int i = 0; i < JOINTS; i++) {
-        pull[i] = DAMPING * DAMPING * push * aim->margin[i];
-        for (int j = 0; j < JOINTS; j++) matrix[i][j] = i == j ? DAMPING * DAMPING : 0;
-        for (int r = 0; r < aim->rows; r++) {
-            pull[i] += aim->task[r][i] * aim->missing[r];
-            for (int j = 0; j < JOINTS; j++) matrix[i][j] += aim->task[r][i] * aim->task[r][j];
-        }
+    memset(matrix, 0, sizeof matrix);
+    memcpy(matrix, aim->task, aim->rows * sizeof aim->task[0]);
+    memcpy(right, aim->missing, aim->rows * sizeof(double));
+    for (int k = 0, r = aim->rows; k < JOINTS; k++, r++) {
+        matrix[r * JOINTS + k] = DAMPING;
+        right[r] = DAMPING * push * aim->margin[k];
     }
-    for (int j = 0; j < JOINTS; j++) { /* matrix = L L', L in its lower triangle */
-        matrix[j][j] = sqrt(matrix[j][j] - dot(matrix[j], matrix[j], j));
-        for (int i = j + 1; i < JOINTS; i++) matrix[i][j] = (matrix[i][j] - dot(matrix[i], matrix[j], j)) / matrix[j][j];
-    }
-    for (int k = -1; k < p->count; k++) { /* y = L' step: rows L^-1, and what is pulled at */
-        double *v = k < 0 ? pull : p->rows[k];
-        for (int i = 0; i < JOINTS; i++) v[i] = (v[i] - dot(matrix[i], v, i)) / matrix[i][i];
-    }
-    if (!least_quadratic(p, pull, row)) return 0;
-    for (int i = JOINTS - 1; i >= 0; i--) {
-        step[i] = row[i];
-        for (int j = i + 1; j < JOINTS; j++) step[i] -= matrix[j][i] * step[j];
-        step[i] /= matrix[i][i];
-    }
+    if (!least_squares(&p, aim->rows + JOINTS, matrix, right, step)) return 0;
     aim->why = 0;
-    for (int k = 0; k < p->actives; k++) {
-        int r = p->active[k], joint = r / 2;
+    for (int k = 0; k < p.actives; k++) {
+        int r = p.active[k], joint = r / 2;
         if (r >= 2 * JOINTS)
             aim->why |= r < 2 * JOINTS + ORDERS ? TUBEOPT_AT_ORDER : TUBEOPT_AT_MARGIN;
         else {
