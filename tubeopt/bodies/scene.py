@@ -233,6 +233,32 @@ class Scene:
         return out
 
 
+AHEAD = 10e-3
+"""How much farther than it must a lookout sees, m."""
+
+
+class Lookout:
+    """Tells that bodies are far from points that move little from call to call, mostly without looking: a distance
+    changes by no more than its point moves."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._points, self._least = np.zeros((0, 3)), np.zeros(0)
+
+    def far(self, points: Array, reach: Array) -> bool:
+        """Whether all bodies are farther than `reach` (N,) from points (N, 3), m."""
+        if len(points) != len(self._points):
+            self._points, self._least = points.copy(), np.full(len(points), -np.inf)
+        moved = points - self._points
+        doubtful = (self._least - np.sqrt((moved * moved).sum(1)) <= reach).nonzero()[0]
+        if not len(doubtful):
+            return True
+        asked = points[doubtful]
+        least = self.scene.nearest(asked, reach[doubtful] + AHEAD)
+        self._points[doubtful], self._least[doubtful] = asked, least
+        return not (least <= reach[doubtful]).any()
+
+
 def _within(body: Any, points: Array, least: Array) -> Array:
     """(N,) distance of points (N, 3) from a body where it is less than `least` (N,), else no less than it."""
     if hasattr(body, "distance_within"):

@@ -12,7 +12,7 @@ from math import dist
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
-from ..bodies.scene import Scene, scene_of
+from ..bodies.scene import Lookout, Scene, scene_of
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -49,6 +49,7 @@ class Guard:
         self.options = options
         self.space: JointSpace = joint_space(robot, limits)
         self.scene: Scene = scene_of(tuple(obstacles))
+        self._lookout = Lookout(self.scene)
         self.here = self.before = seed_posture(self.space, seed)
         """Where the robot is, and where it was before the last step."""
         self.sight = 0.0
@@ -77,7 +78,7 @@ class Guard:
                 continue
             posture = Posture(self.space, q, there)
             if self.scene.bodies:
-                posture.outline.contacts(self.scene, self.sight)
+                posture.outline.look_around(self._lookout, self.sight)
                 if (missing := self._missing(posture)) > 0 and missing > self._missing(here):
                     continue
             self.here = posture

@@ -169,13 +169,13 @@ class Servo:
 
     def _why(self, held: Index, here: Posture, rate: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
         """What rows that hold a step stand for."""
-        why, m = 0, len(here.q)
+        why, m = Why(0), len(here.q)
         for row in held.tolist():
             if row < 2 * m:
                 why |= Why.RANGE if here.room[row] > -rate[row % m] else Why.RATE
             else:
                 why |= next(kind for first, kind in reversed(kinds) if row >= first)
-        return Why(why)
+        return why
 
     def _in_turn(
         self, tasks: Sequence[tuple[Array, Array, bool]], rows: Array, bounds: Array
@@ -217,7 +217,7 @@ class Servo:
         """Rows (c, m), over the joints' scales, and bounds (c,), m, of the distances from bodies that a step within
         `rate` (m,) could make too small; the guard sees what is more."""
         scene, clearance = self.guard.scene, self.options.clearance
-        moved = np.linalg.norm(at.along @ self.space.spread, axis=1) @ rate
+        moved = np.linalg.norm(self.space.by_joints(at.along), axis=1) @ rate
         reach = clearance + APART + min(float(moved.max()) / APPROACH, DEFAULT_SOLVER.body_reach * self.space.length)
         self.guard.sight = FARTHER * reach
         contacts = at.outline.contacts(scene, reach)
@@ -271,7 +271,7 @@ class Servo:
         across = arm.frame[k][:, :2].T / self.space.length
         gap = across @ (pivot - feet[k])
         most = self.options.speed * dt / self.space.length / max(float(np.linalg.norm(gap)), 1e-300)
-        return across @ moved @ self.space.spread, min(most, 1.0) * gap
+        return self.space.by_joints(across @ moved), min(most, 1.0) * gap
 
     def _joints(self, goal: Configuration, at: Posture, dt: float) -> tuple[Array, Array]:
         """Straight there, as fast as the slowest joint allows."""

@@ -180,7 +180,7 @@ def _compiled(
 ) -> Equilibrium | None:
     """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines.
     `how`: when the solve began (s), and how often the pieces of the mesh are halved."""
-    if any(len(tubes) > 1 for tubes in robot.moving_together):
+    if len(robot.moving_together) < robot.n_tubes:
         _check_translations(robot, shift)
     start, translations = None, np.array(shift)
     if guess is not None:

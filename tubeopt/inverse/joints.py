@@ -63,7 +63,16 @@ class JointSpace:
 
     def joint(self, q: Array) -> Array:
         """(2n,) rotations and translations of independent joint values."""
-        return np.asarray(self.spread @ q + self.offset)
+        return q if self.plain else np.asarray(self.spread @ q + self.offset)
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether every tube has a carriage of its own: rotations and translations are the independent joint values."""
+        return not self.offset.any() and np.array_equal(self.spread, np.eye(len(self.offset)))
+
+    def by_joints(self, slopes: Array) -> Array:
+        """(..., m) derivatives by independent joint values of those (..., 2n) by rotations and translations."""
+        return slopes if self.plain else np.asarray(slopes @ self.spread)
 
     def split(self, q: Array) -> tuple[Array, tuple[float, ...]]:
         """Rotations (n,) and translations (n,) of independent joint values."""

@@ -7,7 +7,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..bodies.scene import Scene
+from ..bodies.scene import Lookout, Scene
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
@@ -75,7 +75,8 @@ class _Near:
         return len(np.unique(self.contacts.body))
 
 
-NOWHERE = Contacts(np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
+NONE = np.zeros(0, dtype=int)
+NOWHERE = Contacts(NONE, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +130,8 @@ class Outline:
             return np.inf
         if scene in self._known and enough <= self._known[scene].within:
             near = self._known[scene]
+            if not len(near.row):
+                return near.within
             least = min(near.within, float(near.contacts.distance.min(initial=np.inf)))
             doubtful = near.row[near.at_least < min(enough, least)]
             return min(least, self._between(scene, doubtful)) if len(doubtful) else least
@@ -230,7 +233,26 @@ class Outline:
         known = self._known.get(scene)
         if known is None or not (known.within >= within or (fewest and known.bodies >= fewest and also <= known.also)):
             known = self._known[scene] = self._near(scene, within, fewest, also)
-        return known.contacts.chosen(known.contacts.distance <= within)
+        return known.contacts.chosen(known.contacts.distance <= within) if len(known.contacts.body) else NOWHERE
+
+    def look_around(self, lookout: Lookout, within: float) -> None:
+        """Look for contacts within a distance, m, unless a lookout knows that there are none."""
+        if lookout.far(*self._sparse(within)):
+            self._known[lookout.scene] = _Near(within, NOWHERE, NONE, np.zeros(0), frozenset())
+        else:
+            self.contacts(lookout.scene, within)
+
+    def _sparse(self, within: float) -> tuple[Array, Array]:
+        """Some points (p, 3) of the centreline, and distances (p,) from them, m, beyond which nothing is closer to the
+        surface than `within`: the shape points, and the middle of the curve between each and the next."""
+        arm = self.equilibrium
+        at, ahead = arm.position, arm.frame[:, :, 2]
+        length = np.diff(arm.arc_length)
+        middle = (at[:-1] + at[1:]) / 2 + (ahead[:-1] - ahead[1:]) * (length[:, None] / 8)
+        quarter, enough = length / 4, within + float(outer_radius(arm.robot).max()) + BEYOND
+        reach = np.concatenate([quarter[:1], quarter, quarter])
+        np.maximum(reach[1 : len(length)], quarter[1:], out=reach[1 : len(length)])
+        return np.concatenate([at, middle]), reach + enough
 
     @cached_property
     def _known(self) -> dict[Scene, _Near]:

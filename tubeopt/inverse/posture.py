@@ -94,8 +94,9 @@ class Posture:
             told = [[each.tip_position, each.tip_rotation, each.margin, each.position] for each in of]
             grows = np.array([*[1] * len(sides), *sides]) > 0
             parts = [np.where(grows, pair[-1], pair[0]) for pair in zip(*told, strict=True)]
-        position, turn, margin = (part @ self.space.spread for part in parts[:3])
-        return (position, turn, margin), parts[3]
+        position, turn, margin, along = parts
+        by_joints = self.space.by_joints
+        return (by_joints(position), by_joints(turn), by_joints(margin)), along
 
     @property
     def jacobian(self) -> tuple[Array, Array, Array]:
@@ -124,7 +125,7 @@ class Posture:
     @cached_property
     def bend_slope(self) -> Array:
         """(m,) change of `bend` per joint."""
-        return np.asarray(self.derivatives.bend @ self.space.spread)
+        return self.space.by_joints(self.derivatives.bend)
 
     def margin_slope(self) -> Array:
         """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
@@ -145,7 +146,7 @@ class Posture:
         ends = np.where((arm.tube_end > 0) & (arm.tube_end < arm.arc_length[-1] - EDGE), arm.tube_end, np.nan)
         ahead = (away * _between(arm.arc_length, arm.frame[:, :, 2], contacts.place)).sum(1)
         slope[:, len(ends) :] += ahead[:, None] * (np.abs(contacts.place[:, None] - ends) <= EDGE)
-        return np.asarray(slope @ self.space.spread)
+        return self.space.by_joints(slope)
 
     def to(self, q: Array) -> Posture | None:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is

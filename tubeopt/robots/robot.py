@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 from ..typing import Array
 from .assembly import Assembly
 from .calibration import Calibration
 from .limits import JointLimits
 from .tubes import Tube
+
+Kept = TypeVar("Kept")
 
 
 class Robot(Protocol):
@@ -58,6 +60,24 @@ class Robot(Protocol):
         """Write the robot as YAML that `load_robot` reads back."""
 
     def __hash__(self) -> int: ...
+
+
+def keeps_hash(cls: type[Kept]) -> type[Kept]:
+    """A frozen dataclass whose objects reckon their hash once: what is built for a robot is looked up all the time.
+    It is not pickled, since words have another one in every process."""
+    reckoned: Any = cls.__hash__
+
+    def kept(self: Any) -> int:
+        if "_hash" not in self.__dict__:
+            object.__setattr__(self, "_hash", reckoned(self))
+        known: int = self._hash
+        return known
+
+    def state(self: Any) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_hash"}
+
+    cls.__hash__, cls.__getstate__ = kept, state  # type: ignore[method-assign]
+    return cls
 
 
 def is_general(robot: Robot) -> bool:

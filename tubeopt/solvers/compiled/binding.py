@@ -64,15 +64,15 @@ class _Room:
     workspace: Array
     fields: dict[str, Any]
     at: tuple[int, int]
-    solved: tuple[Any, Array] | None = None
+    solved: tuple[Any, bytes] | None = None
 
-    def has(self, tubes: Any, joints: Array, start: Start) -> bool:
-        """Whether it holds that of tubes at joint values (2n,) which a start is."""
-        if self.solved is None or self.solved[0] is not tubes or not (self.solved[1] == joints).all():
+    def has(self, tubes: Any, joints: bytes, start: Start) -> bool:
+        """Whether it holds that of tubes at joint values which a start is."""
+        if self.solved is None or self.solved[0] is not tubes or self.solved[1] != joints:
             return False
         count = len(start.point)
-        mine = int(self.fields["points"]) == count
-        return mine and bool((self.fields["point_rotation"][:count] == start.point_rotation).all())
+        mine = self.fields["point_rotation"][:count]
+        return int(self.fields["points"]) == count and bool(mine.tobytes() == start.point_rotation.tobytes())
 
 
 _rooms = threading.local()
@@ -187,6 +187,11 @@ def _at(array: NDArray[Any]) -> int:
     return int(array.ctypes.data)
 
 
+def _place(array: Any) -> int:
+    """The same of one that may be written to and is not empty, in a third of the time."""
+    return ctypes.addressof(ctypes.c_double.from_buffer(array))
+
+
 def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[Array, int, int, Any]:
     """All that goes in, in one piece of memory, since asking NumPy for an address takes a microsecond: that memory,
     where rotations and translations are in it, and the C struct Guess."""
@@ -194,8 +199,8 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
     if start is not None:
         parts += [start.arc_length, start.rotation, start.torsion, start.point, start.point_rotation, start.turn]
         parts.append(start.translations)
-    flat = np.concatenate([part.ravel() for part in parts])
-    places = [_at(flat)]
+    flat = np.concatenate(parts, axis=None)
+    places = [_place(flat)]
     for part in parts:
         places.append(places[-1] + 8 * part.size)
     if start is None:
@@ -218,7 +223,7 @@ def solve_compiled(
     room = room_of(kernel)
     memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
-    room.solved = (prepared, memory[: 2 * len(rotations)]) if status == SOLVED else None
+    room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
     return room.fields if status == SOLVED else None
 
 
@@ -254,8 +259,8 @@ def slopes_compiled(
     if prepared is None or prepared[0].differentiate is None:
         return None
     kernel, n = prepared[0], robot.n_tubes
-    room, joints = room_of(kernel), np.concatenate([rotations, translations])
-    same = room.has(prepared, joints, start)
+    room = room_of(kernel)
+    same = room.has(prepared, rotations.tobytes() + translations.tobytes(), start)
     if not same and solve_compiled(robot, rotations, translations, start) is None:
         return None
     points = int(room.fields["pieces"]) * STEPS + 1
@@ -263,7 +268,7 @@ def slopes_compiled(
     same = same or (points == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF))
     whole = 14 * n + 2 * n * n + 36
     out = np.empty(whole + points * 6 * n)
-    at = _at(out)
+    at = _place(out)
     if not kernel.differentiate(_asked(robot.moving_together, sides, compliance)[1], *room.at, at, at + 8 * whole):
         return None
     by_joint = out[: 14 * n + 2 * n * n].reshape(7 + n, 2 * n)
