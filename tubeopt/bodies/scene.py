@@ -238,8 +238,8 @@ AHEAD = 10e-3
 
 
 class Lookout:
-    """Tells that bodies are far from points that move little from call to call, mostly without looking: a distance
-    changes by no more than its point moves."""
+    """Tells whether bodies are far from points that move little from call to call, mostly without looking: a distance
+    changes by no more than its point moves. What it cannot tell, it looks for."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -247,16 +247,15 @@ class Lookout:
 
     def far(self, points: Array, reach: Array) -> bool:
         """Whether all bodies are farther than `reach` (N,) from points (N, 3), m."""
-        if len(points) != len(self._points):
-            self._points, self._least = points.copy(), np.full(len(points), -np.inf)
-        moved = points - self._points
-        doubtful = (self._least - np.sqrt((moved * moved).sum(1)) <= reach).nonzero()[0]
-        if not len(doubtful):
-            return True
-        asked = points[doubtful]
-        least = self.scene.nearest(asked, reach[doubtful] + AHEAD)
-        self._points[doubtful], self._least[doubtful] = asked, least
-        return not (least <= reach[doubtful]).any()
+        if len(points) == len(self._points):
+            way = points - self._points
+            moved, spare = np.sqrt((way * way).sum(1)), self._least - reach
+            if (spare > moved).all():
+                return True
+            if (spare <= -moved).any():
+                return False
+        self._points, self._least = points, self.scene.nearest(points, reach + AHEAD)
+        return bool((self._least > reach).all())
 
 
 def _within(body: Any, points: Array, least: Array) -> Array:

@@ -82,7 +82,7 @@ class Guard:
                 if (missing := self._missing(posture)) > 0 and missing > self._missing(here):
                     continue
             self.here = posture
-            return there, why | (Why.SHORTENED if halving else Why(0))
+            return there, why | Why.SHORTENED if halving else why
         return here.equilibrium, why | Why.HELD
 
     def _missing(self, at: Posture) -> float:

@@ -152,11 +152,12 @@ class Servo:
         already must not get worse."""
         options, m = self.options, len(here.q)
         bounds = np.minimum(here.room, 0.0)
-        bounds[: 2 * m] = np.maximum(bounds[: 2 * m], -np.concatenate([rate, rate])) / self._twice
+        bounds[: 2 * m] = np.maximum(bounds[: 2 * m].reshape(2, m), -rate).ravel() / self._twice
         rows, more, kinds = [self._sides], [bounds], [(2 * m, Why.ORDER)]
         raised = here.margin_slope() * self.space.scale
-        if raised.any():
-            rises = RISE * float(np.maximum(raised * bounds[:m], -raised * bounds[m : 2 * m]).sum())
+        if any(up := raised.tolist()):
+            ends = bounds.tolist()
+            rises = RISE * sum(-by * ends[m + k] if by > 0 else by * ends[k] for k, by in enumerate(up))
             kinds.append((len(bounds), Why.MARGIN))
             rows.append(raised[None])
             more.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rises)]))
@@ -169,13 +170,13 @@ class Servo:
 
     def _why(self, held: Index, here: Posture, rate: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
         """What rows that hold a step stand for."""
-        why, m = Why(0), len(here.q)
+        m, found = len(here.q), set[Why]()
         for row in held.tolist():
             if row < 2 * m:
-                why |= Why.RANGE if here.room[row] > -rate[row % m] else Why.RATE
+                found.add(Why.RANGE if here.room[row] > -rate[row % m] else Why.RATE)
             else:
-                why |= next(kind for first, kind in reversed(kinds) if row >= first)
-        return why
+                found.add(next(kind for first, kind in reversed(kinds) if row >= first))
+        return Why(sum(found))
 
     def _in_turn(
         self, tasks: Sequence[tuple[Array, Array, bool]], rows: Array, bounds: Array

@@ -31,6 +31,21 @@ AHEAD, BEYOND = 5e-3, 1e-9
 """How much farther than is enough distances are measured, and beyond what is of interest, m."""
 
 
+PARTS = 4
+"""Pieces of the centreline between two shape points, at whose ends the arm is looked around from."""
+
+_SHARE = np.arange(1, PARTS)[:, None] / PARTS
+BETWEEN = np.hstack(
+    [
+        (1 + 2 * _SHARE) * (1 - _SHARE) ** 2,
+        _SHARE**2 * (3 - 2 * _SHARE),
+        _SHARE * (1 - _SHARE) ** 2,
+        -(_SHARE**2) * (1 - _SHARE),
+    ]
+)
+"""(PARTS - 1, 4) weights of both shape points, and of both tangents times the length between, in the points there."""
+
+
 @lru_cache(maxsize=64)
 def outer_radius(robot: Robot) -> Array:
     """(n,) radius of the arm where tube i is the outermost, for eccentric tubes of what holds them, m."""
@@ -244,15 +259,16 @@ class Outline:
 
     def _sparse(self, within: float) -> tuple[Array, Array]:
         """Some points (p, 3) of the centreline, and distances (p,) from them, m, beyond which nothing is closer to the
-        surface than `within`: the shape points, and the middle of the curve between each and the next."""
+        surface than `within`: the shape points, and some between each and the next."""
         arm = self.equilibrium
-        at, ahead = arm.position, arm.frame[:, :, 2]
-        length = np.diff(arm.arc_length)
-        middle = (at[:-1] + at[1:]) / 2 + (ahead[:-1] - ahead[1:]) * (length[:, None] / 8)
-        quarter, enough = length / 4, within + float(outer_radius(arm.robot).max()) + BEYOND
-        reach = np.concatenate([quarter[:1], quarter, quarter])
-        np.maximum(reach[1 : len(length)], quarter[1:], out=reach[1 : len(length)])
-        return np.concatenate([at, middle]), reach + enough
+        at, length = arm.position, arm.arc_length[1:] - arm.arc_length[:-1]
+        ahead = arm.frame[:, :, 2]
+        cells = np.concatenate([at[:-1], at[1:], ahead[:-1] * length[:, None], ahead[1:] * length[:, None]])
+        between = (BETWEEN @ cells.reshape(4, -1)).reshape(-1, 3)
+        half = length / (2 * PARTS)
+        reach = np.concatenate([half[:1], *[half] * PARTS])
+        np.maximum(reach[1 : len(length)], half[1:], out=reach[1 : len(length)])
+        return np.concatenate([at, between]), reach + (within + float(outer_radius(arm.robot).max()) + BEYOND)
 
     @cached_property
     def _known(self) -> dict[Scene, _Near]:

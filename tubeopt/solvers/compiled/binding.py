@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ class _Guess(ctypes.Structure):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+class Start(NamedTuple):
     """Where to start from: rotation and torsion (n, m) of another arm at arc_length (m,), its solution at collocation
     points (N,), (N, n), the turn (n,) to add, and its translations (n,)."""
 
@@ -227,8 +226,7 @@ def solve_compiled(
     return room.fields if status == SOLVED else None
 
 
-@dataclass(frozen=True, eq=False)
-class Slopes:
+class Slopes(NamedTuple):
     """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
     2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load, None where not asked for;
     and derivatives of the shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm
