@@ -164,8 +164,9 @@ def _to_tolerance(
 
 def _error(equilibrium: Equilibrium) -> float:
     """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, whichever is larger."""
-    length = max(float(equilibrium.arc_length[-1]), 1e-300)
-    by = min(length, SHORT) if is_general(equilibrium.robot) else length
+    by = max(float(equilibrium.arc_length[-1]), 1e-300)
+    if by > SHORT and is_general(equilibrium.robot):
+        by = SHORT
     return max(equilibrium.mesh_error, equilibrium.tip_error / by)
 
 
@@ -180,7 +181,7 @@ def _compiled(
 ) -> Equilibrium | None:
     """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines.
     `how`: when the solve began (s), and how often the pieces of the mesh are halved."""
-    if len(robot.moving_together) < robot.n_tubes:
+    if _tied(robot):
         _check_translations(robot, shift)
     start, translations = None, np.array(shift)
     if guess is not None:
@@ -196,6 +197,12 @@ def _compiled(
         return None
     begin = "tubes without torsion" if start is None else "guess"
     return from_compiled(robot, rotations, shift, answer, (begin, *how))
+
+
+@lru_cache(maxsize=64)
+def _tied(robot: Robot) -> bool:
+    """Whether tubes move together."""
+    return len(robot.moving_together) < robot.n_tubes
 
 
 @lru_cache(maxsize=256)

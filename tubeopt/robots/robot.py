@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from os import PathLike
 from typing import Any, Protocol, TypeVar
 
@@ -80,6 +81,7 @@ def keeps_hash(cls: type[Kept]) -> type[Kept]:
     return cls
 
 
+@lru_cache(maxsize=64)
 def is_general(robot: Robot) -> bool:
     """Whether a tube of the robot is made of pieces."""
     return any(tube.general for tube in robot.tubes)

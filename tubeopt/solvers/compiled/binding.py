@@ -267,7 +267,7 @@ def slopes_compiled(
     whole = 14 * n + 2 * n * n + 36
     out = np.empty(whole + points * 6 * n)
     at = _place(out)
-    if not kernel.differentiate(_asked(robot.moving_together, sides, compliance)[1], *room.at, at, at + 8 * whole):
+    if not kernel.differentiate(_asked(robot, sides, compliance)[1], *room.at, at, at + 8 * whole):
         return None
     by_joint = out[: 14 * n + 2 * n * n].reshape(7 + n, 2 * n)
     return Slopes(
@@ -281,13 +281,11 @@ def slopes_compiled(
 
 
 @lru_cache(maxsize=256)
-def _asked(
-    together: tuple[tuple[int, ...], ...], sides: tuple[int, ...], compliance: bool
-) -> tuple[NDArray[np.int64], int]:
-    """(2 n + 1,) the C struct Asked of tubes that move together, and where it is."""
+def _asked(robot: Robot, sides: tuple[int, ...], compliance: bool) -> tuple[NDArray[np.int64], int]:
+    """(2 n + 1,) the C struct Asked, and where it is."""
     n = len(sides)
     out = np.zeros(2 * n + 1, dtype=np.int64)
-    for k, tubes in enumerate(together):
+    for k, tubes in enumerate(robot.moving_together):
         out[list(tubes)] = k
     out[n:-1], out[-1] = sides, compliance
     return out, _at(out)
