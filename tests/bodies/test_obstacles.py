@@ -8,7 +8,7 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
-from tubeopt.bodies.scene import scene_of
+from tubeopt.bodies.scene import Lookout, Scene, scene_of
 
 BODIES: tuple[Obstacle, ...] = (
     Sphere((0.01, -0.02, 0.05), 0.013),
@@ -87,3 +87,22 @@ def test_a_scene_knows_which_bodies_are_close() -> None:
     assert far
     assert set(near) <= set(close)
     assert not set(far) & set(close)
+
+
+def test_a_lookout_says_what_a_look_would_and_looks_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    random, scene = np.random.default_rng(0), scene_of(BODIES)
+    points, reach = POINTS[:12] + np.array([0.1, 0.0, 0.05]), random.uniform(1e-3, 2e-2, 12)
+    asked, nearest = [0], Scene.nearest
+
+    def counted(scene: Scene, points: np.ndarray, within: np.ndarray | float = np.inf) -> np.ndarray:
+        asked[0] += 1
+        return nearest(scene, points, within)
+
+    monkeypatch.setattr(Scene, "nearest", counted)
+    lookout, told = Lookout(scene), []
+    for _ in range(400):
+        points = points + random.normal(size=points.shape) * 1e-4 - np.array([3e-4, 0.0, 1e-4])
+        told.append(lookout.far(points, reach))
+        assert told[-1] == bool((nearest(scene, points) > reach).all())
+    assert 50 < sum(told) < 350
+    assert asked[0] < 60

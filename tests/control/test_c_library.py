@@ -24,10 +24,15 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
+from tubeopt.bodies.obstacles import Obstacle, Sphere
+from tubeopt.bodies.scene import scene_of
 from tubeopt.control.c_binding import CRobot
 from tubeopt.control.c_library import c_library, save_c_library
+from tubeopt.control.servo import Command, Servo, ServoOptions
 from tubeopt.control.why import Why
+from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.outline import Outline
 from tubeopt.solvers.compiled.binding import solve_compiled
 from tubeopt.solvers.compiled.heating import heating_source
 from tubeopt.solvers.compiled.library import compile_to, compiler, source
@@ -250,6 +255,39 @@ def test_the_servo_reaches_its_target_within_rates_and_slides_along_the_floor(th
     assert Why.MARGIN in reasons or Why.RANGE in reasons or Why.ORDER in reasons
     known = forward_kinematics(THESIS, pose.rotations, pose.translations)
     assert known.tip_position == pytest.approx(pose.tip_position, abs=1e-9)
+
+
+def contacts_of(arm: Equilibrium, bodies: Sequence[Obstacle]) -> np.ndarray:
+    scene = scene_of(tuple(bodies))
+    found = Outline(arm).contacts(scene, 4e-3)
+    return np.column_stack([found.place, scene.gradients(found.body, found.point), found.distance])
+
+
+def test_among_bodies_the_servo_does_what_that_of_python_does(thesis: CRobot) -> None:
+    """It slides along a ball before the tip, and along one beside the end of the second tube, which moves with it."""
+    seed = forward_kinematics(THESIS, *START)
+    edge = Outline(seed).centreline(seed.tube_end[1:2])[0]
+    bodies = [Sphere(tuple((seed.tip_position + np.array([6e-3, 0, 0])).tolist()), 3e-3)]
+    bodies.append(Sphere(tuple((edge + np.array([5e-3, 0.0, 1e-3])).tolist()), 2e-3))
+    options = ServoOptions(speed=0.1, turn_rate=3.0, shift_rate=0.1, min_margin=0.2, clearance=5e-4)
+    servo = Servo(THESIS, thesis_start(thesis), obstacles=bodies, options=options)
+    target, reasons = seed.tip_position + np.array([8e-3, 0.0, 0.0]), Why(0)
+    for _ in range(60):
+        known = servo.step(Command(position=target), 1e-3)
+        here = servo.guard.before.equilibrium
+        pose, _, _, why = thesis.servo(command(target), contacts_of(here, bodies), 5e-4)
+        assert pose.tip_position == pytest.approx(known.equilibrium.tip_position, abs=1e-9)
+        assert why == known.why
+        reasons |= why
+        assert min(Outline(known.equilibrium).clearance(scene_of((body,))) for body in bodies) >= 5e-4 - 1e-9
+    assert Why.OBSTACLE in reasons
+    with pytest.raises(InputError, match="more than it can take"):
+        thesis.servo(command(target), np.zeros((100, 5)))
+
+
+def thesis_start(library: CRobot) -> tuple[np.ndarray, np.ndarray]:
+    pose = library.solve(*START)
+    return pose.rotations, pose.translations
 
 
 def test_the_servo_goes_on_where_a_tube_is_stopped_by_the_end_of_another(thesis: CRobot) -> None:

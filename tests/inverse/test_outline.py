@@ -15,7 +15,7 @@ from tests.inverse_targets import reachable
 from tubeopt import IkSession, InverseOptions, InverseSolver, forward_kinematics, inverse_kinematics, load_robot
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
-from tubeopt.bodies.scene import Scene
+from tubeopt.bodies.scene import Lookout, Scene
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
@@ -226,3 +226,27 @@ def test_points_of_the_arm_move_with_the_joints_as_the_kernel_says(robot: Robot)
                 for s in (1, -1)
             )
             np.testing.assert_allclose((one - two) / 2e-5, told.along[..., i], atol=1e-7)
+
+
+def test_who_is_looked_around_for_misses_no_contact() -> None:
+    """Arms that move a little at a time past bodies: what is known from before does not deceive."""
+    random, seen = np.random.default_rng(2), set()
+    for robot in (THESIS, CRL):
+        space = joint_space(robot)
+        begin, end = (forward_kinematics(robot, *space.split(q)) for q in space.sample(4)[:2])
+        scene = Scene(bodies_near(end, random)[:4])
+        lookout, e = Lookout(scene), begin
+        for t in np.linspace(0.0, 1.0, 15):
+            joints = (
+                a + t * (b - a) for a, b in ((begin.rotations, end.rotations), (begin.translations, end.translations))
+            )
+            e = forward_kinematics(robot, *joints)
+            within = 10 ** random.uniform(-4, -2)
+            outline = Outline(e)
+            outline.look_around(lookout, within)
+            told, known = outline.contacts(scene, within), Outline(e).contacts(scene, within)
+            np.testing.assert_array_equal(told.body, known.body)
+            np.testing.assert_array_equal(told.distance, known.distance)
+            assert outline.clearance(scene, within) == pytest.approx(min(Outline(e).clearance(scene), within), abs=1e-5)
+            seen.add(bool(len(told.body)))
+    assert seen == {True, False}

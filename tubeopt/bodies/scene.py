@@ -233,6 +233,31 @@ class Scene:
         return out
 
 
+AHEAD = 10e-3
+"""How much farther than it must a lookout sees, m."""
+
+
+class Lookout:
+    """Tells whether bodies are far from points that move little from call to call, mostly without looking: a distance
+    changes by no more than its point moves. What it cannot tell, it looks for."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._points, self._least = np.zeros((0, 3)), np.zeros(0)
+
+    def far(self, points: Array, reach: Array) -> bool:
+        """Whether all bodies are farther than `reach` (N,) from points (N, 3), m."""
+        if len(points) == len(self._points):
+            way = points - self._points
+            moved, spare = np.sqrt((way * way).sum(1)), self._least - reach
+            if (spare > moved).all():
+                return True
+            if (spare <= -moved).any():
+                return False
+        self._points, self._least = points, self.scene.nearest(points, reach + AHEAD)
+        return bool((self._least > reach).all())
+
+
 def _within(body: Any, points: Array, least: Array) -> Array:
     """(N,) distance of points (N, 3) from a body where it is less than `least` (N,), else no less than it."""
     if hasattr(body, "distance_within"):

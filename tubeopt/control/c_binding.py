@@ -111,10 +111,22 @@ class CRobot:
         status = function(*arguments)
         if status == 2:
             raise InputError(
-                f"{name} was called with a number that is not finite, or a translation that is not possible"
+                f"{name} was called with a number that is not finite, a translation that is not possible, or more than "
+                "it can take"
             )
         if status:
             raise SolveError(REFUSED[status])
+
+    def _call_among(self, contacts: Array, clearance: float) -> None:
+        try:
+            function = self._function("servo_among")
+        except AttributeError:
+            raise InputError(
+                "the C library of this robot knows no bodies: it has no derivatives along the arm"
+            ) from None
+        where = _at(self._in), ctypes.c_int(len(contacts)), _at(contacts), ctypes.c_double(clearance)
+        self._calls["servo_among"] = function, self._memory, *where, _at(self._pose), _at(self._report)
+        self._call("servo_among")
 
     def _go(self, name: str, rotations: ArrayLike, translations: ArrayLike) -> CPose:
         n = self._n
@@ -161,11 +173,19 @@ class CRobot:
         known = None if np.isnan(compliance[0]) else compliance.reshape(6, 6)
         return CSlopes(tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, known)
 
-    def servo(self, command: Array) -> tuple[CPose, float, float, Why]:
+    def servo(
+        self, command: Array, contacts: Array | None = None, clearance: float = 0.0
+    ) -> tuple[CPose, float, float, Why]:
         """One step of a command (12,): step (s), position, direction (3,) each, speed, rates of rotations and of
-        translations, least margin, push; returns the pose, what is left to the target (m, rad), and why."""
+        translations, least margin, push; returns the pose, what is left to the target (m, rad), and why.
+
+        `contacts` (c, 5): arc lengths, unit vectors away from bodies, and distances (m) where the arm comes close to
+        these, to keep `clearance` (m); raises InputError for too many, under load, and where the library has none."""
         self._in[:12] = command
-        self._call("servo")
+        if contacts is None:
+            self._call("servo")
+        else:
+            self._call_among(np.ascontiguousarray(contacts, dtype=float), clearance)
         why, _ = self._report[2:].view(np.int32)
         return self._posed(), float(self._report[0]), float(self._report[1]), Why(int(why))
 

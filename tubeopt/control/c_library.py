@@ -80,6 +80,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
     told = {
         "loads": str(int(loads)),
         "compliance": str(int(plain or loads)),
+        "bodies": str(int(plain)),
         "how": "" if plain else ", by differences of equilibria side by side",
     }
     texts = {
@@ -124,7 +125,7 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel_text(robot.n_tubes, home.eccentric, home.general, _room(space)),
         _data(robot, space),
-        *(with_included(C_FOLDER / file) for file in ("quadratic.c", "robot.c", slopes, "servo.c")),
+        *(with_included(C_FOLDER / file) for file in ("robot.c", slopes, "servo.c")),
     ]
     return "".join(parts)
 
@@ -176,7 +177,9 @@ def _data(robot: Robot, space: JointSpace) -> str:
     defines = {
         "JOINTS": m,
         "ORDERS": len(space.least),
-        "MOST_ROWS": 2 * m + len(space.least) + 1,
+        "MOST_ROWS": f"({2 * m + len(space.least) + 1} + TUBEOPT_MOST_CONTACTS)"
+        if _plain(robot)
+        else 2 * m + len(space.least) + 1,
         "LONGEST_TUBE": space.length,
         "LARGEST_RATIO": LARGEST_RATIO,
         "LARGEST_TWIST": LARGEST_TWIST,
@@ -186,7 +189,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
     }
     lines = [
         "\n/* --- the numbers of the robot --- */\n",
-        *(f"#define {key} {value!r}" for key, value in defines.items()),
+        *(f"#define {key} {value}" for key, value in defines.items()),
     ]
     lines += [c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]

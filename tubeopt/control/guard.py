@@ -7,11 +7,12 @@ farther than a small motion twists them, where margin or clearance fall short, t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import dist
 
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
-from ..bodies.scene import Scene, scene_of
+from ..bodies.scene import Lookout, Scene, scene_of
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -48,6 +49,7 @@ class Guard:
         self.options = options
         self.space: JointSpace = joint_space(robot, limits)
         self.scene: Scene = scene_of(tuple(obstacles))
+        self._lookout = Lookout(self.scene)
         self.here = self.before = seed_posture(self.space, seed)
         """Where the robot is, and where it was before the last step."""
         self.sight = 0.0
@@ -62,7 +64,7 @@ class Guard:
     def go(self, change: Array, why: Why) -> tuple[Equilibrium, Why]:
         """The equilibrium after a change of the joints (m,), of as much of it as passes, and what is in the way."""
         here = self.here
-        if not np.abs(change / self.space.scale).max() > 1e-14:
+        if not any(abs(by) > 1e-14 for by in (change / self.space.scale).tolist()):
             return here.equilibrium, why
         floor = min(self.options.min_margin, here.margin)
         for halving in range(HALVINGS + 1):
@@ -76,11 +78,11 @@ class Guard:
                 continue
             posture = Posture(self.space, q, there)
             if self.scene.bodies:
-                posture.outline.contacts(self.scene, self.sight)
+                posture.outline.look_around(self._lookout, self.sight)
                 if (missing := self._missing(posture)) > 0 and missing > self._missing(here):
                     continue
             self.here = posture
-            return there, why | (Why.SHORTENED if halving else Why(0))
+            return there, why | Why.SHORTENED if halving else why
         return here.equilibrium, why | Why.HELD
 
     def _missing(self, at: Posture) -> float:
@@ -90,7 +92,7 @@ class Guard:
     def left(self, command: Command) -> tuple[float, float]:
         """Distance (m) and angle (rad) from what is commanded; NaN where nothing is."""
         here = self.here
-        away = np.nan if command.position is None else float(np.linalg.norm(np.asarray(command.position) - here.tip))
+        away = np.nan if command.position is None else dist(np.asarray(command.position), here.tip)
         if command.direction is None:
             return away, np.nan
         return away, angle(here.direction, np.asarray(command.direction) / np.linalg.norm(command.direction))

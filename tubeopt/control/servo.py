@@ -9,11 +9,11 @@ bodies by theirs. The guard then lets as much of it pass as is safe.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
+from math import hypot
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import one_step
@@ -25,8 +25,9 @@ from ..inverse.posture import Posture, compiled_slopes
 from ..inverse.settings import DEFAULT_SOLVER
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.compiled.quadratic import least_squares_of
 from ..solvers.parallel.blas import small
-from ..typing import Array
+from ..typing import Array, Index
 from .command import OBJECTIVES, Command, ServoOptions, ServoStep
 from .guard import Guard
 from .why import Why
@@ -78,6 +79,7 @@ class Servo:
         self.options = options or ServoOptions()
         self.guard = Guard(robot, seed, limits, obstacles, self.options)
         self.space = self.guard.space
+        self._least_squares = least_squares_of(robot)
         if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
             raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
 
@@ -92,25 +94,32 @@ class Servo:
         if not 0 < dt < np.inf:
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
         here = self.guard.before = self.guard.here
-        rows, bounds, kinds = self._hedges(here, dt)
         told = self.guard.left(command)
-        groups = (self._task(group, command, here, dt) for group in [*self.options.priorities, ""])
+        groups = (self._task(group, command, here, dt) for group in self._groups)
         tasks = [task for task in groups if task is not None]
         if not tasks:
             return ServoStep(here.equilibrium, Why(0), *told)
+        rate = self._rate(dt)
+        rows, bounds, kinds = self._hedges(here, rate)
         # Where the margin cannot be raised, it is at least not lowered: then to stay keeps all.
-        found = _in_turn(tasks, rows, bounds) or _in_turn(tasks, rows, np.minimum(bounds, 0.0))
+        found = self._in_turn(tasks, rows, bounds) or self._in_turn(tasks, rows, np.minimum(bounds, 0.0))
         if found is None:
             return ServoStep(here.equilibrium, Why.HELD, *told)
-        why = Why(int(np.bitwise_or.reduce(kinds[found[1]], initial=0)))
+        step, held = found
         # The first rows are rates and ranges, which nothing exceeds, not by rounding either.
         m = len(here.q)
-        change = np.minimum(np.maximum(found[0], bounds[:m]), -bounds[m : 2 * m]) * self.space.scale
-        return ServoStep(*self.guard.go(change, why), *told)
+        change = np.minimum(np.maximum(step, bounds[:m]), -bounds[m : 2 * m]) * self.space.scale
+        return ServoStep(*self.guard.go(change, self._why(held, here, rate, kinds)), *told)
 
     def undo(self) -> None:
         """Take the last step back, which was not sent."""
         self.guard.here = self.guard.before
+
+    @cached_property
+    def _groups(self) -> list[tuple[str, ...]]:
+        """Names of what is asked at each priority; at the last of them nothing, for the objective."""
+        groups = [tuple(group.split("+")) for group in self.options.priorities]
+        return groups if self.options.objective is None else [*groups, ()]
 
     @cached_property
     def _sides(self) -> Array:
@@ -118,39 +127,98 @@ class Servo:
         unit = np.eye(len(self.space.scale))
         return np.vstack([unit, -unit, self.space.rows * self.space.scale])
 
+    @cached_property
+    def _twice(self) -> Array:
+        """(2m,) the joints' scales, for both ends of each."""
+        return np.tile(self.space.scale, 2)
+
+    @cached_property
+    def _damping(self) -> Array:
+        """(m, m) rows of the damping."""
+        return DAMPING * np.eye(len(self.space.scale))
+
     def _rate(self, dt: float) -> Array:
         """(m,) most that each joint moves in a step."""
-        n, options = self.space.robot.n_tubes, self.options
-        rate = np.full(len(self.space.scale), min(options.turn_rate * dt, TURN))
-        rate[n:] = min(options.shift_rate * dt, SHIFT * self.space.length)
-        return rate
+        options, length = self.options, self.space.length
+        return _rates(
+            self.space.robot.n_tubes,
+            len(self.space.scale),
+            min(options.turn_rate * dt, TURN),
+            min(options.shift_rate * dt, SHIFT * length),
+        )
 
-    def _hedges(self, here: Posture, dt: float) -> tuple[Array, Array, Array]:
-        """Rows and bounds of a step over the joints' scales, and what each stands for; what is missed already must not
-        get worse."""
-        space, options, rate, m = self.space, self.options, self._rate(dt), len(here.q)
-        left = np.minimum(space.inequalities(here.q)[1], 0.0)
-        ends, most = left[: 2 * m].reshape(2, m), -rate
-        rows, bounds = [self._sides], [(np.maximum(ends, most) / space.scale).ravel(), left[2 * m :]]
-        kinds = [np.where(ends > most, Why.RANGE, Why.RATE).ravel(), np.full(len(space.least), Why.ORDER)]
-        raised = here.margin_slope() * space.scale
-        if raised.any():
-            rises = RISE * float(np.maximum(raised * bounds[0][:m], -raised * bounds[0][m:]).sum())
+    def _hedges(self, here: Posture, rate: Array) -> tuple[Array, Array, list[tuple[int, Why]]]:
+        """Rows and bounds of a step over the joints' scales, and from which row on they stand for what; what is missed
+        already must not get worse."""
+        options, m = self.options, len(here.q)
+        bounds = np.minimum(here.room, 0.0)
+        bounds[: 2 * m] = np.maximum(bounds[: 2 * m].reshape(2, m), -rate).ravel() / self._twice
+        rows, more, kinds = [self._sides], [bounds], [(2 * m, Why.ORDER)]
+        raised = here.margin_slope() * self.space.scale
+        if any(up := raised.tolist()):
+            ends = bounds.tolist()
+            rises = RISE * sum(-by * ends[m + k] if by > 0 else by * ends[k] for k, by in enumerate(up))
+            kinds.append((len(bounds), Why.MARGIN))
             rows.append(raised[None])
-            bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rises)]))
-            kinds.append(np.array([Why.MARGIN]))
+            more.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rises)]))
         if self.guard.scene.bodies:
             near, least = self._bodies(here, rate)
+            kinds.append((sum(map(len, more)), Why.OBSTACLE))
             rows.append(near)
-            bounds.append(least)
-            kinds.append(np.full(len(least), Why.OBSTACLE))
-        return np.concatenate(rows), np.concatenate(bounds), np.concatenate(kinds)
+            more.append(least)
+        return np.concatenate(rows), np.concatenate(more), kinds
+
+    def _why(self, held: Index, here: Posture, rate: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
+        """What rows that hold a step stand for."""
+        m, found = len(here.q), set[Why]()
+        for row in held.tolist():
+            if row < 2 * m:
+                found.add(Why.RANGE if here.room[row] > -rate[row % m] else Why.RATE)
+            else:
+                found.add(next(kind for first, kind in reversed(kinds) if row >= first))
+        return Why(sum(found))
+
+    def _in_turn(
+        self, tasks: Sequence[tuple[Array, Array, bool]], rows: Array, bounds: Array
+    ) -> tuple[Array, Index] | None:
+        """A step that does one task after the other, each in what those before it leave free, and which rows hold it;
+        None where no step keeps them."""
+        found = self._closest(*tasks[0], rows, bounds)
+        if found is None or len(tasks) == 1:
+            return found
+        (wanted, held), used, free = found, tasks[0][0], np.eye(rows.shape[1])
+        for matrix, right, uses in tasks[1:]:
+            _, size, basis = np.linalg.svd(used)
+            free = free @ basis[np.count_nonzero(size > FREE) :].T
+            if not free.shape[1]:
+                break
+            used = matrix @ free
+            # Less what rounding has taken from a step that keeps them all.
+            found = self._closest(used, right - matrix @ wanted, uses, rows @ free, bounds - rows @ wanted - 1e-12)
+            if found is None:  # with the tasks before, the step keeps all rows as it is
+                break
+            wanted, held = wanted + free @ found[0], found[1]
+        return wanted, held
+
+    def _closest(
+        self, matrix: Array, right: Array, damped: bool, rows: Array, bounds: Array
+    ) -> tuple[Array, Index] | None:
+        """The step of `constrained_least_squares`, which a task that uses up what it moves damps a little, and which
+        rows hold it."""
+        if damped:
+            n = matrix.shape[1]
+            matrix = np.concatenate([matrix, self._damping[:n, :n]])
+            right = np.concatenate([right, np.zeros(n)])
+        if self._least_squares is not None:
+            return self._least_squares(matrix, right, rows, bounds)
+        found = constrained_least_squares(matrix, right, rows, bounds)
+        return None if found is None else (found.x, found.active.nonzero()[0])
 
     def _bodies(self, at: Posture, rate: Array) -> tuple[Array, Array]:
         """Rows (c, m), over the joints' scales, and bounds (c,), m, of the distances from bodies that a step within
         `rate` (m,) could make too small; the guard sees what is more."""
         scene, clearance = self.guard.scene, self.options.clearance
-        moved = np.linalg.norm(at.along @ self.space.spread, axis=1) @ rate
+        moved = np.linalg.norm(self.space.by_joints(at.along), axis=1) @ rate
         reach = clearance + APART + min(float(moved.max()) / APPROACH, DEFAULT_SOLVER.body_reach * self.space.length)
         self.guard.sight = FARTHER * reach
         contacts = at.outline.contacts(scene, reach)
@@ -161,28 +229,28 @@ class Servo:
         counts = most >= -least
         return slope[counts] * self.space.scale, np.minimum(least, RISE * most)[counts]
 
-    def _task(self, group: str, command: Command, at: Posture, dt: float) -> tuple[Array, Array, bool] | None:
+    def _task(self, group: Sequence[str], command: Command, at: Posture, dt: float) -> tuple[Array, Array, bool] | None:
         """Rows and right-hand sides of a priority, over the joints' scales, and whether it uses up what it moves; None
-        where nothing of it is commanded. Of the last, "", the objective."""
+        where nothing of it is commanded. Of an empty one, the objective."""
         if not group:
             pull = self._objective(at, dt)
-            return None if pull is None else (np.eye(len(pull)), pull, False)
+            return np.eye(len(pull)), pull, False
         rows, right = [], []
-        for name in group.split("+"):
-            if getattr(command, name) is not None:
-                row, gap = getattr(self, f"_{name}")(getattr(command, name), at, dt)
+        for name in group:
+            if (wanted := getattr(command, name)) is not None:
+                row, gap = getattr(self, f"_{name}")(wanted, at, dt)
                 rows.append(row * self.space.scale)
                 right.append(gap)
-        return (np.vstack(rows), np.concatenate(right), True) if rows else None
+        return (np.concatenate(rows), np.concatenate(right), True) if rows else None
 
     def _position(self, target: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         gap = target - at.tip
-        most = self.options.speed * dt / max(float(np.linalg.norm(gap)), 1e-300)
-        return at.jacobian[0] / self.space.length, min(most, 1.0) * gap / self.space.length
+        most = self.options.speed * dt / max(hypot(*gap.tolist()), 1e-300)
+        return at.jacobian[0] / self.space.length, gap * (min(most, 1.0) / self.space.length)
 
     def _velocity(self, velocity: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        most = self.options.speed / max(float(np.linalg.norm(velocity)), 1e-300)
-        return at.jacobian[0] / self.space.length, min(most, 1.0) * velocity * dt / self.space.length
+        most = self.options.speed / max(hypot(*velocity.tolist()), 1e-300)
+        return at.jacobian[0] / self.space.length, velocity * (min(most, 1.0) * dt / self.space.length)
 
     def _direction(self, direction: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         here = at.direction
@@ -204,7 +272,7 @@ class Servo:
         across = arm.frame[k][:, :2].T / self.space.length
         gap = across @ (pivot - feet[k])
         most = self.options.speed * dt / self.space.length / max(float(np.linalg.norm(gap)), 1e-300)
-        return across @ moved @ self.space.spread, min(most, 1.0) * gap
+        return self.space.by_joints(across @ moved), min(most, 1.0) * gap
 
     def _joints(self, goal: Configuration, at: Posture, dt: float) -> tuple[Array, Array]:
         """Straight there, as fast as the slowest joint allows."""
@@ -214,11 +282,9 @@ class Servo:
         share = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
         return np.diag(1 / space.scale), gap / max(share, 1.0) / space.scale
 
-    def _objective(self, at: Posture, dt: float) -> Array | None:
+    def _objective(self, at: Posture, dt: float) -> Array:
         """(m,) the step over the joints' scales that is best for the objective, as long as `push` of the rates."""
         space, name = self.space, self.options.objective
-        if name is None:
-            return None
         if name == "margin":
             pull = at.margin_slope() * space.scale
         elif name == "centre":
@@ -229,6 +295,14 @@ class Servo:
         size = float(np.linalg.norm(pull))
         longest = self.options.push * min(self.options.turn_rate * dt, TURN)
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
+
+
+@lru_cache(maxsize=64)
+def _rates(n: int, m: int, turn: float, shift: float) -> Array:
+    """(m,) that of n rotations, then of translations."""
+    rate = np.full(m, shift)
+    rate[:n] = turn
+    return rate
 
 
 def _softness(at: Posture, turn: float = 1e-4) -> Array:
@@ -250,32 +324,3 @@ def _yield(at: Equilibrium) -> float | None:
     """Trace of the translational compliance of the tip, m/N; None without a kernel."""
     slopes = compiled_slopes(at, compliance=True)
     return None if slopes is None or slopes.compliance is None else float(np.trace(slopes.compliance[:3, :3]))
-
-
-def _in_turn(
-    tasks: Sequence[tuple[Array, Array, bool]], rows: Array, bounds: Array
-) -> tuple[Array, NDArray[np.intp]] | None:
-    """A step that does one task after the other, each in what those before it leave free, and which rows hold it; None
-    where no step keeps them."""
-    wanted, free = np.zeros(rows.shape[1]), np.eye(rows.shape[1])
-    held: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
-    used: Array | None = None
-    for matrix, right, uses in tasks:
-        if used is not None:
-            _, size, basis = np.linalg.svd(used)
-            free = free @ basis[np.count_nonzero(size > FREE) :].T
-        if not free.shape[1]:
-            break
-        inside, damping = matrix @ free, DAMPING if uses else 0.0
-        found = constrained_least_squares(
-            np.vstack([inside, damping * np.eye(free.shape[1])]),
-            np.concatenate([right - matrix @ wanted, np.zeros(free.shape[1])]),
-            rows @ free,
-            # What rounding has taken from a step that keeps them all.
-            bounds - rows @ wanted - (1e-12 if held.size or wanted.any() else 0.0),
-        )
-        if found is None:  # with the tasks before, the step keeps all rows as it is
-            return (wanted, held) if wanted.any() else None
-        wanted, held = wanted + free @ found.x, np.flatnonzero(found.active)
-        used = inside if uses else None
-    return wanted, held

@@ -169,8 +169,10 @@ def _to_tolerance(
 
 def _error(equilibrium: Equilibrium) -> float:
     """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, whichever is larger."""
-    length = float(measure(equilibrium.robot, equilibrium.arc_length[-1]))
-    return max(equilibrium.mesh_error, equilibrium.tip_error / length)
+    by = max(float(equilibrium.arc_length[-1]), 1e-300)
+    if by > SHORT and is_general(equilibrium.robot):
+        by = SHORT
+    return max(equilibrium.mesh_error, equilibrium.tip_error / by)
 
 
 def measure(robot: Robot, length: ArrayLike) -> Array:
@@ -184,7 +186,7 @@ def _compiled(
 ) -> Equilibrium | None:
     """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines.
     `how`: when the solve began (s), and how often the pieces of the mesh are halved."""
-    if any(len(tubes) > 1 for tubes in robot.moving_together):
+    if _tied(robot):
         _check_translations(robot, shift)
     start, translations = None, np.array(shift)
     if guess is not None:
@@ -209,6 +211,12 @@ def nearby(guess: Equilibrium, rotations: Array) -> Equilibrium | None:
     return found if found is not None and _error(found) <= TOLERANCE else None
 
 
+@lru_cache(maxsize=64)
+def _tied(robot: Robot) -> bool:
+    """Whether tubes move together."""
+    return len(robot.moving_together) < robot.n_tubes
+
+
 @lru_cache(maxsize=256)
 def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
     """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
@@ -217,8 +225,9 @@ def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
 
 def _small(turn: Array, shift: Array, length: float) -> bool:
     """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
-    moved = abs(shift).max() / max(length, 1e-300)
-    return bool(abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT)
+    farthest = LARGEST_SHIFT * max(length, 1e-300)
+    turned, moved = turn.tolist(), shift.tolist()
+    return all(abs(by) <= LARGEST_TURN for by in turned) and all(abs(by) <= farthest for by in moved)
 
 
 @small

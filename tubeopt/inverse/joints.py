@@ -63,7 +63,16 @@ class JointSpace:
 
     def joint(self, q: Array) -> Array:
         """(2n,) rotations and translations of independent joint values."""
-        return np.asarray(self.spread @ q + self.offset)
+        return q if self.plain else np.asarray(self.spread @ q + self.offset)
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether every tube has a carriage of its own: rotations and translations are the independent joint values."""
+        return not self.offset.any() and np.array_equal(self.spread, np.eye(len(self.offset)))
+
+    def by_joints(self, slopes: Array) -> Array:
+        """(..., m) derivatives by independent joint values of those (..., 2n) by rotations and translations."""
+        return slopes if self.plain else np.asarray(slopes @ self.spread)
 
     def split(self, q: Array) -> tuple[Array, tuple[float, ...]]:
         """Rotations (n,) and translations (n,) of independent joint values."""
@@ -84,7 +93,7 @@ class JointSpace:
 
     def inequalities(self, q: Array) -> tuple[Array, Array]:
         """rows (2m + k, m) and bounds of a step from q that stays admissible."""
-        return self._sides, np.concatenate([self.lower - q, q - self.upper, self.least - self.rows @ q])
+        return self._sides, self._ends - self._sides @ q
 
     @cached_property
     def _sides(self) -> Array:
@@ -92,18 +101,28 @@ class JointSpace:
         unit = np.eye(len(self.scale))
         return np.vstack([unit, -unit, self.rows])
 
-    def free_sides(self, q: Array) -> tuple[int, ...]:
-        """(n,) of every tube: -1 where its translation can shrink from q but not grow, for its range or for the order
-        of the tubes, else 1."""
-        close, sides = 1e-9 * self.length, [1] * self.robot.n_tubes
-        high, low = (self.upper - q <= close).tolist(), (q - self.lower <= close).tolist()
-        for row in np.flatnonzero(self.rows @ q - self.least <= close):
+    @cached_property
+    def _ends(self) -> Array:
+        """(2m + k,) what these are at least."""
+        return np.concatenate([self.lower, -self.upper, self.least])
+
+    def free_sides(self, room: Array) -> tuple[int, ...]:
+        """(n,) of every tube: -1 where its translation can shrink but not grow, for its range or for the order of the
+        tubes, else 1; from the bounds (2m + k,) of `inequalities`."""
+        m, sides, held = len(self.scale), self._ahead, room >= -1e-9 * self.length
+        if not held.any():
+            return sides
+        low, high = held[:m].tolist(), held[m : 2 * m].tolist()
+        for row in np.flatnonzero(held[2 * m :]):
             for joint, sign in self._ordered[row]:
                 (low if sign > 0 else high)[joint] = True
-        for joint, tubes in enumerate(self.carriages, self.robot.n_tubes):
-            for tube in tubes if high[joint] and not low[joint] else ():
-                sides[tube] = -1
-        return tuple(sides)
+        back = [high[joint] and not low[joint] for joint in range(self.robot.n_tubes, m)]
+        held_back = {tube for tubes, one in zip(self.carriages, back, strict=True) for tube in tubes if one}
+        return tuple(-1 if tube in held_back else 1 for tube in range(self.robot.n_tubes))
+
+    @cached_property
+    def _ahead(self) -> tuple[int, ...]:
+        return (1,) * self.robot.n_tubes
 
     @cached_property
     def _ordered(self) -> list[list[tuple[int, float]]]:

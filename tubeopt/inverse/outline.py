@@ -7,7 +7,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..bodies.scene import Scene
+from ..bodies.scene import Lookout, Scene
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
@@ -29,6 +29,21 @@ MOST_CONTACTS = 6
 
 AHEAD, BEYOND = 5e-3, 1e-9
 """How much farther than is enough distances are measured, and beyond what is of interest, m."""
+
+
+PARTS = 4
+"""Pieces of the centreline between two shape points, at whose ends the arm is looked around from."""
+
+_SHARE = np.arange(1, PARTS)[:, None] / PARTS
+BETWEEN = np.hstack(
+    [
+        (1 + 2 * _SHARE) * (1 - _SHARE) ** 2,
+        _SHARE**2 * (3 - 2 * _SHARE),
+        _SHARE * (1 - _SHARE) ** 2,
+        -(_SHARE**2) * (1 - _SHARE),
+    ]
+)
+"""(PARTS - 1, 4) weights of both shape points, and of both tangents times the length between, in the points there."""
 
 
 @lru_cache(maxsize=64)
@@ -75,7 +90,8 @@ class _Near:
         return len(np.unique(self.contacts.body))
 
 
-NOWHERE = Contacts(np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
+NONE = np.zeros(0, dtype=int)
+NOWHERE = Contacts(NONE, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +145,8 @@ class Outline:
             return np.inf
         if scene in self._known and enough <= self._known[scene].within:
             near = self._known[scene]
+            if not len(near.row):
+                return near.within
             least = min(near.within, float(near.contacts.distance.min(initial=np.inf)))
             doubtful = near.row[near.at_least < min(enough, least)]
             return min(least, self._between(scene, doubtful)) if len(doubtful) else least
@@ -230,7 +248,27 @@ class Outline:
         known = self._known.get(scene)
         if known is None or not (known.within >= within or (fewest and known.bodies >= fewest and also <= known.also)):
             known = self._known[scene] = self._near(scene, within, fewest, also)
-        return known.contacts.chosen(known.contacts.distance <= within)
+        return known.contacts.chosen(known.contacts.distance <= within) if len(known.contacts.body) else NOWHERE
+
+    def look_around(self, lookout: Lookout, within: float) -> None:
+        """Look for contacts within a distance, m, unless a lookout knows that there are none."""
+        if lookout.far(*self._sparse(within)):
+            self._known[lookout.scene] = _Near(within, NOWHERE, NONE, np.zeros(0), frozenset())
+        else:
+            self.contacts(lookout.scene, within)
+
+    def _sparse(self, within: float) -> tuple[Array, Array]:
+        """Some points (p, 3) of the centreline, and distances (p,) from them, m, beyond which nothing is closer to the
+        surface than `within`: the shape points, and some between each and the next."""
+        arm = self.equilibrium
+        at, length = arm.position, arm.arc_length[1:] - arm.arc_length[:-1]
+        ahead = arm.frame[:, :, 2]
+        cells = np.concatenate([at[:-1], at[1:], ahead[:-1] * length[:, None], ahead[1:] * length[:, None]])
+        between = (BETWEEN @ cells.reshape(4, -1)).reshape(-1, 3)
+        half = length / (2 * PARTS)
+        reach = np.concatenate([half[:1], *[half] * PARTS])
+        np.maximum(reach[1 : len(length)], half[1:], out=reach[1 : len(length)])
+        return np.concatenate([at, between]), reach + (within + float(outer_radius(arm.robot).max()) + BEYOND)
 
     @cached_property
     def _known(self) -> dict[Scene, _Near]:

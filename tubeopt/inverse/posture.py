@@ -41,6 +41,11 @@ class Posture:
     q: Array
     equilibrium: Equilibrium
 
+    @cached_property
+    def room(self) -> Array:
+        """(2m + k,) bounds of a step that stays admissible, as `JointSpace.inequalities`."""
+        return self.space.inequalities(self.q)[1]
+
     @property
     def margin(self) -> float:
         """Stability margin."""
@@ -77,7 +82,7 @@ class Posture:
     @cached_property
     def _free(self) -> _Slopes:
         """Of each joint towards the side to which it is free to move, where it has but one."""
-        return self._slopes(self.space.free_sides(self.q))
+        return self._slopes(self.space.free_sides(self.room))
 
     def _slopes(self, sides: tuple[int, ...]) -> _Slopes:
         """Those that are asked for all the time, by the compiled kernel where it has them."""
@@ -89,8 +94,9 @@ class Posture:
             told = [[each.tip_position, each.tip_rotation, each.margin, each.position] for each in of]
             grows = np.array([*[1] * len(sides), *sides]) > 0
             parts = [np.where(grows, pair[-1], pair[0]) for pair in zip(*told, strict=True)]
-        position, turn, margin = (part @ self.space.spread for part in parts[:3])
-        return (position, turn, margin), parts[3]
+        position, turn, margin, along = parts
+        by_joints = self.space.by_joints
+        return (by_joints(position), by_joints(turn), by_joints(margin)), along
 
     @property
     def jacobian(self) -> tuple[Array, Array, Array]:
@@ -119,12 +125,12 @@ class Posture:
     @cached_property
     def bend_slope(self) -> Array:
         """(m,) change of `bend` per joint."""
-        return np.asarray(self.derivatives.bend @ self.space.spread)
+        return self.space.by_joints(self.derivatives.bend)
 
     def margin_slope(self) -> Array:
         """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
-        slope = self.jacobian[2]
-        return np.where(np.isfinite(slope), slope, 0.0)
+        slope, known = self.jacobian[2], np.isfinite(self.jacobian[2])
+        return slope if known.all() else np.where(known, slope, 0.0)
 
     @cached_property
     def outline(self) -> Outline:
@@ -140,7 +146,7 @@ class Posture:
         ends = np.where((arm.tube_end > 0) & (arm.tube_end < arm.arc_length[-1] - EDGE), arm.tube_end, np.nan)
         ahead = (away * _between(arm.arc_length, arm.frame[:, :, 2], contacts.place)).sum(1)
         slope[:, len(ends) :] += ahead[:, None] * (np.abs(contacts.place[:, None] - ends) <= EDGE)
-        return np.asarray(slope @ self.space.spread)
+        return self.space.by_joints(slope)
 
     def to(self, q: Array) -> Posture | None:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is

@@ -15,10 +15,11 @@ from .assembly import Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .friction import Friction, check_friction, per_pair
 from .limits import JointLimits
-from .robot import Robot
+from .robot import Robot, keeps_hash
 from .tubes import Tube
 
 
+@keeps_hash
 @dataclass(frozen=True)
 class ConcentricRobot(Displayed):
     """A concentric tube robot.

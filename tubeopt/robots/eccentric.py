@@ -17,6 +17,7 @@ from ..typing import Array, late
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
+from .robot import keeps_hash
 from .tubes import Tube, must_be_plain
 
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
@@ -28,6 +29,7 @@ def sheath_inner_diameter(outer_diameter: float) -> float:
     return (2 / math.sqrt(3) + 1) * outer_diameter
 
 
+@keeps_hash
 @dataclass(frozen=True)
 class EccentricRobot(Displayed):
     """A one-segment eccentric tube robot: three equal tubes at 0, 120 and -120 deg around the centreline.
@@ -133,6 +135,7 @@ class EccentricRobot(Displayed):
         late("tubeopt.robots.file.save_robot")(self, path)
 
 
+@keeps_hash
 @dataclass(frozen=True)
 class SegmentedEccentricRobot(Displayed):
     """An eccentric tube robot of k telescoping segments: at each of three places k tubes run one inside the other.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import reprlib
+from functools import lru_cache
 from os import PathLike
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 from ..errors import InputError
 from ..typing import Array
@@ -12,6 +13,8 @@ from .assembly import Assembly
 from .calibration import Calibration
 from .limits import JointLimits
 from .tubes import Tube
+
+Kept = TypeVar("Kept")
 
 
 class Robot(Protocol):
@@ -70,6 +73,25 @@ def check_robot(robot: object) -> None:
         )
 
 
+def keeps_hash(cls: type[Kept]) -> type[Kept]:
+    """A frozen dataclass whose objects reckon their hash once: what is built for a robot is looked up all the time.
+    It is not pickled, since words have another one in every process."""
+    reckoned: Any = cls.__hash__
+
+    def kept(self: Any) -> int:
+        if "_hash" not in self.__dict__:
+            object.__setattr__(self, "_hash", reckoned(self))
+        known: int = self._hash
+        return known
+
+    def state(self: Any) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_hash"}
+
+    cls.__hash__, cls.__getstate__ = kept, state  # type: ignore[method-assign]
+    return cls
+
+
+@lru_cache(maxsize=64)
 def is_general(robot: Robot) -> bool:
     """Whether a tube of the robot is made of pieces."""
     return any(tube.general for tube in robot.tubes)

@@ -1,4 +1,4 @@
-/* The tip of {name} is led around a circle at 1 kHz. */
+/* The tip of {name} is led around a circle at 1 kHz, then against a wall. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -25,6 +25,16 @@ int main(void) {
             printf("%4d ms: %.4f mm from the circle, margin %.4f, why %d\n", k, 1e3 * report.distance, pose.margin,
                    report.why);
     }
+#if TUBEOPT_BODIES
+    double wall = pose.position[0] + 2e-3, radius = 1e-3, clearance = 5e-4, along[2], ends[2][3];
+    command.position[0] = wall + 5e-3;
+    for (int k = 0; k < 500; k++) {
+        tubeopt_shape(robot, 2, along, ends); /* plate and tip */
+        tubeopt_contact tip = {along[1], {-1, 0, 0}, wall - radius - ends[1][0]};
+        if (tubeopt_servo_among(robot, &command, 1, &tip, clearance, &pose, &report)) return 1;
+    }
+    printf("the tip is %.4f mm from the wall, why %d\n", 1e3 * (wall - radius - pose.position[0]), report.why);
+#endif
     free(robot);
     return 0;
 }

@@ -34,7 +34,10 @@ struct tubeopt_memory {
     tubeopt_joints joints, origin;                      /* of the last one, and of that before */
     double rotation[N * MOST_SHAPE], torsion[N * MOST_SHAPE]; /* of the last one, by tubes */
     Slopes slopes;
-    Quadratic quadratic;
+#if TUBEOPT_BODIES
+    Along along[MOST_SHAPE];
+#endif
+    double rows[MOST_ROWS * JOINTS], bounds[MOST_ROWS], multipliers[MOST_ROWS]; /* of a servo step */
 #if TUBEOPT_LOADS
     int bears;
     tubeopt_load load;
@@ -48,6 +51,8 @@ struct tubeopt_memory {
 static void *room_of(tubeopt_memory *m) { return (char *)m + OWN_ROOM; }
 
 size_t tubeopt_memory_size(void) { return OWN_ROOM + tubeopt_bearing_size(); }
+
+static int bears(const tubeopt_memory *m) { return m->bears; }
 
 static double margin_here(const tubeopt_memory *m) {
     double own = m->answers[m->here].margin;
@@ -68,6 +73,7 @@ size_t tubeopt_memory_size(void) { return sizeof(tubeopt_memory); }
 
 static double margin_here(const tubeopt_memory *m) { return m->answers[m->here].margin; }
 static double next_margin(const tubeopt_memory *m) { return m->answers[!m->here].margin; }
+#define bears(memory) 0
 #define bear_to(memory, joints) 0
 #define accept_loaded(memory, joints)
 #endif
@@ -290,6 +296,15 @@ tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     return TUBEOPT_DONE;
 }
 
+/* The centreline between two of its points, at arc length s: cubic, with the tangents. */
+static void on_curve(const double *along, const double (*place)[3], const double (*frame)[9], int k, double s,
+                     double *out) {
+    double h = along[k + 1] - along[k], t = (s - along[k]) / h, u = 1 - t;
+    for (int r = 0; r < 3; r++)
+        out[r] = place[k][r] * (1 + 2 * t) * u * u + place[k + 1][r] * t * t * (3 - 2 * t) +
+                 h * t * u * (frame[k][3 * r + 2] * u - frame[k + 1][3 * r + 2] * t);
+}
+
 tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_length, double (*position)[3]) {
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (count < 2) return TUBEOPT_BAD_INPUT;
@@ -302,11 +317,8 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_len
     for (int c = 0; c < count; c++) {
         double s = along[last] * c / (count - 1);
         while (k + 1 < last && along[k + 1] < s) k++;
-        double h = along[k + 1] - along[k], t = (s - along[k]) / h, u = 1 - t;
         arc_length[c] = s;
-        for (int r = 0; r < 3; r++) /* cubic, with the tangents */
-            position[c][r] = place[k][r] * (1 + 2 * t) * u * u + place[k + 1][r] * t * t * (3 - 2 * t) +
-                             h * t * u * (frame[k][3 * r + 2] * u - frame[k + 1][3 * r + 2] * t);
+        on_curve(along, place, frame, k, s, position[c]);
     }
     return TUBEOPT_DONE;
 }

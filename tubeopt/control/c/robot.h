@@ -17,6 +17,7 @@ extern "C" {
 #define TUBEOPT_JOINTS (2 * TUBEOPT_TUBES) /* rotations, then translations */
 #define TUBEOPT_LOADS {loads}      /* whether the robot can bear loads */
 #define TUBEOPT_COMPLIANCE {compliance} /* whether the compliance of the tip is known */
+#define TUBEOPT_BODIES {bodies}     /* whether the servo keeps clear of bodies */
 
 typedef struct tubeopt_memory tubeopt_memory;
 
@@ -63,7 +64,8 @@ enum {
     TUBEOPT_AT_ORDER = 4,   /* tubes or carriages touch */
     TUBEOPT_AT_MARGIN = 8,  /* the margin is held at its floor: the tip slides along it */
     TUBEOPT_SHORTENED = 16, /* the guard has shortened the step */
-    TUBEOPT_HELD = 32       /* no step is safe: the robot stays where it is */
+    TUBEOPT_HELD = 32,      /* no step is safe: the robot stays where it is */
+    TUBEOPT_AT_BODY = 64    /* the arm slides along a body */
 };
 
 typedef struct {
@@ -118,6 +120,24 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *memory, int count, double *ar
    order and the floor of the margin, and its equilibrium was solved for, on the branch, before it is given out. */
 tubeopt_status tubeopt_servo(tubeopt_memory *memory, const tubeopt_command *command, tubeopt_pose *pose,
                              tubeopt_report *report);
+
+#if TUBEOPT_BODIES
+#define TUBEOPT_MOST_CONTACTS 32
+
+/* Where the arm comes close to a body: the arc length of the place, the unit vector from the body towards it, and how
+   far the surface of the arm is from the body there; m. */
+typedef struct {
+    double arc_length, normal[3], distance;
+} tubeopt_contact;
+
+/* As tubeopt_servo, of an arm without load: the places of `count` contacts stay on their side of the planes square to
+   their normals, `clearance` (m) away from the bodies, or no closer than they are. What bodies there are, and where the
+   arm is closest to them (tubeopt_shape tells its centreline), is for the caller to find before every step; who finds
+   that the arm has come too close elsewhere takes the step back by tubeopt_undo. */
+tubeopt_status tubeopt_servo_among(tubeopt_memory *memory, const tubeopt_command *command, int count,
+                                   const tubeopt_contact *contacts, double clearance, tubeopt_pose *pose,
+                                   tubeopt_report *report);
+#endif
 
 #ifdef __cplusplus
 }

@@ -5,13 +5,22 @@
 #define HALVINGS 4   /* of a step that the guard does not let pass */
 #define CLOSE 1e-9
 #define ROOM 0.01  /* of the margin above its floor, at which the tip slides: a step along the floor bends away from it */
-#define RISE 0.3   /* share of what joints could do for the margin that a step must do at most */
+#define RISE 0.3   /* share of what joints could do for margin or clearance that a step must do at most */
 
 typedef struct {
     double task[6][JOINTS], missing[6]; /* by independent joints over their scale */
-    double margin[JOINTS], low[JOINTS], high[JOINTS];
+    double margin[JOINTS], rate[JOINTS], low[JOINTS], high[JOINTS];
     int rows, why;
 } Aim;
+
+/* What the arm is to keep clear of. */
+typedef struct {
+    int count;
+    double clearance;
+#if TUBEOPT_BODIES
+    const tubeopt_contact *contacts;
+#endif
+} Bodies;
 
 /* Derivatives (2 n) by rotations and translations, by independent joints over their scale. */
 static void by_joints(const double *slope, double *out) {
@@ -67,70 +76,67 @@ static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, 
     aim->rows = 6;
 }
 
+/* Room for one row more, whose bound is known. */
+static double *new_row(Quadratic *p, double bound) {
+    p->bounds[p->count] = bound;
+    return p->rows + JOINTS * p->count++;
+}
+
+#if TUBEOPT_BODIES
+#include "contacts.c"
+#else
+#define keep_clear(memory, bodies, rise, program, aim) (void)(bodies)
+#define too_close(memory, bodies) 0
+#endif
+
 /* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
    than `rise`; where that is 0, to stay keeps them all. */
-static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Quadratic *p,
-                  Aim *aim) {
+static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, const double *q, double rise,
+                  Quadratic *p, Aim *aim) {
     p->count = 0;
     for (int k = 0; k < JOINTS; k++) {
         double rate = fmin((k < N ? c->turn_rate : c->shift_rate) * c->step, k < N ? LARGEST_TURN : LARGEST_SHIFT * LONGEST_TUBE);
+        aim->rate[k] = rate / SCALE[k];
         aim->low[k] = fmin(0, fmax(-rate, LOWER[k] - q[k])) / SCALE[k];
         aim->high[k] = fmax(0, fmin(rate, UPPER[k] - q[k])) / SCALE[k];
-        for (int side = 0; side < 2; side++, p->count++) {
-            memset(p->rows[p->count], 0, sizeof p->rows[p->count]);
-            p->rows[p->count][k] = side ? -1 : 1;
-            p->bounds[p->count] = side ? -aim->high[k] : aim->low[k];
+        for (int side = 0; side < 2; side++) {
+            double *row = new_row(p, side ? -aim->high[k] : aim->low[k]);
+            memset(row, 0, JOINTS * sizeof(double));
+            row[k] = side ? -1 : 1;
         }
     }
-    for (int r = 0; r < ORDERS; r++, p->count++) {
-        double gap = LEAST[r];
-        for (int k = 0; k < JOINTS; k++) {
-            gap -= ORDER[r * JOINTS + k] * q[k];
-            p->rows[p->count][k] = ORDER[r * JOINTS + k] * SCALE[k];
-        }
-        p->bounds[p->count] = fmin(gap, 0);
+    for (int r = 0; r < ORDERS; r++) {
+        double *row = new_row(p, fmin(LEAST[r] - dot(ORDER + r * JOINTS, q, JOINTS), 0));
+        for (int k = 0; k < JOINTS; k++) row[k] = ORDER[r * JOINTS + k] * SCALE[k];
     }
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
-    memcpy(p->rows[p->count], aim->margin, sizeof aim->margin);
-    p->bounds[p->count++] = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_here(m)), RISE * most), rise);
+    double raised = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_here(m)), RISE * most), rise);
+    memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
+    keep_clear(m, bodies, rise, p, aim);
 }
 
 /* The step (n) over the joints' scale that brings the tip closest, in least squares with a little damping, and within
    what that leaves free towards a larger margin. 0 where there is none. */
-static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Aim *aim,
-                        double *step) {
-    Quadratic *p = &m->quadratic;
-    double matrix[JOINTS][JOINTS], pull[JOINTS], row[JOINTS];
-    hedge(m, c, q, rise, p, aim);
+static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, const double *q, double rise,
+                        Aim *aim, double *step) {
+    double matrix[(6 + JOINTS) * JOINTS], right[6 + JOINTS];
+    Quadratic p = {m->rows, m->bounds, m->multipliers, JOINTS, 0, {0}, 0};
+    hedge(m, c, bodies, q, rise, &p, aim);
     double steep = sqrt(dot(aim->margin, aim->margin, JOINTS)), push = steep > 0 ? c->push * c->turn_rate * c->step / steep : 0;
-    for (int i = 0; i < JOINTS; i++) {
-        pull[i] = DAMPING * DAMPING * push * aim->margin[i];
-        for (int j = 0; j < JOINTS; j++) matrix[i][j] = i == j ? DAMPING * DAMPING : 0;
-        for (int r = 0; r < aim->rows; r++) {
-            pull[i] += aim->task[r][i] * aim->missing[r];
-            for (int j = 0; j < JOINTS; j++) matrix[i][j] += aim->task[r][i] * aim->task[r][j];
-        }
+    memset(matrix, 0, sizeof matrix);
+    memcpy(matrix, aim->task, aim->rows * sizeof aim->task[0]);
+    memcpy(right, aim->missing, aim->rows * sizeof(double));
+    for (int k = 0, r = aim->rows; k < JOINTS; k++, r++) {
+        matrix[r * JOINTS + k] = DAMPING;
+        right[r] = DAMPING * push * aim->margin[k];
     }
-    for (int j = 0; j < JOINTS; j++) { /* matrix = L L', L in its lower triangle */
-        matrix[j][j] = sqrt(matrix[j][j] - dot(matrix[j], matrix[j], j));
-        for (int i = j + 1; i < JOINTS; i++) matrix[i][j] = (matrix[i][j] - dot(matrix[i], matrix[j], j)) / matrix[j][j];
-    }
-    for (int k = -1; k < p->count; k++) { /* y = L' step: rows L^-1, and what is pulled at */
-        double *v = k < 0 ? pull : p->rows[k];
-        for (int i = 0; i < JOINTS; i++) v[i] = (v[i] - dot(matrix[i], v, i)) / matrix[i][i];
-    }
-    if (!least_quadratic(p, pull, row)) return 0;
-    for (int i = JOINTS - 1; i >= 0; i--) {
-        step[i] = row[i];
-        for (int j = i + 1; j < JOINTS; j++) step[i] -= matrix[j][i] * step[j];
-        step[i] /= matrix[i][i];
-    }
+    if (!least_squares(&p, aim->rows + JOINTS, matrix, right, step)) return 0;
     aim->why = 0;
-    for (int k = 0; k < p->actives; k++) {
-        int r = p->active[k], joint = r / 2;
+    for (int k = 0; k < p.actives; k++) {
+        int r = p.active[k], joint = r / 2;
         if (r >= 2 * JOINTS)
-            aim->why |= r < 2 * JOINTS + ORDERS ? TUBEOPT_AT_ORDER : TUBEOPT_AT_MARGIN;
+            aim->why |= r < 2 * JOINTS + ORDERS ? TUBEOPT_AT_ORDER : r == 2 * JOINTS + ORDERS ? TUBEOPT_AT_MARGIN : TUBEOPT_AT_BODY;
         else {
             double end = r % 2 ? UPPER[joint] - q[joint] : q[joint] - LOWER[joint], used = fabs(step[joint]) * SCALE[joint];
             aim->why |= end <= used + CLOSE ? TUBEOPT_AT_RANGE : TUBEOPT_AT_RATE;
@@ -145,7 +151,8 @@ static int commanded(const tubeopt_command *c) {
     return isfinite(sum) && c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
 }
 
-tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeopt_pose *pose, tubeopt_report *report) {
+static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, tubeopt_pose *pose,
+                                 tubeopt_report *report) {
     Aim aim;
     tubeopt_joints next;
     double q[JOINTS], step[JOINTS], there[JOINTS], floor;
@@ -163,7 +170,7 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
     aim_at(m, c, &aim, report);
     independent(&m->joints, q);
     floor = fmin(c->min_margin, margin_here(m)); /* what is below it does not get worse */
-    if (step_towards(m, c, q, 1, &aim, step) || step_towards(m, c, q, 0, &aim, step)) {
+    if (step_towards(m, c, bodies, q, 1, &aim, step) || step_towards(m, c, bodies, q, 0, &aim, step)) {
         double share = 1;
         for (int k = 0; k < JOINTS; k++) step[k] = fmin(fmax(step[k], aim.low[k]), aim.high[k]); /* of rounding */
         for (int half = 0; half <= HALVINGS; half++, share /= 2) {
@@ -171,7 +178,7 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
                 there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
             dependent(there, &next);
             report->solves++;
-            if (step_to(m, &next) || bear_to(m, &next) || next_margin(m) < floor) continue;
+            if (step_to(m, &next) || bear_to(m, &next) || next_margin(m) < floor || too_close(m, bodies)) continue;
             accept(m, &next);
             accept_loaded(m, &next);
             report->why = aim.why | (half ? TUBEOPT_SHORTENED : 0);
@@ -182,3 +189,22 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
     tell(m, pose);
     return TUBEOPT_DONE;
 }
+
+tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeopt_pose *pose, tubeopt_report *report) {
+    const Bodies none = {0};
+    return servo_step(m, c, &none, pose, report);
+}
+
+#if TUBEOPT_BODIES
+tubeopt_status tubeopt_servo_among(tubeopt_memory *m, const tubeopt_command *c, int count,
+                                   const tubeopt_contact *contacts, double clearance, tubeopt_pose *pose,
+                                   tubeopt_report *report) {
+    const Bodies bodies = {count, clearance, contacts};
+    double sum = clearance;
+    if (!m->started) return TUBEOPT_NOT_STARTED;
+    if (count < 0 || count > TUBEOPT_MOST_CONTACTS || bears(m)) return TUBEOPT_BAD_INPUT;
+    for (int k = 0; k < count; k++)
+        sum += contacts[k].arc_length + dot(contacts[k].normal, contacts[k].normal, 3) + contacts[k].distance;
+    return isfinite(sum) ? servo_step(m, c, &bodies, pose, report) : TUBEOPT_BAD_INPUT;
+}
+#endif

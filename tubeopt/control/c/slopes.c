@@ -12,5 +12,5 @@ static int look_ahead(tubeopt_memory *m, int exact) {
         asked.carriage[i] = CARRIAGES[i];
         asked.side[i] = !exact && blocked[N + CARRIAGES[i]] ? -1 : 1;
     }
-    return !slopes_of(&asked, &m->work, m->answers + m->here, &m->slopes, NULL);
+    return !slopes_of(&asked, &m->work, m->answers + m->here, &m->slopes, exact ? NULL : m->along);
 }

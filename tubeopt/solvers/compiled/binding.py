@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,7 @@ class _Guess(ctypes.Structure):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+class Start(NamedTuple):
     """Where to start from: rotation and torsion (n, m) of another arm at arc_length (m,), its solution at collocation
     points (N,), (N, n), the turn (n,) to add, and its translations (n,)."""
 
@@ -65,15 +64,15 @@ class _Room:
     workspace: Array
     fields: dict[str, Any]
     at: tuple[int, int]
-    solved: tuple[Any, Array] | None = None
+    solved: tuple[Any, bytes] | None = None
 
-    def has(self, tubes: Any, joints: Array, start: Start) -> bool:
-        """Whether it holds that of tubes at joint values (2n,) which a start is."""
-        if self.solved is None or self.solved[0] is not tubes or not (self.solved[1] == joints).all():
+    def has(self, tubes: Any, joints: bytes, start: Start) -> bool:
+        """Whether it holds that of tubes at joint values which a start is."""
+        if self.solved is None or self.solved[0] is not tubes or self.solved[1] != joints:
             return False
         count = len(start.point)
-        mine = int(self.fields["points"]) == count
-        return mine and bool((self.fields["point_rotation"][:count] == start.point_rotation).all())
+        mine = self.fields["point_rotation"][:count]
+        return int(self.fields["points"]) == count and bool(mine.tobytes() == start.point_rotation.tobytes())
 
 
 _rooms = threading.local()
@@ -188,6 +187,11 @@ def _at(array: NDArray[Any]) -> int:
     return int(array.ctypes.data)
 
 
+def _place(array: Any) -> int:
+    """The same of one that may be written to and is not empty, in a third of the time."""
+    return ctypes.addressof(ctypes.c_double.from_buffer(array))
+
+
 def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[Array, int, int, Any]:
     """All that goes in, in one piece of memory, since asking NumPy for an address takes a microsecond: that memory,
     where rotations and translations are in it, and the C struct Guess."""
@@ -195,8 +199,8 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
     if start is not None:
         parts += [start.arc_length, start.rotation, start.torsion, start.point, start.point_rotation, start.turn]
         parts.append(start.translations)
-    flat = np.concatenate([part.ravel() for part in parts])
-    places = [_at(flat)]
+    flat = np.concatenate(parts, axis=None)
+    places = [_place(flat)]
     for part in parts:
         places.append(places[-1] + 8 * part.size)
     if start is None:
@@ -222,12 +226,11 @@ def solve_compiled(
     room.fields["loading"] = time.perf_counter() - began
     memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
-    room.solved = (prepared, memory[: 2 * len(rotations)]) if status == SOLVED else None
+    room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
     return room.fields if status == SOLVED else None
 
 
-@dataclass(frozen=True, eq=False)
-class Slopes:
+class Slopes(NamedTuple):
     """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
     2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load, None where not asked for;
     and derivatives of the shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm
@@ -258,8 +261,8 @@ def slopes_compiled(
     if prepared is None or prepared[0].differentiate is None:
         return None
     kernel, n = prepared[0], robot.n_tubes
-    room, joints = room_of(kernel), np.concatenate([rotations, translations])
-    same = room.has(prepared, joints, start)
+    room = room_of(kernel)
+    same = room.has(prepared, rotations.tobytes() + translations.tobytes(), start)
     if not same and solve_compiled(robot, rotations, translations, start) is None:
         return None
     points = int(room.fields["pieces"]) * STEPS + 1
@@ -267,8 +270,8 @@ def slopes_compiled(
     same = same or (points == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF))
     whole = 14 * n + 2 * n * n + 36
     out = np.empty(whole + points * 6 * n)
-    at = _at(out)
-    if not kernel.differentiate(_asked(robot.moving_together, sides, compliance)[1], *room.at, at, at + 8 * whole):
+    at = _place(out)
+    if not kernel.differentiate(_asked(robot, sides, compliance)[1], *room.at, at, at + 8 * whole):
         return None
     by_joint = out[: 14 * n + 2 * n * n].reshape(7 + n, 2 * n)
     return Slopes(
@@ -282,13 +285,11 @@ def slopes_compiled(
 
 
 @lru_cache(maxsize=256)
-def _asked(
-    together: tuple[tuple[int, ...], ...], sides: tuple[int, ...], compliance: bool
-) -> tuple[NDArray[np.int64], int]:
-    """(2 n + 1,) the C struct Asked of tubes that move together, and where it is."""
+def _asked(robot: Robot, sides: tuple[int, ...], compliance: bool) -> tuple[NDArray[np.int64], int]:
+    """(2 n + 1,) the C struct Asked, and where it is."""
     n = len(sides)
     out = np.zeros(2 * n + 1, dtype=np.int64)
-    for k, tubes in enumerate(together):
+    for k, tubes in enumerate(robot.moving_together):
         out[list(tubes)] = k
     out[n:-1], out[-1] = sides, compliance
     return out, _at(out)

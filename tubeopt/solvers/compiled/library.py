@@ -99,6 +99,7 @@ class Library:
     method: Any
     answer: np.dtype[np.void]
     workspace_size: int
+    constrained: Any
     differentiate: Any = None
     """None where the kernel has no derivatives."""
 
@@ -360,10 +361,11 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     loaded.solve.argtypes = [pointer] * 7
     loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     loaded.solve_many.restype = None
+    loaded.constrained.argtypes = [whole] * 3 + [pointer] * 3
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size()
+    parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size(), loaded.constrained
     if eccentric or general:
         return Library(n, path, *parts)
     loaded.differentiate.argtypes = [pointer] * 5

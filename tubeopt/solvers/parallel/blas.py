@@ -4,8 +4,7 @@ takes longer than to factor it, and on a busy machine, where a thread waits for 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import lru_cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -28,19 +27,19 @@ def _libraries() -> list[Any]:
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)
 
 
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
+class one_blas_thread:  # noqa: N801
     """Linear algebra runs in one thread inside of the block, and in as many as before after it. For all threads of the
     process, since libraries know no other way; blocks may lie within each other and beside each other."""
-    with _LOCK:
-        _INSIDE[0] += 1
-        if _INSIDE[0] == 1:
-            _BEFORE[:] = [(one, count) for one in _libraries() if (count := one.get_num_threads()) > 1]
-            for one, _ in _BEFORE:
-                one.set_num_threads(1)
-    try:
-        yield
-    finally:
+
+    def __enter__(self) -> None:
+        with _LOCK:
+            _INSIDE[0] += 1
+            if _INSIDE[0] == 1:
+                _BEFORE[:] = [(one, count) for one in _libraries() if (count := one.get_num_threads()) > 1]
+                for one, _ in _BEFORE:
+                    one.set_num_threads(1)
+
+    def __exit__(self, *_: object) -> None:
         with _LOCK:
             _INSIDE[0] -= 1
             if not _INSIDE[0]:

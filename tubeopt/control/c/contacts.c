@@ -1,0 +1,56 @@
+#define APART 1e-5 /* m above the clearance, at which the arm slides: a straight step bends towards the body */
+#define EDGE 1e-9  /* of the end of a tube, m, within which a contact moves along with it */
+
+/* The piece of a curve (last + 1 points) in which arc length s lies. */
+static int piece_at(const double *along, int last, double s) {
+    int k = 0;
+    while (k + 2 <= last && along[k + 1] <= s) k++;
+    return k;
+}
+
+/* Whether a contact is at the edge where a tube ends before the tip. */
+static int at_edge(const Answer *a, int tube, double s) {
+    double end = a->tube_end[tube], tip = a->arc_length[a->pieces * STEPS];
+    return end > 0 && end < tip - EDGE && fabs(s - end) <= EDGE;
+}
+
+/* Rows of the contacts that a step within the rates could bring too close. */
+static void keep_clear(const tubeopt_memory *m, const Bodies *bodies, double rise, Quadratic *p, const Aim *aim) {
+    const Answer *a = m->answers + m->here;
+    int last = (int)a->pieces * STEPS;
+    for (int i = 0; i < bodies->count; i++) {
+        const tubeopt_contact *contact = bodies->contacts + i;
+        double s = contact->arc_length, by[2 * N] = {0}, row[JOINTS], most = 0;
+        double least = 0.5 * (bodies->clearance + APART - contact->distance);
+        int k = piece_at(a->arc_length, last, s);
+        double x = (s - a->arc_length[k]) / (a->arc_length[k + 1] - a->arc_length[k]);
+        for (int r = 0; r < 3; r++) {
+            double ahead = (1 - x) * a->frame[k][3 * r + 2] + x * a->frame[k + 1][3 * r + 2];
+            for (int j = 0; j < 2 * N; j++)
+                by[j] += contact->normal[r] * ((1 - x) * m->along[k][r][j] + x * m->along[k + 1][r][j]);
+            for (int j = 0; j < N; j++)
+                if (at_edge(a, j, s)) by[N + j] += contact->normal[r] * ahead;
+        }
+        by_joints(by, row);
+        for (int j = 0; j < JOINTS; j++) most += fabs(row[j]) * aim->rate[j];
+        if (most >= -least) memcpy(new_row(p, fmin(fmin(least, RISE * most), rise)), row, sizeof row);
+    }
+}
+
+/* Whether the next answer brings a contact closer than it may. */
+static int too_close(const tubeopt_memory *m, const Bodies *bodies) {
+    const Answer *here = m->answers + m->here, *next = m->answers + !m->here;
+    int last = (int)here->pieces * STEPS, end = (int)next->pieces * STEPS;
+    for (int i = 0; i < bodies->count; i++) {
+        const tubeopt_contact *contact = bodies->contacts + i;
+        double s = contact->arc_length, then = s, was[3], is[3], distance = contact->distance;
+        for (int j = 0; j < N; j++)
+            if (at_edge(here, j, s)) then = next->tube_end[j];
+        if (s >= here->arc_length[last] - EDGE || then > next->arc_length[end]) then = next->arc_length[end];
+        on_curve(here->arc_length, here->position, here->frame, piece_at(here->arc_length, last, s), s, was);
+        on_curve(next->arc_length, next->position, next->frame, piece_at(next->arc_length, end, then), then, is);
+        for (int r = 0; r < 3; r++) distance += contact->normal[r] * (is[r] - was[r]);
+        if (distance < bodies->clearance && distance < contact->distance) return 1;
+    }
+    return 0;
+}

@@ -1,0 +1,138 @@
+/* Least squares with linear inequalities in few variables: by a triangle a quadratic program of least distance, and that
+   by the dual method of Goldfarb and Idnani, Math. Programming 27 (1983), with the active rows orthogonalised anew at
+   each change. */
+
+#define MOST_VARIABLES (2 * N)
+#define MOST_CHANGES 100
+
+/* rows x >= bounds, (count, n) and (count), with what each is pushed by; numbers of the rows that are active. */
+typedef struct {
+    double *rows, *bounds, *multipliers;
+    int n, count, active[MOST_VARIABLES], actives;
+} Quadratic;
+
+/* Of a row: what the active rows leave of it, `along` (n), and its coefficients `by` in them. */
+static void split_row(const Quadratic *q, const double *row, double *along, double *by) {
+    double base[MOST_VARIABLES][MOST_VARIABLES], part[MOST_VARIABLES][MOST_VARIABLES], gain[MOST_VARIABLES];
+    int n = q->n;
+    memcpy(along, row, n * sizeof(double));
+    for (int k = 0; k < q->actives; k++) { /* modified Gram-Schmidt, R in `part` */
+        memcpy(base[k], q->rows + n * q->active[k], n * sizeof(double));
+        for (int j = 0; j < k; j++) {
+            part[j][k] = dot(base[j], base[k], n);
+            for (int c = 0; c < n; c++) base[k][c] -= part[j][k] * base[j][c];
+        }
+        part[k][k] = sqrt(dot(base[k], base[k], n));
+        for (int c = 0; c < n; c++) base[k][c] /= part[k][k];
+        gain[k] = dot(base[k], along, n);
+        for (int c = 0; c < n; c++) along[c] -= gain[k] * base[k][c];
+    }
+    for (int k = q->actives - 1; k >= 0; k--) {
+        by[k] = gain[k];
+        for (int j = k + 1; j < q->actives; j++) by[k] -= part[k][j] * by[j];
+        by[k] /= part[k][k];
+    }
+}
+
+static void drop_row(Quadratic *q, int which) {
+    q->multipliers[q->active[which]] = 0;
+    for (int k = which; k + 1 < q->actives; k++) q->active[k] = q->active[k + 1];
+    q->actives--;
+}
+
+/* The row that is violated most, of unit length; -1 where none is. */
+static int worst_row(const Quadratic *q, const double *x) {
+    int worst = -1;
+    double most = 1e-12;
+    for (int r = 0; r < q->count; r++) {
+        double missed = q->bounds[r] - dot(q->rows + q->n * r, x, q->n);
+        if (missed <= most) continue;
+        most = missed;
+        worst = r;
+    }
+    return worst;
+}
+
+/* min |x - a|^2 subject to the rows; 0 where no x keeps them. They are made of unit length, those without length are
+   left out. */
+static int least_distance(Quadratic *q, const double *a, double *x) {
+    int n = q->n, row;
+    for (int r = 0; r < q->count; r++) {
+        double *own = q->rows + n * r, length = sqrt(dot(own, own, n)), scale = length > 0 ? 1 / length : 0;
+        for (int c = 0; c < n; c++) own[c] *= scale;
+        q->bounds[r] = length > 0 ? q->bounds[r] * scale : -1;
+        q->multipliers[r] = 0;
+    }
+    memcpy(x, a, n * sizeof(double));
+    q->actives = 0;
+    row = worst_row(q, x);
+    for (int change = 0; row >= 0; change++) {
+        double along[MOST_VARIABLES], by[MOST_VARIABLES], whole, shortest = INFINITY;
+        int leaving = -1;
+        if (change == MOST_CHANGES) return 0;
+        split_row(q, q->rows + n * row, along, by);
+        whole = dot(along, along, n);
+        for (int k = 0; k < q->actives; k++)
+            if (by[k] > 1e-14 && q->multipliers[q->active[k]] / by[k] < shortest) {
+                shortest = q->multipliers[q->active[k]] / by[k];
+                leaving = k;
+            }
+        int independent = whole > 1e-20 && q->actives < n;
+        double missed = q->bounds[row] - dot(q->rows + n * row, x, n);
+        double full = independent ? missed / whole : INFINITY, step = fmin(full, shortest);
+        if (!isfinite(step)) return 0;
+        for (int c = 0; c < n && independent; c++) x[c] += step * along[c];
+        for (int k = 0; k < q->actives; k++) q->multipliers[q->active[k]] -= step * by[k];
+        q->multipliers[row] += step;
+        if (full <= shortest) {
+            q->active[q->actives++] = row;
+            row = worst_row(q, x);
+        } else {
+            drop_row(q, leaving);
+        }
+    }
+    return 1;
+}
+
+/* matrix (count, n) = Q R by reflections: R in its upper triangle, the first n of Q' right in `right`; 0 where columns
+   depend on each other. */
+static int triangle(int n, int count, double *matrix, double *right) {
+    for (int k = 0; k < n; k++) {
+        double square = 0, head = matrix[k * n + k], length;
+        for (int r = k; r < count; r++) square += matrix[r * n + k] * matrix[r * n + k];
+        length = head > 0 ? -sqrt(square) : sqrt(square);
+        if (!(square > 0)) return 0;
+        matrix[k * n + k] = head - length; /* v, for which v'v / 2 = length (length - head) */
+        for (int c = k + 1; c <= n; c++) {
+            double *column = c < n ? matrix + c : right, part = 0;
+            int stride = c < n ? n : 1;
+            for (int r = k; r < count; r++) part += matrix[r * n + k] * column[r * stride];
+            part /= length * (length - head);
+            for (int r = k; r < count; r++) column[r * stride] -= part * matrix[r * n + k];
+        }
+        matrix[k * n + k] = length;
+    }
+    return 1;
+}
+
+/* min |matrix x - right| subject to the rows, of a matrix (count, n) of full rank; 0 where no x keeps the rows. All is
+   written over. */
+static int least_squares(Quadratic *q, int count, double *matrix, double *right, double *x) {
+    int n = q->n;
+    double y[MOST_VARIABLES];
+    if (count < n || !triangle(n, count, matrix, right)) return 0;
+    for (int r = 0; r < q->count; r++) { /* y = R x: rows R^-1 */
+        double *v = q->rows + n * r;
+        for (int i = 0; i < n; i++) {
+            for (int j = 0; j < i; j++) v[i] -= matrix[j * n + i] * v[j];
+            v[i] /= matrix[i * n + i];
+        }
+    }
+    if (!least_distance(q, right, y)) return 0;
+    for (int i = n - 1; i >= 0; i--) {
+        x[i] = y[i];
+        for (int j = i + 1; j < n; j++) x[i] -= matrix[i * n + j] * x[j];
+        x[i] /= matrix[i * n + i];
+    }
+    return 1;
+}
