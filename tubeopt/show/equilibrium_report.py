@@ -95,7 +95,8 @@ def _loose(e: Equilibrium) -> str | None:
 def _how(e: Equilibrium) -> str:
     s = e.statistics
     loading = f", after {s.loading * TO_MILLI:.0f} ms to get its kernel ready" if s.loading > NOTICED else ""
-    return f"in {s.seconds * TO_MILLI:.2f} ms by {s.method}, {counted(s.iterations, 'iteration')}, from {s.start}{loading}"
+    work = f"{s.method}, {counted(s.iterations, 'iteration')}"
+    return f"in {s.seconds * TO_MILLI:.2f} ms by {work}, from {s.start}{loading}"
 
 
 class EquilibriumReport(Report[Equilibrium]):
