@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from tests.command_line import COLOUR, ROOT, THESIS
 from tubeopt import __version__
 
