@@ -16,7 +16,8 @@ import tubeopt
 from tubeopt.control.ahead import PredictiveServo
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.servo import Servo
-from tubeopt.show.plots.style import new_figure, picture, tube_colour
+from tubeopt.show.colours import tube_colour
+from tubeopt.show.plots.style import new_figure, picture
 from tubeopt.typing import Array
 
 if TYPE_CHECKING:

@@ -22,7 +22,8 @@ from tubeopt.shaping.heating.calibration import FACTORS, calibrate
 from tubeopt.shaping.heating.logged import HeatingLog
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.show.plots.style import new_figure, tube_colour
+from tubeopt.show.colours import tube_colour
+from tubeopt.show.plots.style import new_figure
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACES = np.linspace(-0.045, 0.045, 10)

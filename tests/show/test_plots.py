@@ -16,13 +16,14 @@ from PIL import Image
 
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
 from tubeopt.robots.load import PointForce
+from tubeopt.show.arm_surfaces import Centreline, exposed, ring_surface, robot_parts, tube_surface
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, tube_colour
-from tubeopt.show.plots.mesh import Centreline, Mesh, ring_mesh, tube_mesh
-from tubeopt.show.plots.shape import exposed, forces, robot_mesh
+from tubeopt.show.plots.mesh import Mesh, facets_of
+from tubeopt.show.plots.shape import forces, robot_mesh
 from tubeopt.show.plots.stage import Box, View, rule_step, widest_view
 from tubeopt.show.plots.style import number
 from tubeopt.show.plots.torsion import breakpoints
-from tubeopt.show.plots.trajectory import arm_mesh
+from tubeopt.show.plots.trajectory import SWEEPING
 
 ROBOT = ConcentricRobot(
     (
@@ -59,21 +60,21 @@ def distance_to_circle(points: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndar
 
 def test_tube_surface_has_the_true_radius(circle: Equilibrium) -> None:
     line, s = Centreline(circle), np.linspace(0.0, 0.1, 40)
-    mesh = tube_mesh(line, s, 1e-3, RED)
+    mesh = facets_of(tube_surface(line, s, 1e-3, np.zeros(2), sides=24), RED)
     first = mesh.corners.reshape(39, 24, 4, 3)[:, :, :2]
     np.testing.assert_allclose(np.linalg.norm(first - line.position(s[:-1])[:, None, None], axis=-1), 1e-3, rtol=1e-12)
     np.testing.assert_allclose(distance_to_circle(mesh.corners), 1e-3, rtol=1e-3)
 
 
 def test_normals_point_outwards(circle: Equilibrium) -> None:
-    mesh = tube_mesh(Centreline(circle), np.linspace(0.0, 0.1, 40), 1e-3, RED)
+    mesh = facets_of(tube_surface(Centreline(circle), np.linspace(0.0, 0.1, 40), 1e-3, np.zeros(2), sides=24), RED)
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
     middle = mesh.corners.mean(axis=1)
     assert np.all(distance_to_circle(middle + 1e-4 * mesh.normals) > distance_to_circle(middle) + 0.9e-4)
 
 
 def test_ring_lies_across_the_arm(actuated: Equilibrium) -> None:
-    mesh = ring_mesh(Centreline(actuated), 0.2, (0.4e-3, 0.5e-3), RED)
+    mesh = facets_of(ring_surface(Centreline(actuated), 0.2, (0.4e-3, 0.5e-3), np.zeros(2), sides=24), RED)
     from_tip = mesh.corners - actuated.tip_position
     np.testing.assert_allclose(from_tip @ actuated.tip_rotation[:, 2], 0.0, atol=1e-12)
     radii = np.linalg.norm(from_tip, axis=-1)
@@ -321,7 +322,7 @@ def test_a_following_force_turns_with_the_tip_in_the_picture() -> None:
 
 def test_arms_of_a_plan_are_round_along_their_length(circle: Equilibrium) -> None:
     """No facet of the tube turns by more than 2 deg along the arm, whatever its size."""
-    corners = arm_mesh(circle, 1.0).corners.reshape(-1, 10, 4, 3).mean(axis=(1, 2))
+    corners = robot_parts(circle, SWEEPING)[0].surface.vertices.reshape(-1, 10, 3).mean(axis=1)
     steps = np.diff(corners, axis=0)
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     turns = np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(1), -1, 1)))

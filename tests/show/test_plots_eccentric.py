@@ -12,9 +12,10 @@ from tests.examples import CONFIGS, MM, THESIS
 from tubeopt import EccentricRobot, Equilibrium, InputError, SegmentedEccentricRobot, forward_kinematics, load_robot
 from tubeopt.equilibrium.centrelines import tube_centrelines
 from tubeopt.inverse.mirror import ASSIGNMENTS, mirror_rotations, permuted_tips
+from tubeopt.show.arm_surfaces import SHEATH_COLOUR, SHEATH_OPACITY, bundles
 from tubeopt.show.plots import plot_shape
 from tubeopt.show.plots.eccentric import Curve, Permutations, arm_curve, plot_permutations, plot_reach
-from tubeopt.show.plots.shape import SHEATH_COLOUR, bundles, robot_mesh
+from tubeopt.show.plots.shape import CLOSE_UP, robot_mesh
 from tubeopt.show.plots.stage import View, facets
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
@@ -49,7 +50,7 @@ def test_concentric_tubes_stand_alone() -> None:
 
 
 def test_tubes_are_drawn_at_their_places(bent: Equilibrium) -> None:
-    mesh = robot_mesh(bent, window=(90 * MM, 95 * MM))
+    mesh = robot_mesh(bent, window=(90 * MM, 95 * MM), detail=CLOSE_UP)
     tips = tube_centrelines(bent)[:, -1]
     at_end = mesh.corners.reshape(-1, 3)
     at_end = at_end[np.abs((at_end - bent.tip_position) @ bent.tip_rotation[:, 2]) < 1e-9]
@@ -63,9 +64,8 @@ def test_tubes_are_drawn_at_their_places(bent: Equilibrium) -> None:
 
 def test_the_sheath_is_translucent_and_holds_all(bent: Equilibrium) -> None:
     mesh = robot_mesh(bent)
-    assert mesh.lift is not None
     sheath = mesh.colours[:, 3] < 1
-    assert np.allclose(mesh.colours[sheath], SHEATH_COLOUR)
+    assert np.allclose(mesh.colours[sheath], [*(c / 255 for c in SHEATH_COLOUR), SHEATH_OPACITY])
     assert (mesh.lift[sheath] > 0).all()
     assert (mesh.lift[~sheath] == 0).all()
     first = mesh.corners[sheath].reshape(-1, 48, 4, 3)[0, :, :2]

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 import tubeopt
 from tests.examples import CONFIGS, THESIS
 from tubeopt.errors import InputError
-from tubeopt.show.plots.mesh import Centreline
-from tubeopt.show.solids import CHORD, pieces, stretches
+from tubeopt.show.arm_surfaces import Centreline, visible
+from tubeopt.show.solids import CHORD, pieces
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def test_surfaces_are_closed_and_of_the_volume_of_the_tubes(
 ) -> None:
     trimesh = pytest.importorskip("trimesh")
     read = trimesh.load(str(tubeopt.save_solid(pose, tmp_path / f"arm.{form}")), force="mesh", process=form == "stl")
-    wanted = sum(np.pi * tube.radius**2 * (tube.end - tube.start) for tube in stretches(pose)) * scale**3
+    wanted = sum(np.pi * tube.radius**2 * (tube.end - tube.start) for tube in visible(pose)) * scale**3
     polygon = 48 / (2 * np.pi) * np.sin(2 * np.pi / 48)  # what a tube of 48 sides has of a round one
     assert read.volume == pytest.approx(polygon * wanted, rel=1e-4)
     assert all(part.is_watertight for part in read.split(only_watertight=False))

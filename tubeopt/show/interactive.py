@@ -10,7 +10,7 @@ import numpy as np
 from ..equilibrium.result import Equilibrium
 from ..errors import extra
 from ..files.units import TO_MM
-from .viewer.surfaces import Part, plate_part, robot_parts
+from .arm_surfaces import Part, plate_part, plate_radius, robot_parts
 
 if TYPE_CHECKING:
     import plotly.graph_objects
@@ -41,7 +41,7 @@ def show_in_3d(
         300
     """
     library = extra("plotly.graph_objects", "notebook", "scenes in a notebook")
-    parts = [plate_part(equilibrium), *robot_parts(equilibrium)]
+    parts = [plate_part(plate_radius(equilibrium)), *robot_parts(equilibrium)]
     meshes = [_mesh(library, part, part.opacity) for part in parts]
     meshes += [_mesh(library, part, GHOST_OPACITY) for ghost in ghosts for part in robot_parts(ghost)]
     axes = {f"{axis}axis": {"title": {"text": f"{axis} (mm)"}} for axis in "xyz"}

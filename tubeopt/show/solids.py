@@ -21,11 +21,9 @@ from ..errors import InputError, extra
 from ..files.files import atomic_write
 from ..files.units import TO_MM
 from ..typing import Array
-from .plots.mesh import Centreline
-from .plots.shape import exposed
-from .plots.style import tube_colour
+from .arm_surfaces import Centreline, Stretch, tube_surface, visible
+from .colours import rgb, tube_colour
 from .surfaces import Surface
-from .viewer.surfaces import rgb, tube_surface
 
 SIDES = 48
 """Facets around a tube: its volume is 0.3 % small."""
@@ -35,16 +33,6 @@ STEP = 5e-4
 
 CHORD = 2e-5
 """Straight pieces of a rigid body leave the axis of their tube by at most this much, m."""
-
-
-class Stretch(NamedTuple):
-    """What shows of a tube: its number, from 1, arc lengths, m, its radius, m, and where its axis stands (2,), m."""
-
-    tube: int
-    start: float
-    end: float
-    radius: float
-    offset: Array
 
 
 def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
@@ -75,17 +63,6 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
     return path
 
 
-def stretches(equilibrium: Equilibrium) -> list[Stretch]:
-    """The tubes as far as they show, outermost first."""
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    angle = assembly.offset_angle
-    place = assembly.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return [
-        Stretch(i + 1, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, place[i])
-        for i, start, end in exposed(equilibrium)
-    ]
-
-
 def closed_surface(line: Centreline, stretch: Stretch) -> Surface:
     """A tube as a solid: its outside, closed by a disc at either end."""
     count = 2 + int((stretch.end - stretch.start) / STEP)
@@ -105,11 +82,11 @@ def _write_mesh(kind: str, scale: float) -> Callable[[Equilibrium, Path], None]:
     def write(equilibrium: Equilibrium, path: Path) -> None:
         library = extra("trimesh", "fabrication", "STL and GLB files")
         line, scene = Centreline(equilibrium), library.Scene()
-        for stretch in stretches(equilibrium):
+        for stretch in visible(equilibrium):
             surface = closed_surface(line, stretch)
             body = library.Trimesh(surface.vertices * scale, surface.faces, process=False)
-            body.visual.face_colors = [*rgb(tube_colour(stretch.tube - 1)), 255]
-            scene.add_geometry(body, node_name=f"tube_{stretch.tube}", geom_name=f"tube_{stretch.tube}")
+            body.visual.face_colors = [*rgb(tube_colour(stretch.tube)), 255]
+            scene.add_geometry(body, node_name=f"tube_{stretch.tube + 1}", geom_name=f"tube_{stretch.tube + 1}")
         path.write_bytes(scene.export(file_type=kind))
 
     return write
@@ -129,7 +106,7 @@ def pieces(equilibrium: Equilibrium) -> Iterator[Piece]:
     """The arm as straight pieces, whose ends lie on the axes of the tubes."""
     line = Centreline(equilibrium)
     tightest = max(float(np.linalg.norm(equilibrium.curvature, axis=1).max()), 1e-9)
-    for stretch in stretches(equilibrium):
+    for stretch in visible(equilibrium):
         length = stretch.end - stretch.start
         s = np.linspace(stretch.start, stretch.end, 1 + max(1, int(np.ceil(length / np.sqrt(8 * CHORD / tightest)))))
         x, y, _ = line.axes(s)
@@ -139,7 +116,7 @@ def pieces(equilibrium: Equilibrium) -> Iterator[Piece]:
             across = x[k] - (x[k] @ along) * along
             across /= np.linalg.norm(across)
             frame = np.column_stack([across, np.cross(along, across), along])
-            yield Piece(stretch.tube, points[k], points[k + 1], frame, stretch.radius)
+            yield Piece(stretch.tube + 1, points[k], points[k + 1], frame, stretch.radius)
 
 
 def _write_urdf(equilibrium: Equilibrium, path: Path) -> None:

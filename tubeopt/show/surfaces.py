@@ -103,6 +103,14 @@ def swept(line: Array, radii: Array, *, sides: int = SIDES, capped: bool = True)
     return Surface(np.concatenate(vertices), grid_faces(len(rings), sides))
 
 
+def revolved(profile: Array, *, sides: int = SIDES) -> Surface:
+    """A body of revolution about z: radius and height (k, 2), from the top down along the outside."""
+    angle = -np.arange(sides) * 2 * np.pi / sides
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
+    vertices = profile[:, 0, None, None] * ring + profile[:, 1, None, None] * np.array([0.0, 0.0, 1.0])
+    return Surface(vertices.reshape(-1, 3), grid_faces(len(profile), sides))
+
+
 def _box(low: Array, high: Array) -> Surface:
     corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

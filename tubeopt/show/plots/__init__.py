@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..colours import tube_colour
 from .branch import plot_branch
 from .friction_band import plot_friction_band
 from .hysteresis import plot_hysteresis
@@ -10,7 +11,7 @@ from .maps import plot_energy_maps, plot_stability_map
 from .path import plot_path
 from .shape import plot_equilibria, plot_shape, plot_shapes
 from .snap import plot_snap
-from .style import save_figure, tube_colour
+from .style import save_figure
 from .torsion import plot_torsion, plot_torsions
 
 __all__ = [

@@ -14,9 +14,10 @@ from ...files.units import TO_MM
 from ...planning import ArmsPlan
 from ...typing import Array
 from .mesh import Mesh
+from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
 from .style import FAINT, INK, headed, new_figure, number, picture, styled
-from .trajectory import arm_mesh, body_mesh, film_ending, save_film
+from .trajectory import SWEEPING, body_mesh, film_ending, save_film
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,7 +97,7 @@ def _draw(scene: Axes, plan: ArmsPlan, times: Array, stage: tuple[View, Box]) ->
     for k, t in enumerate(times):
         strong = 1.0 if k == len(times) - 1 else 0.45 if k == 0 else 0.15
         for arm, motion, row in zip(plan.arms, plan.trajectories, plan.rows_at(float(t)), strict=True):
-            parts.append(arm_mesh(motion.arms[row], strong).placed(arm.base))
+            parts.append(robot_mesh(motion.arms[row], opacity=strong, detail=SWEEPING).placed(arm.base))
     scene.add_collection(facets(Mesh.join(parts), seen))
     for arm, motion, row in zip(plan.arms, plan.trajectories, plan.rows_at(float(times[-1])), strict=True):
         tips = seen.project(arm.base.placed(motion.tip_position[: row + 1]))

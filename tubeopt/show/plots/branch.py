@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from ...errors import InputError
 from ...typing import Array
-from .style import FAINT, INK, angle_locator, new_figure, number, picture, tube_colour
+from ..colours import tube_colour
+from .style import FAINT, INK, angle_locator, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,8 +17,9 @@ from ...design.requirements import of_kind
 from ...design.stock import objective_label
 from ...files.units import TO_MM
 from ...typing import Array
+from ..colours import tube_colour
 from .maps import draw_map
-from .style import FAINT, INK, finish, headed, new_figure, picture, styled, tube_colour
+from .style import FAINT, INK, finish, headed, new_figure, picture, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,11 +11,11 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
-from . import mesh as surfaces
-from .mesh import Centreline
-from .shape import PLATE_COLOUR
+from ..arm_surfaces import Centreline
+from ..colours import tube_colour
+from .shape import plate_mesh
 from .stage import Box, View, draw_box, facets
-from .style import FAINT, INK, headed, new_figure, number, picture, tube_colour
+from .style import FAINT, INK, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +74,7 @@ def plot_reach(
     seen = View(*view)
     points = np.concatenate([curve.points for curve in curves])
     radius = 0.07 * float(np.abs(points).max())
-    plate = surfaces.plate_mesh(radius, 0.25 * radius, PLATE_COLOUR)
+    plate = plate_mesh(radius)
     draw_box(scene, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), seen)
     scene.add_collection(facets(plate, seen))
     _draw_curves(scene, [(curve, seen.project(curve.points)) for curve in curves], scale, opacity)

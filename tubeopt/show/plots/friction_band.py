@@ -8,7 +8,8 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .style import INK, headed, new_figure, picture, tube_colour
+from ..colours import tube_colour
+from .style import INK, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

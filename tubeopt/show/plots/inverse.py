@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...files.units import TO_MM
+from ..colours import tube_colour
 from .mesh import Mesh
 from .shape import draw_scenes, robot_mesh
 from .stage import Box, View, draw_arrow, draw_box, facets, note, widest_view
-from .style import FAINT, INK, caption, headed, new_figure, picture, tube_colour
+from .style import FAINT, INK, caption, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

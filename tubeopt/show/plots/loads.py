@@ -10,7 +10,8 @@ import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
-from .style import FAINT, INK, TUBE_COLOURS, finish, new_figure, styled
+from ..colours import TUBE_COLOURS
+from .style import FAINT, INK, finish, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,8 @@ from ...files.units import TO_MM
 from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mandrel_files import rotation_table
 from ...typing import Array
-from .style import INK, new_figure, picture, tube_colour
+from ..colours import tube_colour
+from .style import INK, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,8 @@ from ...shaping.mold.gcode import as_milled, clear_room
 from ...shaping.mold.groove import Arc, Piece
 from ...shaping.mold.ranking import MOST_LEAK
 from ...typing import Array
-from .style import FAINT, INK, headed, new_figure, picture, tube_colour
+from ..colours import tube_colour
+from .style import FAINT, INK, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,8 @@ import numpy as np
 from ...files.units import TO_MM
 from ...shaping.mold.pegs import PegBoard
 from ...typing import Array
-from .style import INK, new_figure, picture, tube_colour
+from ..colours import tube_colour
+from .style import INK, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,18 +6,17 @@ Tubes of an eccentric robot stand at their true places, in a translucent sheath.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
-from ..slots import shade, slotted
-from . import mesh as surfaces
-from .mesh import Centreline, Mesh
+from ..arm_surfaces import Bundle, Centreline, Detail, bundles, exposed, plate_part, plate_radius, robot_parts
+from ..colours import tube_colour
+from .mesh import Mesh, mesh_of
 from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
-from .style import FAINT, INK, caption, headed, narrow, new_figure, number, picture, tube_colour
+from .style import FAINT, INK, caption, headed, narrow, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
     from ...equilibrium.result import Equilibrium
 
 GHOST_OPACITY = 0.25
-PLATE_COLOUR = np.array([0.80, 0.82, 0.85, 1.0])
-BORE_COLOUR = np.array([0.13, 0.13, 0.13, 1.0])
 LINE_HEIGHT = 11.0
 """Points by which names of tubes stand apart."""
 
@@ -40,7 +37,8 @@ FORCE = "#7A3E9D"
 FORCE_SHARE = 0.2
 """Length of the arrow of the largest force, as a share of the arm."""
 
-SHEATH_COLOUR = np.array([0.62, 0.68, 0.76, 0.22])
+PRINTED, CLOSE_UP = Detail(24, 160, even=True), Detail(72, 24, even=True)
+"""How finely arms are cut in a scene, and where they are seen from near."""
 
 
 @picture
@@ -181,100 +179,26 @@ def _draw_forces(scene: Axes, equilibrium: Equilibrium, view: View) -> None:
         note(scene, f"{size * TO_MILLI:.4g} mN", end, 4 * along, colour=FORCE)
 
 
-def exposed(equilibrium: Equilibrium) -> list[tuple[int, float, float]]:
-    """Tubes of which something shows, with the arc lengths between which they do, m; outermost first.
-
-    A tube shows from where the last tube around it ends to its own end.
-    """
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    place = assembly.offset * np.exp(1j * assembly.offset_angle)
-    stretches = []
-    for i, end in reversed(list(enumerate(equilibrium.tube_end))):
-        around = [equilibrium.tube_end[j] for j in range(i + 1, len(place)) if abs(place[j] - place[i]) < 1e-9]
-        start = max(around, default=0.0)
-        if end > start:
-            stretches.append((i, float(start), float(end)))
-    return stretches
-
-
-@dataclass(frozen=True)
-class Bundle:
-    """Tubes side by side that show between the same arc lengths, m, with the radius around them all, m."""
-
-    tubes: tuple[int, ...]
-    start: float
-    end: float
-    radius: float
-
-
-def bundles(equilibrium: Equilibrium) -> list[Bundle]:
-    """What `exposed` tells, with the tubes of a segment together; of a concentric robot every tube for itself."""
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    groups: dict[tuple[float, float], list[int]] = {}
-    for i, start, end in exposed(equilibrium):
-        groups.setdefault((start, end), []).append(i)
-    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + assembly.offset
-    return [
-        Bundle(tuple(sorted(tubes)), start, end, float(radius[tubes].max())) for (start, end), tubes in groups.items()
-    ]
-
-
-def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[float, float] | None = None) -> Mesh:
-    """Surfaces of all tubes in m: each where it shows, closed by the rim of its wall and the bore inside; darker where
-    slots have made it softer.
+def robot_mesh(
+    equilibrium: Equilibrium,
+    *,
+    opacity: float = 1.0,
+    window: tuple[float, float] | None = None,
+    detail: Detail = PRINTED,
+) -> Mesh:
+    """Surfaces of all tubes in m, as `robot_parts` tells.
 
     Args:
         opacity: 0 to 1.
-        window: arc lengths, m; only what lies between them, in finer facets.
+        window: arc lengths, m; only what lies between them.
+        detail: how finely they are cut.
     """
-    from matplotlib.colors import to_rgba
-
-    shown = exposed(equilibrium)
-    if not shown:
-        return Mesh.join([])
-    line = Centreline(equilibrium)
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    low, high = window or (0.0, line.length)
-    sides, pieces = (72, 24) if window else (24, 160)
-    parts = []
-    for i, start, end in shown:
-        tube = equilibrium.robot.tubes[i]
-        outer, inner = tube.outer_diameter / 2, tube.inner_diameter / 2
-        angle = assembly.offset_angle[i]
-        offset = assembly.offset[i] * np.array([np.cos(angle), np.sin(angle)])
-        colour = np.array(to_rgba(tube_colour(i), opacity))
-        first, last = max(start, low), min(end, high)
-        for begin, stop, left in slotted(tube, float(assembly.transmission[i]), first, last):
-            count = 2 + int(pieces * (stop - begin) / (min(high, line.length) - max(low, 0.0)))
-            s = np.linspace(begin, stop, count)
-            dark = colour * [*(shade(left),) * 3, 1.0]
-            parts.append(surfaces.tube_mesh(line, s, outer, dark, offset=offset, sides=sides))
-        if low <= end <= high:
-            rim = 0.45 * colour + 0.55 * np.array([1, 1, 1, opacity])
-            parts.append(surfaces.ring_mesh(line, end, (inner, outer), rim, offset=offset, sides=sides))
-            bore = BORE_COLOUR * [1, 1, 1, opacity]
-            parts.append(surfaces.ring_mesh(line, end, (0.0, inner), bore, offset=offset, sides=sides))
-    if assembly.eccentric:
-        parts += _sheaths(equilibrium, line, (low, high), opacity)
-    return Mesh.join(parts)
+    return mesh_of(robot_parts(equilibrium, detail, window), opacity)
 
 
-def _sheaths(equilibrium: Equilibrium, line: Centreline, window: tuple[float, float], opacity: float) -> list[Mesh]:
-    """The sheath of every segment of an eccentric robot, as wide as its tubes need."""
-    parts = []
-    for bundle in bundles(equilibrium):
-        first, last = max(bundle.start, window[0]), min(bundle.end, window[1])
-        if last > first:
-            s = np.linspace(first, last, 2 + int((last - first) / bundle.radius * 2))
-            sheath = surfaces.tube_mesh(line, s, bundle.radius, SHEATH_COLOUR * [1, 1, 1, opacity], sides=48)
-            parts.append(replace(sheath, lift=np.full(len(sheath.corners), bundle.radius)))
-    return parts
-
-
-def plate_radius(equilibrium: Equilibrium) -> float:
-    """Radius at which to draw the base plate, m: in proportion to the arm, and well beyond its tubes."""
-    thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
-    return max(0.07 * float(equilibrium.arc_length[-1]), 4 * thickest)
+def plate_mesh(radius: float) -> Mesh:
+    """The base plate of a radius, m, cut fine enough to be sorted by depth."""
+    return mesh_of([plate_part(radius, rings=6, sides=120)])
 
 
 def _widest(equilibrium: Equilibrium) -> float:
@@ -286,8 +210,7 @@ def _widest(equilibrium: Equilibrium) -> float:
 
 def _scene_mesh(equilibrium: Equilibrium, ghosts: Sequence[Equilibrium]) -> Mesh:
     """The robot on its plate, and the ghosts."""
-    radius = plate_radius(equilibrium)
-    parts = [surfaces.plate_mesh(radius, 0.25 * radius, PLATE_COLOUR), robot_mesh(equilibrium)]
+    parts = [plate_mesh(plate_radius(equilibrium)), robot_mesh(equilibrium)]
     return Mesh.join(parts + [robot_mesh(ghost, opacity=GHOST_OPACITY) for ghost in ghosts])
 
 
@@ -344,7 +267,7 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
 
     radius, end = close_up_radius(equilibrium), bundle.end
     centre = Centreline(equilibrium).position([end])[0]
-    shown = facets(robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius)), view, centre)
+    shown = facets(robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius), detail=CLOSE_UP), view, centre)
     rim = Circle((0, 0), radius * TO_MM, facecolor="white", edgecolor=FAINT, lw=0.8)
     axes.add_patch(rim)
     axes.add_collection(shown)

@@ -31,9 +31,6 @@ P = ParamSpec("P")
 T = TypeVar("T")
 D = TypeVar("D", contravariant=True)
 
-TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
-"""Tubes, inner to outer; from the palette of Okabe and Ito (2008), told apart with any kind of colour vision."""
-
 INK = "#222222"
 FAINT = "#8A8A8A"
 DPI = 200
@@ -121,11 +118,6 @@ def picture(draw: Callable[Concatenate[D, P], Figure]) -> Picture[D, P]:
         return finish(draw(data, *args, **kwargs), path)
 
     return wrapper
-
-
-def tube_colour(index: int) -> str:
-    """Colour of the tube with this index (0 is the innermost), as #RRGGBB."""
-    return TUBE_COLOURS[index % len(TUBE_COLOURS)]
 
 
 def new_figure(width: float, height: float) -> Figure:

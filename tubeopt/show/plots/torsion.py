@@ -11,7 +11,8 @@ import scipy
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .style import FAINT, INK, caption, name_above, new_figure, picture, tube_colour
+from ..colours import tube_colour
+from .style import FAINT, INK, caption, name_above, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

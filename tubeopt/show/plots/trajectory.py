@@ -20,12 +20,14 @@ from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
+from ..arm_surfaces import Detail
+from ..colours import tube_colour
 from ..load_words import load_in_words
 from ..surfaces import obstacle_surface, swept
-from .mesh import Centreline, Mesh, tube_mesh
-from .shape import exposed
+from .mesh import Mesh, facets_of
+from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
-from .style import FAINT, INK, headed, new_figure, number, picture, styled, tube_colour
+from .style import FAINT, INK, headed, new_figure, number, picture, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +42,8 @@ SHOWN = 9
 FRAMES = 48
 """Pictures of the film."""
 
-FACETS = 120
-"""Facets along an arm."""
+SWEEPING = Detail(10, 120, even=True)
+"""How finely arms are cut, of which there are many."""
 
 LOOKED_AT = 150
 """Instants at which the arm of a trajectory that was checked is drawn, beside its samples."""
@@ -243,7 +245,7 @@ def _draw_arms(scene: Axes, arms: Sequence[Equilibrium], seen: View, obstacles: 
     parts = [mesh for obstacle in obstacles if (mesh := body_mesh(obstacle)) is not None]
     for k, arm in enumerate(arms):
         strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else 0.2
-        parts += [arm_mesh(arm, strong)]
+        parts += [robot_mesh(arm, opacity=strong, detail=SWEEPING)]
     scene.add_collection(facets(Mesh.join(parts), seen))
 
 
@@ -259,23 +261,6 @@ def _draw_way(scene: Axes, time: Array, tips: Array, seen: View) -> None:
     scene.plot(*tips[-1, :2], "o", color=INK, ms=4, zorder=6, label="end")
 
 
-def arm_mesh(arm: Equilibrium, strong: float) -> Mesh:
-    """The tubes of one shape, paler the less it counts."""
-    from matplotlib.colors import to_rgba
-
-    line = Centreline(arm)
-    assembly = arm.robot.assembly(arm.translations)
-    parts = []
-    for i, start, end in exposed(arm):
-        colour = np.array(to_rgba(tube_colour(i)))
-        colour[3] = strong
-        offset = assembly.offset[i] * np.array([np.cos(assembly.offset_angle[i]), np.sin(assembly.offset_angle[i])])
-        count = max(3, 1 + int(np.ceil(FACETS * (end - start) / line.length)))
-        radius = arm.robot.tubes[i].outer_diameter / 2
-        parts.append(tube_mesh(line, np.linspace(start, end, count), radius, colour, offset=offset, sides=10))
-    return Mesh.join(parts)
-
-
 def body_mesh(obstacle: Obstacle) -> Mesh | None:
     """An obstacle as facets; None for a half-space, which has no bounds."""
     body = obstacle.body if isinstance(obstacle, Turned) else obstacle
@@ -286,15 +271,7 @@ def body_mesh(obstacle: Obstacle) -> Mesh | None:
     else:
         surface = obstacle_surface(obstacle, 0.0, sides=SIDES)
     around = isinstance(body, Corridor) or (isinstance(body, DistanceField) and not body.bounded)
-    triangles = isinstance(body, MeshObstacle)
-    faces = surface.faces[:, [0, 1, 2, 2]] if triangles else surface.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]
-    return _mesh(surface.vertices[faces], VESSEL if around else OBSTACLE)
-
-
-def _mesh(corners: Array, colour: Array) -> Mesh:
-    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return Mesh(corners, normal / np.where(length > 0, length, 1.0), np.tile(colour, (len(corners), 1)))
+    return facets_of(surface, VESSEL if around else OBSTACLE, triangles=isinstance(body, MeshObstacle))
 
 
 def _curve_count(t: Trajectory) -> int:

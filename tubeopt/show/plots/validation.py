@@ -11,7 +11,8 @@ import scipy
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .style import FAINT, INK, finish, headed, new_figure, picture, styled, tube_colour
+from ..colours import tube_colour
+from .style import FAINT, INK, finish, headed, new_figure, picture, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

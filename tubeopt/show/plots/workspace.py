@@ -11,8 +11,7 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
 from ...workspaces.voxels import Keys
-from . import mesh as surfaces
-from .shape import PLATE_COLOUR
+from .shape import plate_mesh
 from .stage import Box, View, draw_box, facets
 from .style import headed, new_figure, number, picture
 
@@ -81,7 +80,7 @@ def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
     table = table[np.isfinite(table[:, -1])]
     points, margin = table[:, -7:-4], table[:, -1]
     radius = 0.07 * float(np.abs(points).max())
-    plate = surfaces.plate_mesh(radius, 0.25 * radius, PLATE_COLOUR)
+    plate = plate_mesh(radius)
     draw_box(axes, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), view)
     axes.add_collection(facets(plate, view))
     seen = view.project(points)

@@ -10,9 +10,9 @@ import scipy
 
 from ...files.files import write_text
 from ...planning import ArmsPlan
+from ..arm_surfaces import plate_part, plate_radius
 from .host import quiet_server, titled_page
 from .scene import SCALE, Scene, camera, obstacle_parts
-from .surfaces import plate_part
 
 FRAMES = 48
 """Pictures of the motion."""
@@ -43,7 +43,7 @@ def arms_page(plan: ArmsPlan, *, frames: int = FRAMES) -> str:
             server.scene.add_frame(place, show_axes=False, wxyz=tuple(turn), position=tuple(arm.base.origin * SCALE))
             server.scene.add_label(f"{place}/name", arm.called)
             scenes.append(Scene(server.scene, place))
-            scenes[-1].layer(f"{place[1:]}/plate", [plate_part(motion.start)])
+            scenes[-1].layer(f"{place[1:]}/plate", [plate_part(plate_radius(motion.start))])
             scenes[-1].show(motion.start)
         film = server.get_scene_serializer()
         film.insert_sleep(REST)

@@ -8,9 +8,9 @@ import numpy as np
 
 from ...errors import InputError, SolveError
 from ...robots.robot import Robot
+from ..arm_surfaces import plate_part, plate_radius
 from .scene import SCALE, Scene
 from .session import Session, move, open_session
-from .surfaces import plate_part
 
 ASIDE = 0.45
 """How far it stands to the side, as a share of the longer arm."""
@@ -50,7 +50,7 @@ class Beside:
         self._frame = api.add_frame(PLACE, show_axes=False, position=tuple(place))
         self._label = api.add_label(f"{PLACE}/name", "", anchor="bottom-right")
         self._scene = Scene(api, PLACE)
-        self._scene.layer(f"{PLACE[1:]}/plate", [plate_part(session.equilibrium)])
+        self._scene.layer(f"{PLACE[1:]}/plate", [plate_part(plate_radius(session.equilibrium))])
         self.follow(first)
 
     def follow(self, first: Session) -> str:

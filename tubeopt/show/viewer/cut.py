@@ -11,9 +11,9 @@ from ...bodies.obstacles import Obstacle, nearest_distance
 from ...bodies.plane import Plane
 from ...files.units import TO_MM
 from ...typing import Array
+from ..arm_surfaces import Part
 from ..surfaces import Faces, Surface
 from .scene import obstacle_parts
-from .surfaces import Part
 
 CELLS = 200
 """Cells of the filled section along the longer side of what is cut."""

@@ -19,11 +19,11 @@ from ...planning.file import BRANCH, TIME
 from ...robots.file import save_robot
 from ...robots.path_file import joint_columns
 from ...robots.robot import Robot
+from ..arm_surfaces import Part
 from .host import quiet_server, titled_page
 from .playback import paced
 from .scene import Scene, camera
 from .session import Session
-from .surfaces import Part
 
 
 def joints_yaml(session: Session) -> str:

@@ -13,9 +13,8 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...stability import Branch, StabilityMap
 from ...typing import Array
+from ..colours import margin_colour, tube_colour
 from ..plots.branch import fold_points, smooth
-from ..plots.style import tube_colour
-from .surfaces import margin_colour
 
 WIDTH, HEIGHT = 340, 190
 LEFT, RIGHT, TOP, BOTTOM = 54, 14, 16, 34

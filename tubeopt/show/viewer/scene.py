@@ -17,9 +17,11 @@ from ...equilibrium.result import Equilibrium
 from ...stability import Snap
 from ...typing import Array
 from ...workspaces import Workspace
+from ..arm_surfaces import Part, plate_part, plate_radius, robot_parts
+from ..colours import margin_colour
 from ..surfaces import Surface, join, obstacle_surface
 from .session import Session
-from .surfaces import Part, arrow_surface, between, margin_colour, plate_part, robot_parts
+from .surfaces import arrow_surface, between
 
 SCALE = 10.0
 """Units of the scene per metre."""
@@ -59,7 +61,7 @@ class Scene:
 
     def set_stage(self, equilibrium: Equilibrium) -> None:
         """Plate and ruled floor, and the lights."""
-        plate = plate_part(equilibrium)
+        plate = plate_part(plate_radius(equilibrium))
         low = float(plate.surface.vertices[:, 2].min())
         self.layer("plate", [plate])
         reach = 4 * float(np.ceil(max(tube.length for tube in equilibrium.robot.tubes) * SCALE))

@@ -11,7 +11,7 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
 from ...typing import Array
-from ..plots.mesh import Centreline
+from ..arm_surfaces import Centreline
 from ..surfaces import Surface
 from .playback import Playback, snaps_between, state_at
 
@@ -92,7 +92,4 @@ def _rings(equilibrium: Equilibrium) -> Array:
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     outer = np.array([tube.outer_diameter / 2 for tube in equilibrium.robot.tubes]) + assembly.offset
     radius = np.where(s[:, None] <= equilibrium.tube_end + 1e-9, outer, 0.0).max(1)
-    x, y, _ = line.axes(s)
-    angle = np.arange(SIDES) * 2 * np.pi / SIDES
-    around = np.cos(angle)[:, None] * x[:, None] + np.sin(angle)[:, None] * y[:, None]
-    return np.asarray(line.position(s)[:, None] + radius[:, None, None] * around)
+    return np.asarray(line.position(s)[:, None] + radius[:, None, None] * line.ring(s, SIDES)[0])

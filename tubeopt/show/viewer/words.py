@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from html import escape
 
 from ...equilibrium.result import Equilibrium
-from ..plots.style import tube_colour
+from ..colours import margin_colour, tube_colour
 from ..quantities import Quantity, record
 from .session import Event, Session
-from .surfaces import margin_colour
 
 SHOWN_EVENTS = 12
 """The latest events are shown, the others counted."""

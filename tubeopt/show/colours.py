@@ -1,0 +1,33 @@
+"""Colours of tubes and of margins, in pictures and in the viewer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Colour = tuple[int, int, int]
+"""Red, green and blue from 0 to 255."""
+
+TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
+"""Tubes, inner to outer; from the palette of Okabe and Ito (2008), told apart with any kind of colour vision."""
+
+
+def tube_colour(index: int) -> str:
+    """Colour of the tube with this index (0 is the innermost), as #RRGGBB."""
+    return TUBE_COLOURS[index % len(TUBE_COLOURS)]
+
+
+def rgb(colour: str) -> Colour:
+    """#RRGGBB as three numbers from 0 to 255."""
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return red, green, blue
+
+
+def margin_colour(margin: float) -> Colour:
+    """Green at margin 1, yellow in between, red at 0 and below."""
+    part = min(max(float(margin), 0.0), 1.0)
+    stops = np.array([[200, 30, 30], [235, 190, 40], [0, 150, 90]], dtype=float)
+    mixed = (
+        stops[0] + 2 * part * (stops[1] - stops[0]) if part < 0.5 else stops[1] + (2 * part - 1) * (stops[2] - stops[1])
+    )
+    red, green, blue = (round(x) for x in mixed)
+    return red, green, blue
