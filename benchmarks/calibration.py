@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tubeopt import ConcentricRobot, Friction, Tube
-from tubeopt.equilibrium.rubbing_sweep import sweep
+from tubeopt.equilibrium.friction import sweep
 from tubeopt.robots.calibration import Calibration
 from tubeopt.stability.rubbing_following import rubbing_start
 from tubeopt.typing import Array

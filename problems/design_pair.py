@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tubeopt.runs.pair_study import PairStudy
 from tubeopt.runs.study_file import load_study
-from tubeopt.show.plots.pair import plot_pair_shares
+from tubeopt.show.plots.design import plot_pair_shares
 
 ROOT = Path(__file__).resolve().parents[1]
 

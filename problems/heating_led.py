@@ -15,7 +15,7 @@ from pathlib import Path
 import tubeopt
 from tubeopt.runs.firmware_study import LedHeating
 from tubeopt.shaping.firmware.boards import Wiring
-from tubeopt.show.plots.feedback import plot_feedback
+from tubeopt.show.plots.heating import plot_feedback
 
 ROOT = Path(__file__).resolve().parents[1]
 

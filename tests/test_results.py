@@ -53,7 +53,7 @@ from tubeopt.shaping.heating.plan import HeatingStatus
 from tubeopt.shaping.mold.mandrel import MandrelStatus
 from tubeopt.shaping.mold.mold import MoldStatus
 from tubeopt.shaping.mold.pegs import PegStatus
-from tubeopt.solvers.problem_status import ProblemStatus
+from tubeopt.solvers.problem_solution import ProblemStatus
 from tubeopt.stability.certificate import CertificateStatus
 from tubeopt.stability.following import PathStatus, SnapStatus
 from tubeopt.stability.load_limit import LoadLimitStatus

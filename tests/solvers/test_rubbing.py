@@ -9,7 +9,7 @@ from tests.examples import THESIS
 from tests.stability.test_friction import random_way
 from tests.validation.way import joints, robot
 from tubeopt import ConcentricRobot, Friction
-from tubeopt.equilibrium.rubbing_sweep import sweep, swept
+from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.stability.rubbing_following import rubbing_start
 from tubeopt.typing import Array

@@ -15,8 +15,7 @@ from tubeopt.validation.folds import deal, passes
 from tubeopt.validation.held_out import hold_out, predicted_held_out
 from tubeopt.validation.model import ArmModel, State
 from tubeopt.validation.parameters import choose_parameters
-from tubeopt.validation.slopes import slopes_around
-from tubeopt.validation.subsets import HeldOutSets, Linear
+from tubeopt.validation.subsets import HeldOutSets, Linear, slopes_around
 from tubeopt.validation.timeline import Timeline, runs_of
 
 from .laboratory import BASE, MM, TURN, in_device

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from ..runs.measure_study import MeasureStudy
-from ..runs.validation_study import ValidationStudy
+from ..runs.validation_study import MeasureStudy, ValidationStudy
 from .flags import ROBOT, answer, asks
 from .output import Output
 

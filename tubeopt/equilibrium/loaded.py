@@ -9,7 +9,7 @@ import numpy as np
 from ..block.transcription.arm import arc_lengths
 from ..block.transcription.collocated import STEPS
 from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
-from ..block.transcription.loaded_along import compliance_along
+from ..block.transcription.loaded_arm import compliance_along
 from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointForce
 from ..robots.robot import Robot

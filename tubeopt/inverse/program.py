@@ -21,8 +21,7 @@ from ..errors import InputError
 from ..solvers.ipopt import inside_points
 from ..solvers.newton import newton
 from ..solvers.problem import Problem
-from ..solvers.problem_solution import ProblemSolution
-from ..solvers.problem_status import ProblemStatus
+from ..solvers.problem_solution import ProblemSolution, ProblemStatus
 from ..solvers.settings import Ipopt
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program

@@ -25,7 +25,7 @@ STUDY_KINDS = Kinds(
         "certify": "stability_studies.CertifyStudy",
         "stability_map": "stability_studies.StabilityMapStudy",
         "validation": "validation_study.ValidationStudy",
-        "measure": "measure_study.MeasureStudy",
+        "measure": "validation_study.MeasureStudy",
         "design": "design_study.DesignStudy",
         "design_pair": "pair_study.PairStudy",
         "plan": "plan_study.PlanStudy",

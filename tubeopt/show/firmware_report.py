@@ -92,7 +92,7 @@ class LedHeatingReport(Report[LedHeating]):
 
     def pictures(self) -> dict[str, Drawing]:
         """Temperatures of uncertain rigs, and how the board is wired."""
-        from .plots.feedback import plot_feedback
+        from .plots.heating import plot_feedback
         from .plots.wiring import plot_wiring
 
         return {"feedback": drawing(plot_feedback, self.answer), "wiring": drawing(plot_wiring, self.answer)}

@@ -148,7 +148,7 @@ class PairReport(Report[PairAnswer]):
     def pictures(self) -> dict[str, Drawing]:
         """What both hold before and after, and the shapes of each."""
         from .plots import plot_shapes
-        from .plots.pair import plot_pair_shares
+        from .plots.design import plot_pair_shares
 
         a = self.answer
         found: dict[str, Drawing] = {"pairs": drawing(plot_pair_shares, (a.before, a.after), names=a.names)}

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bodies.corridors import Corridor, MeshObstacle
-from ..bodies.distance_field import DistanceField
+from ..bodies.distance_field import DistanceField, surface_net
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..bodies.placed import Turned
-from ..bodies.surface_net import surface_net
 from ..errors import InputError
 from ..typing import Array
 

@@ -25,7 +25,7 @@ from ..errors import SolveError
 from ..typing import Array
 from .newton import NewtonResult
 from .problem import Problem
-from .problem_status import ProblemStatus
+from .problem_solution import ProblemStatus
 from .settings import Ipopt
 
 EQUILIBRIUM = Ipopt(tolerance=1e-12, iterations=300, expand=True)

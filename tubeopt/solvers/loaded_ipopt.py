@@ -15,7 +15,7 @@ from ..typing import Array
 from .ipopt import EQUILIBRIUM
 from .loaded import LoadedResult
 from .problem import Problem
-from .problem_status import ProblemStatus
+from .problem_solution import ProblemStatus
 from .settings import Ipopt
 
 

@@ -15,8 +15,7 @@ from ..block.violation import violations_of, worst
 from ..errors import InputError, nearest
 from ..typing import Array
 from .closing import Closed, Stacked, function_of, ipopt_function
-from .problem_solution import ProblemSolution, ProblemStatistics
-from .problem_status import ProblemStatus
+from .problem_solution import ProblemSolution, ProblemStatistics, ProblemStatus
 from .settings import Ipopt
 
 MENTIONED = 3

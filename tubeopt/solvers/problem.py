@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from ..errors import SolveError
 from .multistart import multistart
 from .named_program import NamedProgram
-from .problem_solution import ProblemSolution
-from .problem_status import ProblemStatus
+from .problem_solution import ProblemSolution, ProblemStatus
 from .reordering import improve, retry
 from .settings import Ipopt
 

@@ -1,4 +1,4 @@
-"""The solution of a program: plain numbers by name, saved as JSON + npz."""
+"""How the solve of a program ended, and its solution: plain numbers by name, saved as JSON + npz."""
 
 from __future__ import annotations
 
@@ -16,8 +16,32 @@ from ..block.violation import Violation
 from ..display import Displayed
 from ..errors import InputError, nearest
 from ..files.files import atomic_write, read_bytes, read_text, write_text
-from ..typing import Array
-from .problem_status import ProblemStatus
+from ..typing import Array, Sentence
+
+
+class ProblemStatus(Sentence):
+    """How the solve of a program ended; every value reads as a sentence."""
+
+    SOLVED = "an optimum was found"
+    INFEASIBLE = "no point was found at which all constraints hold"
+    TOO_MANY_ITERATIONS = "the solver ran out of iterations"
+    OUT_OF_TIME = "the solver ran out of time"
+    UNBOUNDED = "the iterates grow without bound"
+    NOT_A_NUMBER = "an expression of the program has no finite value or derivative where the solver came"
+    STOPPED = "the solver came to a halt before an optimum"
+
+    @classmethod
+    def of(cls, verdict: str) -> ProblemStatus:
+        """The status behind a return status of IPOPT."""
+        known = {
+            "Solve_Succeeded": cls.SOLVED,
+            "Infeasible_Problem_Detected": cls.INFEASIBLE,
+            "Maximum_Iterations_Exceeded": cls.TOO_MANY_ITERATIONS,
+            "Maximum_WallTime_Exceeded": cls.OUT_OF_TIME,
+            "Diverging_Iterates": cls.UNBOUNDED,
+            "Invalid_Number_Detected": cls.NOT_A_NUMBER,
+        }
+        return known.get(verdict, cls.STOPPED)
 
 
 class Evaluates(Protocol):

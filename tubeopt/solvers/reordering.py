@@ -6,8 +6,7 @@ from collections.abc import Hashable
 from dataclasses import replace
 
 from .named_program import NamedProgram
-from .problem_solution import ProblemSolution
-from .problem_status import ProblemStatus
+from .problem_solution import ProblemSolution, ProblemStatus
 from .settings import Ipopt
 
 

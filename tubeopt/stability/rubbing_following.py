@@ -14,10 +14,9 @@ import numpy as np
 
 from ..block.transcription.contact import evaluate_contact
 from ..equilibrium.continuation import LARGEST_RATIO, JointPath, largest_twist
-from ..equilibrium.friction import Held, carried, check_rubbing, rest, step
+from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, sweep, swept
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.rubbing_sweep import sweep, swept
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot

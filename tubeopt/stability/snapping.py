@@ -22,7 +22,7 @@ from ..solvers.ipopt import EQUILIBRIUM, inside_points
 from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.problem import Problem
-from ..solvers.problem_status import ProblemStatus
+from ..solvers.problem_solution import ProblemStatus
 from ..typing import Array
 from .following import Event, Snap, leave_branch, snap_of, to_snap
 from .loaded_following import loaded_legs

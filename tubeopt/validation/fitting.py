@@ -24,8 +24,7 @@ from .descent import DEFAULT_SOLVER, LOSSES, Descent, FitSolver, Weights, descen
 from .errors import ErrorSummary
 from .folds import deal, passes
 from .held_out import bootstrap_errors, hold_out
-from .history import entangled_history
-from .identifiability import doubts, louder, undetermined
+from .identifiability import doubts, entangled_history, louder, undetermined
 from .measurements import Measurements
 from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters

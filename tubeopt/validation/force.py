@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription.loaded import tip_slopes
-from ..block.transcription.loaded_along import position_slopes
+from ..block.transcription.loaded_arm import position_slopes
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point

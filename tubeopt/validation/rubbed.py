@@ -10,8 +10,7 @@ import scipy
 
 from ..block.transcription.arm import Arm
 from ..block.transcription.whole_arm import evaluate_arm
-from ..equilibrium.friction import Held, to_held_equilibrium
-from ..equilibrium.rubbing_sweep import sweep, swept
+from ..equilibrium.friction import Held, sweep, swept, to_held_equilibrium
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot

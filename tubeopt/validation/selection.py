@@ -31,8 +31,7 @@ from .measurements import Measurements
 from .model import ArmModel, State
 from .parameters import choose_parameters, groups
 from .registration import FREEDOMS
-from .slopes import Slopes, slopes_around
-from .subsets import Effects, HeldOutSets
+from .subsets import Effects, HeldOutSets, Slopes, slopes_around
 
 
 @dataclass(frozen=True)

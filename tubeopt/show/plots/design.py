@@ -1,4 +1,4 @@
-"""Pictures of designs: task poses in their anatomy, what margin costs, what manufacture leaves."""
+"""Pictures of designs: task poses in their anatomy, what margin costs, what manufacture leaves, what two hold."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from ...design.pareto import front_label
 from ...design.requirements import of_kind
 from ...design.stock import objective_label
 from ...files.units import TO_MM
+from ...planning import PairShare
 from ...typing import Array
 from ..colours import tube_colour
 from .maps import draw_map
@@ -226,3 +227,35 @@ def plot_stock(
     axes.tick_params(left=False, labelleft=False)
     axes.set_xlabel(f"{name} ({unit})" if unit else name)
     return finish(figure, path)
+
+
+TICKS = 5
+"""Places from one tick to the next."""
+
+
+@picture
+def plot_pair_shares(
+    shares: tuple[PairShare, PairShare], *, names: tuple[str, str] = ("one", "other"), title: str = ""
+) -> Figure:
+    """How far two arms are apart with their tips at any two places, before and after; grey where one of them does not
+    reach its place, or both places are the same.
+
+    Args:
+        shares: of the robots as given, and of the designs.
+        names: of the arms.   title: heading; by default the share of pairs of places that is held.
+    """
+    figure = new_figure(7.2, 3.4)
+    panels = figure.subplots(1, 2, sharey=True)
+    most = 2 * TO_MM * max(shares[1].clearance, 1e-4)
+    image = None
+    for panel, one, when in zip(panels, shares, ("as given", "as designed"), strict=True):
+        table = np.where(np.eye(len(one.apart), dtype=bool), np.nan, one.apart * TO_MM)
+        panel.set_facecolor(FAINT)
+        image = panel.imshow(table, vmin=0, vmax=most, cmap="RdBu")
+        panel.set(title=f"{when}: {100 * one.share:.0f} % held", xlabel=f"place of the tip of {names[1]}")
+        panel.set(xticks=range(0, len(table), TICKS), yticks=range(0, len(table), TICKS))
+    panels[0].set_ylabel(f"place of the tip of {names[0]}")
+    assert image is not None
+    figure.colorbar(image, ax=panels, label="arms apart (mm)", extend="both")
+    headed(figure, title or f"{names[0]} and {names[1]} with their tips at two places at the same time")
+    return figure
