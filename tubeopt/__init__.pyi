@@ -99,8 +99,7 @@ from .show.solids import save_solid
 from .show.tables import save_table, to_dataframe, to_xarray
 from .solvers import parallel
 from .solvers.problem import Problem
-from .solvers.problem_solution import ProblemSolution, load_problem_solution
-from .solvers.problem_status import ProblemStatus
+from .solvers.problem_solution import ProblemSolution, ProblemStatus, load_problem_solution
 from .solvers.settings import Ipopt, Newton
 from .stability import (
     Branch,
