@@ -14,8 +14,8 @@ from tubeopt import InputError, PlanOptions
 from tubeopt.bodies.anatomy import field_of_image
 from tubeopt.bodies.centreline import centreline
 from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.obstacles import RoundCone
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
-from tubeopt.bodies.round_cones import RoundCone
 from tubeopt.planning import plan_trajectory
 from tubeopt.typing import Array
 

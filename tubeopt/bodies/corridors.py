@@ -19,8 +19,7 @@ from ..files.units import MM
 from ..typing import Array
 from .distance_field import DistanceField
 from .frames import Frame, ras
-from .obstacles import Capsule, Point3, as_points, greater, triple
-from .round_cones import RoundCone
+from .obstacles import Point3, RoundCone, as_points, greater, triple
 from .scene import Scene
 from .triangles import Triangles, oriented
 
@@ -66,9 +65,9 @@ class Corridor:
         return np.broadcast_to(np.array(self.radius), len(self.centreline))
 
     @cached_property
-    def _parts(self) -> tuple[Capsule | RoundCone, ...]:
+    def _parts(self) -> tuple[RoundCone, ...]:
         ends = zip(pairwise(self.centreline), pairwise(self.radii.tolist()), strict=True)
-        return tuple(Capsule(a, b, p) if p == q else RoundCone(a, b, p, q) for (a, b), (p, q) in ends)
+        return tuple(RoundCone(a, b, p, q) for (a, b), (p, q) in ends)
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance from the wall, m; positive inside the vessel."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -72,8 +73,37 @@ def triple(name: str, value: ArrayLike) -> Point3:
     return x, y, z
 
 
+class Measured:
+    """A body that its `numbers` stand for, so that many of a kind are measured at once."""
+
+    SOLID = True
+    """Whether `signed_distance` is outside of the body the distance from it, no bound of it."""
+
+    def numbers(self) -> tuple[float, ...]:
+        """What `distances` and `gradients` take for it."""
+        raise NotImplementedError
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from bodies of `numbers` (..., k), m."""
+        raise NotImplementedError
+
+    @staticmethod
+    def gradients(points: Array, numbers: Array) -> Array:
+        """(..., 3) unit vectors along which the distances of points (..., 3) from bodies of `numbers` (..., k) grow."""
+        raise NotImplementedError
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3), m."""
+        return self.distances(as_points(points), np.array(self.numbers()))
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors along which the distance of points (..., 3) grows."""
+        return self.gradients(as_points(points), np.array(self.numbers()))
+
+
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Measured):
     """A ball.
 
     Raises:
@@ -95,9 +125,6 @@ class Sphere:
     ROUND = True
     """Whether the ball that covers the body is the body."""
 
-    SOLID = True
-    """Whether `signed_distance` is outside of the body the distance from it, no bound of it."""
-
     def balls(self) -> Balls:
         """Itself."""
         return np.array([self.centre]), np.array([self.radius])
@@ -111,22 +138,85 @@ class Sphere:
         """(...) distances of points (..., 3) from spheres of `numbers` (..., 4), m."""
         return np.asarray(np.linalg.norm(points - numbers[..., :3], axis=-1) - numbers[..., 3])
 
-    def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m."""
-        return self.distances(as_points(points), np.array(self.numbers()))
-
     @staticmethod
     def gradients(points: Array, numbers: Array) -> Array:
         """(..., 3) unit vectors from the centres of spheres of `numbers` (..., 4) to points (..., 3)."""
         return unit_vectors(points - numbers[..., :3], np.array([0.0, 0.0, 1.0]))
 
-    def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors away from the centre."""
-        return self.gradients(as_points(points), np.array(self.numbers()))
+
+class Axial(Measured):
+    """A hull of two balls.
+
+    Its distance is the least of those from the balls between both: exact outside; inside, the depth in the ball in
+    which a point lies deepest, which is not above the distance from the surface.
+    """
+
+    def ends(self) -> tuple[Point3, Point3, float, float]:
+        """Centres and radii of the balls at both ends."""
+        raise NotImplementedError
+
+    @cached_property
+    def _row(self) -> tuple[float, ...]:
+        """Start (3), unit axis (3), length, radius at the start, its change per length, and over what that is the slope
+        of the surface. Where one ball holds the other, it is alone."""
+        start, end, begins, ends = self.ends()
+        axis = np.subtract(end, start)
+        length = float(np.linalg.norm(axis))
+        change = ends - begins
+        if abs(change) >= length:
+            centre = end if change > 0 else start
+            return (*centre, 0.0, 0.0, 0.0, 0.0, max(begins, ends), 0.0, 0.0)
+        slope = change / length
+        return (*start, *(axis / length).tolist(), length, begins, slope, slope / (1 - slope**2) ** 0.5)
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Smooth signed distance, m."""
+        a, b, c, u, v, w, length, radius, slope, lean = self._row
+        x, y, z = x - a, y - b, z - c
+        along = x * u + y * v + z * w
+        square = (x - along * u) ** 2 + (y - along * v) ** 2 + (z - along * w) ** 2
+        t = -greater(-greater(along + root(square) * lean, 0.0), -length) if length else 0.0
+        return root(square + (along - t) ** 2) - radius - slope * t
+
+    def balls(self) -> Balls:
+        """Around pieces of the axis, no longer than the cone is thick, where that does not take too many."""
+        start, axis, (length, radius, slope, _) = np.split(np.array(self._row), [3, 6])
+        count = int(np.clip(np.ceil(length / (2 * min(radius, radius + slope * length))), 1, PIECES))
+        ends = np.linspace(0.0, length, count + 1)
+        middle, most = (ends[1:] + ends[:-1]) / 2, radius + np.maximum(slope * ends[1:], slope * ends[:-1])
+        return start + middle[:, None] * axis, most + length / (2 * count)
+
+    def numbers(self) -> tuple[float, ...]:
+        """What `distances` takes."""
+        return self._row
+
+    @staticmethod
+    def _from_axis(points: Array, numbers: Array) -> tuple[Array, Array]:
+        """(..., 3) vectors to points from the centres of the balls they are nearest to, and (...) radii of these."""
+        away, axis, lean = points - numbers[..., :3], numbers[..., 3:6], numbers[..., 9]
+        t = (away * axis).sum(-1)
+        if lean.any():
+            t += np.linalg.norm(away - t[..., None] * axis, axis=-1) * lean
+        t = np.clip(t, 0.0, numbers[..., 6])
+        return away - t[..., None] * axis, numbers[..., 7] + numbers[..., 8] * t
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from cones of `numbers` (..., 10), m."""
+        away, radius = Axial._from_axis(points, numbers)
+        return np.asarray(np.linalg.norm(away, axis=-1) - radius)
+
+    @staticmethod
+    def gradients(points: Array, numbers: Array) -> Array:
+        """(..., 3) unit vectors along which the distances of points (..., 3) from cones of `numbers` (..., 10) grow."""
+        axis = numbers[..., 3:6]
+        aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=-1)])
+        away, _ = Axial._from_axis(points, numbers)
+        return unit_vectors(away, unit_vectors(aside, np.array([0.0, 0.0, 1.0])))
 
 
 @dataclass(frozen=True)
-class Capsule:
+class Capsule(Axial):
     """All points within `radius` of the segment from `start` to `end`.
 
     Raises:
@@ -142,65 +232,34 @@ class Capsule:
         object.__setattr__(self, "end", triple("end of the capsule", self.end))
         object.__setattr__(self, "radius", positive("radius of the capsule", self.radius))
 
-    def _axis(self) -> tuple[Point3, float]:
-        x, y, z = (b - a for a, b in zip(self.start, self.end, strict=True))
-        return (x, y, z), x * x + y * y + z * z
+    def ends(self) -> tuple[Point3, Point3, float, float]:
+        """Centres and radii of the balls at both ends."""
+        return self.start, self.end, self.radius, self.radius
 
-    def distance(self, x: Any, y: Any, z: Any) -> Any:
-        """Smooth signed distance, m."""
-        (u, v, w), square = self._axis()
-        a, b, c = x - self.start[0], y - self.start[1], z - self.start[2]
-        if square == 0:
-            return root(a**2 + b**2 + c**2) - self.radius
-        # The fraction along the axis, held between 0 and 1; in metres while it is rounded off.
-        length = square**0.5
-        along = greater((a * u + b * v + c * w) / length, 0.0)
-        t = -greater(-along, -length) / length
-        return root((a - t * u) ** 2 + (b - t * v) ** 2 + (c - t * w) ** 2) - self.radius
 
-    SOLID = True
+@dataclass(frozen=True)
+class RoundCone(Axial):
+    """All points within balls whose centres go from `start` to `end` and whose radii go linearly from `start_radius` to
+    `end_radius`, m.
 
-    def balls(self) -> Balls:
-        """Around pieces of the axis, no longer than the capsule is thick, where that does not take too many."""
-        length = float(np.sqrt(self._axis()[1]))
-        count = int(np.clip(np.ceil(length / (2 * self.radius)), 1, PIECES))
-        x = (np.arange(count)[:, None] + 0.5) / count
-        a, b = np.array(self.start), np.array(self.end)
-        return a + x * (b - a), np.full(count, self.radius + length / (2 * count))
+    Raises:
+        InputError: a number that is not finite, a radius that is not greater than 0.
+    """
 
-    def numbers(self) -> tuple[float, ...]:
-        """Both ends and the radius."""
-        return (*self.start, *self.end, self.radius)
+    start: Point3
+    end: Point3
+    start_radius: float
+    end_radius: float
 
-    @staticmethod
-    def _from_axis(points: Array, numbers: Array) -> Array:
-        """(..., 3) vectors to points from the nearest place of the axis."""
-        from_start, axis = points - numbers[..., :3], numbers[..., 3:6] - numbers[..., :3]
-        square = (axis**2).sum(-1)
-        along = (from_start * axis).sum(-1)
-        t = np.clip(np.divide(along, square, out=np.zeros_like(along), where=square > 0), 0.0, 1.0)
-        return np.asarray(from_start - t[..., None] * axis)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", triple("start of the cone", self.start))
+        object.__setattr__(self, "end", triple("end of the cone", self.end))
+        for name in ("start_radius", "end_radius"):
+            object.__setattr__(self, name, positive(f"{name} of the cone", getattr(self, name)))
 
-    @staticmethod
-    def distances(points: Array, numbers: Array) -> Array:
-        """(...) distances of points (..., 3) from capsules of `numbers` (..., 7), m."""
-        return np.asarray(np.linalg.norm(Capsule._from_axis(points, numbers), axis=-1) - numbers[..., 6])
-
-    def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m."""
-        return self.distances(as_points(points), np.array(self.numbers()))
-
-    @staticmethod
-    def gradients(points: Array, numbers: Array) -> Array:
-        """(..., 3) unit vectors from the axes of capsules of `numbers` (..., 7) to points (..., 3); on an axis, one
-        square to it."""
-        axis = numbers[..., 3:6] - numbers[..., :3]
-        aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=-1)])
-        return unit_vectors(Capsule._from_axis(points, numbers), unit_vectors(aside, np.array([0.0, 0.0, 1.0])))
-
-    def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors away from the axis; on it, one square to it."""
-        return self.gradients(as_points(points), np.array(self.numbers()))
+    def ends(self) -> tuple[Point3, Point3, float, float]:
+        """Centres and radii of the balls at both ends."""
+        return self.start, self.end, self.start_radius, self.end_radius
 
 
 @dataclass(frozen=True)
@@ -239,7 +298,7 @@ class HalfSpace:
 
 
 @dataclass(frozen=True)
-class Box:
+class Box(Measured):
     """A cuboid along the axes of the plate.
 
     Raises:
@@ -266,8 +325,6 @@ class Box:
         inside = greater(greater(beyond[0], beyond[1]), beyond[2])
         return root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - greater(-inside, 0.0)
 
-    SOLID = True
-
     def balls(self) -> Balls:
         """The one through its corners."""
         low, high = np.array(self.low), np.array(self.high)
@@ -291,10 +348,6 @@ class Box:
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return np.asarray(outside + np.minimum(beyond.max(-1), 0.0))
 
-    def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m."""
-        return self.distances(as_points(points), np.array(self.numbers()))
-
     @staticmethod
     def gradients(points: Array, numbers: Array) -> Array:
         """(..., 3) unit vectors to points (..., 3) from the nearest place of boxes of `numbers` (..., 6);
@@ -304,9 +357,11 @@ class Box:
         outside = np.maximum(beyond, 0.0) * side
         return np.where((beyond.max(-1) > 0)[..., None], unit_vectors(outside, np.array([0.0, 0.0, 1.0])), nearest)
 
-    def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors away from the nearest point of the surface; inside, through the nearest face."""
-        return self.gradients(as_points(points), np.array(self.numbers()))
+
+def depth(cones: Sequence[RoundCone], points: Array) -> Array:
+    """(...) how deep points (..., 3) lie in the ball of all cones in which they lie deepest, m; outside, negative, the
+    distance from them."""
+    return np.asarray(np.max([-cone.signed_distance(points) for cone in cones], axis=0))
 
 
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:

@@ -17,8 +17,7 @@ from ..errors import positive
 from ..typing import Array
 from .frames import Frame
 from .images import LabelImage
-from .obstacles import as_points
-from .round_cones import RoundCone, depth
+from .obstacles import RoundCone, as_points, depth
 
 LUMEN, TARGET = 1, 2
 """Labels of the images."""
