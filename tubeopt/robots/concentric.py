@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from os import PathLike
 
 import numpy as np
 
-from ..display import Displayed
 from ..errors import InputError
-from ..typing import Array, late
+from ..typing import Array
 from .assembly import Assembly, assemble
-from .calibration import Calibration, check_calibration, limits_of
+from .calibration import Calibration
 from .friction import Friction, check_friction, per_pair
 from .limits import JointLimits
-from .robot import Robot, keeps_hash
+from .robot import BaseRobot, Robot, keeps_hash
 from .tubes import Tube
 
 
 @keeps_hash
 @dataclass(frozen=True)
-class ConcentricRobot(Displayed):
+class ConcentricRobot(BaseRobot):
     """A concentric tube robot.
 
     Args:
@@ -61,19 +59,10 @@ class ConcentricRobot(Displayed):
                     f"tube {i} is shorter than tube {i + 1} around it: its overall length is {inner.length:g} m; "
                     f"it must be at least {outer.length:g} m"
                 )
-        if self.joint_limits is not None and len(self.joint_limits.rotations) != len(tubes):
-            raise InputError(
-                f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {len(tubes)}"
-            )
-        check_calibration(self.calibration, len(tubes), yields=True)
+        self.check_drives(yields=True)
         check_friction(self.friction, len(tubes))
         if self.clearance is not None:
             object.__setattr__(self, "clearance", per_pair("clearance", self.clearance, len(tubes)))
-
-    @property
-    def n_tubes(self) -> int:
-        """Number of tubes n."""
-        return len(self.tubes)
 
     @property
     def home_translations(self) -> Array:
@@ -90,18 +79,9 @@ class ConcentricRobot(Displayed):
         """Every tube inside the next."""
         return tuple(pairwise(range(self.n_tubes)))
 
-    @property
-    def limits(self) -> JointLimits:
-        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
-        return limits_of(self.joint_limits, self.calibration, self.tubes)
-
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (n,), m; raises InputError where a tube leaves its actuator."""
         return assemble(self.tubes, translations)
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the robot as YAML that `load_robot` reads back."""
-        late("tubeopt.robots.file.save_robot")(self, path)
 
 
 def friction_of(robot: Robot) -> Friction | None:

@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from os import PathLike
 from typing import Annotated
 
 import numpy as np
 
-from ..display import Displayed
 from ..errors import InputError, positive
 from ..files.marks import NOT_NEGATIVE, unit
-from ..typing import Array, late
+from ..typing import Array
 from .assembly import ROUND_OFF, Assembly, assemble
-from .calibration import Calibration, check_calibration, limits_of
+from .calibration import Calibration
 from .limits import JointLimits
-from .robot import keeps_hash
+from .robot import BaseRobot, keeps_hash
 from .tubes import Tube, must_be_plain
 
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
@@ -29,9 +27,68 @@ def sheath_inner_diameter(outer_diameter: float) -> float:
     return (2 / math.sqrt(3) + 1) * outer_diameter
 
 
+class SheathedRobot(BaseRobot):
+    """k telescoping segments of three equal tubes each, in a sheath at 0, 120 and -120 deg around the centreline."""
+
+    offset: float | None
+
+    @property
+    def held(self) -> tuple[Tube, ...]:
+        """The tube of every segment, inner to outer, straight from where it is held."""
+        raise NotImplementedError
+
+    @property
+    def distance(self) -> float:
+        """Distance of the tubes from the centreline, m."""
+        return float(self.offset or 0.0)
+
+    @property
+    def tubes(self) -> tuple[Tube, ...]:
+        """The 3 k tubes: three of the innermost segment, then three of the next."""
+        return tuple(tube for tube in self.held for _ in range(3))
+
+    @property
+    def home_translations(self) -> Array:
+        """(3 k,) translations at which every segment begins where the next outer one ends, m."""
+        reach = np.cumsum([0.0] + [tube.curved_length for tube in reversed(self.held)])[:-1]
+        return np.repeat(reach[::-1], 3)
+
+    @property
+    def moving_together(self) -> tuple[tuple[int, ...], ...]:
+        """The three tubes of each segment."""
+        return tuple((3 * k, 3 * k + 1, 3 * k + 2) for k in range(len(self.held)))
+
+    @property
+    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Every tube inside the one of the next segment at its place."""
+        return tuple((i, i + 3) for i in range(3 * len(self.held) - 3))
+
+    def assembly(self, translations: Array) -> Assembly:
+        """Sections at `translations` (3 k,), m; raises InputError where tubes of one segment are moved apart, a tube
+        leaves its actuator, or curved parts overlap."""
+        count = len(self.held)
+        for k, row in enumerate(np.reshape(translations, (-1, 3))):
+            if np.ptp(row) > ROUND_OFF:
+                which = f" of segment {k + 1}" if count > 1 else ""
+                raise InputError(
+                    f"translations{which} are {row.tolist()} m; the three tubes of a segment share a sheath, so they "
+                    "must be equal"
+                )
+        offset, angle = np.full(3 * count, self.distance), np.tile(PLACES, count)
+        bundle = assemble(self.tubes, translations, offset=offset, offset_angle=angle)
+        begin, end = bundle.transition[::3], bundle.end[::3]
+        for inner, outer in pairwise(k for k in range(count) if end[k] > 0):
+            if begin[inner] < end[outer] - 1e-9:
+                raise InputError(
+                    f"segment {inner + 1} begins to curve at {begin[inner]:g} m, before segment {outer + 1} ends at "
+                    f"{end[outer]:g} m; curved parts must not overlap"
+                )
+        return bundle
+
+
 @keeps_hash
 @dataclass(frozen=True)
-class EccentricRobot(Displayed):
+class EccentricRobot(SheathedRobot):
     """A one-segment eccentric tube robot: three equal tubes at 0, 120 and -120 deg around the centreline.
 
     The sheath keeps the tubes in place and has no bending stiffness. The tubes move in and out together.
@@ -76,68 +133,23 @@ class EccentricRobot(Displayed):
                 f"offset is {distance:g} m; it must be less than a quarter of the radius of precurvature, "
                 f"{0.25 / abs(self.tube.curvature):g} m"
             )
-        if self.joint_limits is not None and len(self.joint_limits.rotations) != 3:
-            raise InputError(f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has 3")
-        check_calibration(self.calibration, 3)
+        self.check_drives()
 
     @property
-    def distance(self) -> float:
-        """Distance of the tubes from the centreline, m."""
-        return float(self.offset or 0.0)
-
-    @property
-    def tubes(self) -> tuple[Tube, ...]:
-        """The three tubes, their straight parts with the transmission."""
+    def held(self) -> tuple[Tube, ...]:
+        """Its tube, its straight part with the transmission."""
         straight = self.tube.straight_length + self.transmission_length
-        return (replace(self.tube, straight_length=straight),) * 3
-
-    @property
-    def n_tubes(self) -> int:
-        """3."""
-        return 3
+        return (replace(self.tube, straight_length=straight),)
 
     @property
     def sheath_inner_diameter(self) -> float:
         """Inner diameter of the sheath, m."""
         return sheath_inner_diameter(self.tube.outer_diameter)
 
-    @property
-    def home_translations(self) -> Array:
-        """(3,) zeros: the curved parts begin at the plate."""
-        return np.zeros(3)
-
-    @property
-    def moving_together(self) -> tuple[tuple[int, ...], ...]:
-        """All three tubes."""
-        return ((0, 1, 2),)
-
-    @property
-    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
-        """None: the tubes run side by side."""
-        return ()
-
-    @property
-    def limits(self) -> JointLimits:
-        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
-        return limits_of(self.joint_limits, self.calibration, self.tubes)
-
-    def assembly(self, translations: Array) -> Assembly:
-        """Sections at `translations` (3,), m; raises InputError where they differ or a tube leaves its actuator."""
-        if np.ptp(translations) > ROUND_OFF:
-            raise InputError(
-                f"translations are {np.asarray(translations).tolist()} m; the three tubes of a segment share a sheath, "
-                "so they must be equal"
-            )
-        return assemble(self.tubes, translations, offset=np.full(3, self.distance), offset_angle=np.array(PLACES))
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the robot as YAML that `load_robot` reads back."""
-        late("tubeopt.robots.file.save_robot")(self, path)
-
 
 @keeps_hash
 @dataclass(frozen=True)
-class SegmentedEccentricRobot(Displayed):
+class SegmentedEccentricRobot(SheathedRobot):
     """An eccentric tube robot of k telescoping segments: at each of three places k tubes run one inside the other.
 
     The three tubes of a segment are equal and move in and out together. Where the tubes of an inner segment pass
@@ -187,70 +199,9 @@ class SegmentedEccentricRobot(Displayed):
                     f"offset is {self.distance:g} m; it must be less than a quarter of the radius of precurvature of "
                     f"segment {i + 1}, {0.25 / abs(tube.curvature):g} m"
                 )
-        if self.joint_limits is not None and len(self.joint_limits.rotations) != self.n_tubes:
-            raise InputError(
-                f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {self.n_tubes}"
-            )
-        check_calibration(self.calibration, self.n_tubes)
+        self.check_drives()
 
     @property
-    def distance(self) -> float:
-        """Distance of the tubes from the centreline, m."""
-        return float(self.offset or 0.0)
-
-    @property
-    def tubes(self) -> tuple[Tube, ...]:
-        """The 3 k tubes: three of the innermost segment, then three of the next."""
-        return tuple(tube for tube in self.segments for _ in range(3))
-
-    @property
-    def n_tubes(self) -> int:
-        """3 k."""
-        return 3 * len(self.segments)
-
-    @property
-    def home_translations(self) -> Array:
-        """(3 k,) translations at which every segment begins where the next outer one ends, m."""
-        reach = np.cumsum([0.0] + [tube.curved_length for tube in reversed(self.segments)])[:-1]
-        return np.repeat(reach[::-1], 3)
-
-    @property
-    def moving_together(self) -> tuple[tuple[int, ...], ...]:
-        """The three tubes of each segment."""
-        return tuple((3 * k, 3 * k + 1, 3 * k + 2) for k in range(len(self.segments)))
-
-    @property
-    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
-        """Every tube inside the one of the next segment at its place."""
-        return tuple((i, i + 3) for i in range(self.n_tubes - 3))
-
-    @property
-    def limits(self) -> JointLimits:
-        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
-        return limits_of(self.joint_limits, self.calibration, self.tubes)
-
-    def assembly(self, translations: Array) -> Assembly:
-        """Sections at `translations` (3 k,), m; raises InputError where tubes of one segment are moved apart, a tube
-        leaves its actuator, or curved parts overlap."""
-        table = np.reshape(translations, (-1, 3))
-        for k, row in enumerate(table):
-            if np.ptp(row) > ROUND_OFF:
-                raise InputError(
-                    f"translations of segment {k + 1} are {row.tolist()} m; its three tubes share a sheath, so they "
-                    "must be equal"
-                )
-        places = np.tile(PLACES, len(self.segments))
-        bundle = assemble(self.tubes, translations, offset=np.full(self.n_tubes, self.distance), offset_angle=places)
-        begin, end = bundle.transition[::3], bundle.end[::3]
-        shown = [k for k in range(len(self.segments)) if end[k] > 0]
-        for inner, outer in pairwise(shown):
-            if begin[inner] < end[outer] - 1e-9:
-                raise InputError(
-                    f"segment {inner + 1} begins to curve at {begin[inner]:g} m, before segment {outer + 1} ends at "
-                    f"{end[outer]:g} m; curved parts must not overlap"
-                )
-        return bundle
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the robot as YAML that `load_robot` reads back."""
-        late("tubeopt.robots.file.save_robot")(self, path)
+    def held(self) -> tuple[Tube, ...]:
+        """The tubes of the segments."""
+        return self.segments

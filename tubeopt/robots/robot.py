@@ -7,10 +7,11 @@ from functools import lru_cache
 from os import PathLike
 from typing import Any, Protocol, TypeVar
 
+from ..display import Displayed
 from ..errors import InputError
-from ..typing import Array
+from ..typing import Array, late
 from .assembly import Assembly
-from .calibration import Calibration
+from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
 from .tubes import Tube
 
@@ -63,6 +64,32 @@ class Robot(Protocol):
         """Write the robot as YAML that `load_robot` reads back."""
 
     def __hash__(self) -> int: ...
+
+
+class BaseRobot(Displayed):
+    """What robots of all kinds have alike; a kind is a dataclass with its tubes, limits and calibration."""
+
+    def check_drives(self: Robot, *, yields: bool = False) -> None:
+        """Raise InputError where limits or calibration are for another number of tubes, or for carriages that yield
+        and do not."""
+        limits = self.joint_limits
+        if limits is not None and len(limits.rotations) != len(self.tubes):
+            raise InputError(f"limits are given for {len(limits.rotations)} tubes; the robot has {len(self.tubes)}")
+        check_calibration(self.calibration, len(self.tubes), yields=yields)
+
+    @property
+    def n_tubes(self: Robot) -> int:
+        """Number of tubes n."""
+        return len(self.tubes)
+
+    @property
+    def limits(self: Robot) -> JointLimits:
+        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
+        return limits_of(self.joint_limits, self.calibration, self.tubes)
+
+    def save(self: Robot, path: str | PathLike[str]) -> None:
+        """Write the robot as YAML that `load_robot` reads back."""
+        late("tubeopt.robots.file.save_robot")(self, path)
 
 
 def check_robot(robot: object) -> None:
