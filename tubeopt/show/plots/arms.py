@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,15 +13,12 @@ from ...bodies.frames import Frame
 from ...files.units import TO_MM
 from ...planning import ArmsPlan
 from ...typing import Array
+from .kinds import Axes, Figure
 from .mesh import Mesh
 from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
 from .style import FAINT, INK, headed, new_figure, number, picture, styled
 from .trajectory import SWEEPING, body_mesh, film_ending, save_film
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SHOWN = 6
 """Instants at which the arms are drawn in the picture."""

@@ -13,12 +13,10 @@ from numpy.typing import ArrayLike
 from ...errors import InputError
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .style import FAINT, INK, angle_locator, new_figure, number, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...stability import Branch
 
 BAND = "#ECEEF1"

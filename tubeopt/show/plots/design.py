@@ -15,18 +15,16 @@ from ...design import Avoid, DesignSolution, DesignTask, ParetoFront, Reach, Sto
 from ...design.pareto import front_label
 from ...design.requirements import of_kind
 from ...design.stock import objective_label
+from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...planning import PairShare
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .maps import draw_map
 from .style import FAINT, INK, finish, headed, new_figure, picture, styled
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
     from ...stability import StabilityMap
 
 CORRIDOR = "#DCE3EA"

@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
 from ..arm_surfaces import Centreline
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .shape import plate_mesh
 from .stage import Box, View, draw_box, facets
 from .style import FAINT, INK, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
 
 MAP = "cividis"
 MICRO = 1e6

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...files.units import TO_MM
+from .kinds import Axes, Figure
 from .style import FAINT, INK, finish, new_figure, styled
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...validation import Comparison
 
 KEPT, REFUSED, GRID = "#0072B2", "#B8BEC6", "#E6E8EB"

@@ -10,12 +10,11 @@ import numpy as np
 from ...files.units import TO_MM
 from ...shaping.firmware.parts import root_mean_square
 from .heating import draw_duty, draw_temperature
+from .kinds import Figure
 from .mold import A4, EDGE, INCH, sheet_text
 from .style import new_figure, picture
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ...shaping.heating.plan import HeatingPlan
     from ...shaping.tube_fabrication import TubeFabrication
 

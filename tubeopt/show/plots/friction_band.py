@@ -9,12 +9,10 @@ import numpy as np
 from ...files.units import TO_MM
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .style import INK, headed, new_figure, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...stability import FrictionBand
 
 

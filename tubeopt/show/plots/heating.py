@@ -8,12 +8,10 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...robots.materials import ZERO_CELSIUS
+from .kinds import Axes, Figure
 from .style import FAINT, INK, headed, new_figure, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...runs.firmware_study import LedHeating
     from ...shaping.heating.calibration import RigFit
     from ...shaping.heating.plan import HeatingPlan

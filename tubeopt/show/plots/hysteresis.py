@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
+from .kinds import Axes, Figure
 from .style import angle_locator, finish, new_figure, styled
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
     from ...stability import Path, Snap
 
 WAYS = (("forth", "#D55E00", 2.6, "-"), ("back", "#0072B2", 1.3, "-"))

@@ -7,20 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
+from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .mesh import Mesh
 from .shape import draw_scenes, robot_mesh
 from .stage import Box, View, draw_arrow, draw_box, facets, note, widest_view
 from .style import FAINT, INK, caption, headed, new_figure, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
     from ...inverse import InverseSolution
-    from ...typing import Array
 
 TARGET = "#B00020"
 ARROW_SHARE = 0.12

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..colours import TUBE_COLOURS
+from .kinds import Axes, Figure
 from .style import FAINT, INK, finish, new_figure, styled
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
     from ...validation.force import ForceEstimate
 
 GRID = "#E6E8EB"

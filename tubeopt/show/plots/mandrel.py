@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +11,8 @@ from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mandrel_files import rotation_table
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .style import INK, new_figure, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 BODY = "#D9D4C5"
 

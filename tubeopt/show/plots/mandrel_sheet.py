@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING
 
 from ...files.units import TO_MM
 from ...shaping.mold.mandrel import Cylinder, Mandrel
+from .kinds import Figure
 from .mandrel import draw_plan, draw_space
 from .mold import A4, EDGE, INCH, sheet_text
 from .style import new_figure, picture
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 WRAPPED = 78
 """Letters per line of the steps."""

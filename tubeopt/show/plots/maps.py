@@ -13,13 +13,12 @@ from ...errors import InputError
 from ...files.units import TO_MILLI
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
+from .kinds import Axes, Figure
 from .style import INK, angle_locator, narrow, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
     from matplotlib.contour import ContourSet
-    from matplotlib.figure import Figure
 
     from ...stability import EnergyMap, StabilityMap
 

@@ -16,11 +16,10 @@ from ...shaping.mold.groove import Arc, Piece
 from ...shaping.mold.ranking import MOST_LEAK
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .style import FAINT, INK, headed, new_figure, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
     from ...robots.tubes import Tube

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,11 +10,8 @@ from ...files.units import TO_MM
 from ...shaping.mold.pegs import PegBoard
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .style import INK, new_figure, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 DISK = "#D9D4C5"
 

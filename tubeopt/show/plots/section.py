@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...bodies.obstacles import nearest_distance
+from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
 from ...inverse.outline import Outline
+from .kinds import Axes, Figure
 from .style import FAINT, INK, headed, new_figure, number, picture
 from .trajectory import SHOWN, arms_at
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...bodies.plane import Plane
-    from ...equilibrium.result import Equilibrium
     from ...planning import Trajectory
 
 CELLS = 300

@@ -6,23 +6,18 @@ Tubes of an eccentric robot stand at their true places, in a translucent sheath.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..arm_surfaces import Bundle, Centreline, Detail, bundles, exposed, plate_part, plate_radius, robot_parts
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .mesh import Mesh, mesh_of
 from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
 from .style import FAINT, INK, caption, headed, narrow, new_figure, number, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
 
 GHOST_OPACITY = 0.25
 LINE_HEIGHT = 11.0

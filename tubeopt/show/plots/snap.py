@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
+from .kinds import Axes, Figure
 from .shape import draw_scenes
 from .stage import View, widest_view
 from .style import INK, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
     from ...stability import Snap
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
+from .kinds import Axes
 from .mesh import Mesh
 from .style import INK, narrow, number
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.collections import PolyCollection
 
 RULE = "#DADDE1"

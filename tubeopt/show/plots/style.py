@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
@@ -18,14 +19,11 @@ from ...typing import Array
 from ..load_words import load_in_words
 from ..page import WIDTH
 from ..words import in_a_word
+from .kinds import Axes, Figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.text import Text
     from matplotlib.ticker import MaxNLocator
-
-    from ...equilibrium.result import Equilibrium
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
 
+from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .style import FAINT, INK, caption, name_above, new_figure, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from ...equilibrium.result import Equilibrium
 
 JUMP = 1e-3
 """Share of the range of theta' from which a difference across a breakpoint is drawn as a jump."""

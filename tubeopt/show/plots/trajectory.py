@@ -24,15 +24,13 @@ from ..arm_surfaces import Detail
 from ..colours import tube_colour
 from ..load_words import load_in_words
 from ..surfaces import obstacle_surface, swept
+from .kinds import Axes, Figure
 from .mesh import Mesh, facets_of
 from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
 from .style import FAINT, INK, headed, new_figure, number, picture, styled
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...planning import Trajectory
     from ...runs.verify_study import Checked
 

@@ -12,12 +12,10 @@ import scipy
 from ...files.units import TO_MM
 from ...typing import Array
 from ..colours import tube_colour
+from .kinds import Axes, Figure
 from .style import FAINT, INK, finish, headed, new_figure, picture, styled
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...validation import ErrorTable, Validation
 
 GRID = "#E6E8EB"

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from ...shaping.firmware.parts import parts_list
 from .heating import IDEAL, TUBE
+from .kinds import Axes, Figure
 from .style import FAINT, INK, headed, new_figure, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ...runs.firmware_study import LedHeating
     from ...shaping.firmware.boards import Wiring
 

@@ -11,14 +11,13 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
 from ...workspaces.voxels import Keys
+from .kinds import Axes, Figure
 from .shape import plate_mesh
 from .stage import Box, View, draw_box, facets
 from .style import headed, new_figure, number, picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.collections import Collection
-    from matplotlib.figure import Figure
 
 MAP = "cividis"
 LOST_FACE = "#F2B48C"
