@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import inspect
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -111,3 +114,11 @@ def test_in_full_tells_robots_apart_by_any_number() -> None:
     assert repr(other) == repr(TWO_TUBE)
     assert in_full(other) != in_full(TWO_TUBE)
     assert in_full((1,)) == "(1,)"
+
+
+def test_what_reports_name_to_be_drawn_is_there() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in Path(tubeopt.__path__[0], "show").glob("*.py")]
+    named = {name for text in texts for name in re.findall(r'"(\w+\.(?:plot|animate)_\w+)"', text)}
+    assert len(named) > 25
+    for module, function in (name.split(".") for name in named):
+        assert callable(getattr(importlib.import_module(f"tubeopt.show.plots.{module}"), function))

@@ -136,11 +136,6 @@ def _transmitted(equilibrium: Equilibrium, assembly: Assembly, twist: Array) -> 
     return out
 
 
-def _rate(twist: Quantity, stiffness: Quantity, torque: float, x: float) -> float:
-    """theta' at an arc length of a piece."""
-    return _value(twist, x) + torque / _value(stiffness, x)
-
-
 def _value(quantity: Quantity, x: float) -> float:
     """A quantity at an arc length of its piece."""
     return quantity.value(x) if isinstance(quantity, Series) else quantity

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -150,13 +151,11 @@ class ArmsReport(Report[ArmsPlan]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The arms and their distances, still and moving, and as a page that plays where viser is installed."""
-        from .plots.arms import animate_arms, plot_arms
-
-        shown = {"arms": drawing(plot_arms, self.answer), "arms.gif": drawing(animate_arms, self.answer)}
+        shown = {"arms": drawing("arms.plot_arms", self.answer), "arms.gif": drawing("arms.animate_arms", self.answer)}
         if find_spec("viser") is not None:
             from .viewer.arms import save_arms_page
 
-            shown["arms.html"] = drawing(save_arms_page, self.answer)
+            shown["arms.html"] = partial(save_arms_page, self.answer)
         return shown
 
     def conclude(self) -> None:

@@ -274,10 +274,8 @@ class CertificationReport(Report[Certification]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The snap, where one was found."""
-        from .plots import plot_snap  # Matplotlib takes longer to load than a solve
-
         snap = self.answer.verdict.snap
-        return {} if snap is None else {"snap": drawing(plot_snap, snap)}
+        return {} if snap is None else {"snap": drawing("snap.plot_snap", snap)}
 
     def conclude(self) -> None:
         """End with the exit code of the finding."""

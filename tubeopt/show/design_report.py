@@ -254,21 +254,20 @@ class DesignReport(Report[DesignAnswer]):
 
     def pictures(self) -> dict[str, Drawing]:
         """Those that the design has; `CAPTIONS` says what each shows."""
-        from .plots import plot_shapes
-        from .plots.design import plot_front, plot_poses, plot_tolerance
-
         a, s = self.answer, self.answer.solution
         robots, name = (s.task.robot, s.robot), s.robot.name or "design"
         home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-        found: dict[str, Drawing] = {"shapes": drawing(plot_shapes, home, titles=("before", "after"), heading=name)}
+        found: dict[str, Drawing] = {
+            "shapes": drawing("shape.plot_shapes", home, titles=("before", "after"), heading=name)
+        }
         if s.equilibria:
-            found["poses"] = drawing(plot_poses, s)
+            found["poses"] = drawing("design.plot_poses", s)
         if s.robot.n_tubes > 2:
             found["maps"] = lambda path=None: _draw_maps(robots, path)
         if a.front is not None:
-            found["pareto"] = drawing(plot_front, a.front)
+            found["pareto"] = drawing("design.plot_front", a.front)
         if a.tolerance is not None:
-            found["tolerance"] = drawing(plot_tolerance, a.tolerance, heading=name)
+            found["tolerance"] = drawing("design.plot_tolerance", a.tolerance, heading=name)
         return found
 
     def page(self) -> str:

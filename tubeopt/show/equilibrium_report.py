@@ -14,7 +14,7 @@ from ..typing import Array
 from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
-from .report import Drawing, Report, drawing
+from .report import Report
 from .words import counted, margin_in_words, millimetres
 
 NOTICED = 1e-3
@@ -104,6 +104,7 @@ class EquilibriumReport(Report[Equilibrium]):
 
     command = "fk"
     quantities = EQUILIBRIUM
+    drawn = (("shape", "shape.plot_shape"), ("torsion", "torsion.plot_torsion"))
 
     def save(self, directory: Path) -> list[Path]:
         """Write result.json and arrays.npz."""
@@ -116,9 +117,3 @@ class EquilibriumReport(Report[Equilibrium]):
     def solids(self) -> dict[str, Equilibrium]:
         """The arm."""
         return {"arm": self.answer}
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The shape, and the torsion along it."""
-        from .plots import plot_shape, plot_torsion  # Matplotlib takes longer to load than a solve
-
-        return {"shape": drawing(plot_shape, self.answer), "torsion": drawing(plot_torsion, self.answer)}

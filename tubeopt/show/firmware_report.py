@@ -13,7 +13,7 @@ from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.feedback import Contribution, Feedback
 from .heat_report import missed
 from .quantities import Quantity, line, within
-from .report import Drawing, Report, drawing, grid, remarks, two_columns
+from .report import Report, grid, remarks, two_columns
 
 CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
     Quantity("name", "what is not known"),
@@ -68,6 +68,7 @@ class LedHeatingReport(Report[LedHeating]):
     command = "heat firmware"
     quantities = LED_HEATING
     file = "law.json"
+    drawn = (("feedback", "heating.plot_feedback"), ("wiring", "wiring.plot_wiring"))
 
     def title(self) -> str:
         """The rig's name."""
@@ -89,13 +90,6 @@ class LedHeatingReport(Report[LedHeating]):
         """Write law.json and the sketch."""
         answer = self.answer
         return [self.save_record(directory), *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
-
-    def pictures(self) -> dict[str, Drawing]:
-        """Temperatures of uncertain rigs, and how the board is wired."""
-        from .plots.heating import plot_feedback
-        from .plots.wiring import plot_wiring
-
-        return {"feedback": drawing(plot_feedback, self.answer), "wiring": drawing(plot_wiring, self.answer)}
 
     def conclude(self) -> None:
         """Raise SolveError where the schedule does not keep everything on the rig as filed, or most rigs fail."""

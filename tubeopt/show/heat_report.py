@@ -240,9 +240,7 @@ class HeatingReport(Report[Heating]):
 
     def pictures(self) -> dict[str, Drawing]:
         """Temperatures and duty over time."""
-        from .plots.heating import plot_heating
-
-        return {"heating": drawing(plot_heating, self.answer.plan, band=self.answer.band)}
+        return {"heating": drawing("heating.plot_heating", self.answer.plan, band=self.answer.band)}
 
     def conclude(self) -> None:
         """Raise SolveError where no schedule was found that holds the window within limit, ramp and currents."""
@@ -293,6 +291,7 @@ class RigFitReport(Report[RigFit]):
     command = "heat calibrate"
     quantities = RIG_FIT
     file = "calibration.json"
+    drawn = (("calibration", "heating.plot_rig_fit"),)
 
     def table(self) -> Group:
         """A row per factor, the residuals, the remarks."""
@@ -314,12 +313,6 @@ class RigFitReport(Report[RigFit]):
         """Write calibration.json and the calibrated rig.yaml."""
         save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to a log.")
         return [self.save_record(directory), directory / "rig.yaml"]
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The log beside what the calibrated rig does."""
-        from .plots.heating import plot_rig_fit
-
-        return {"calibration": drawing(plot_rig_fit, self.answer)}
 
 
 TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (

@@ -92,6 +92,7 @@ class PosturesReport(Report[Postures]):
     command = "ik"
     quantities = POSTURES
     file = "solutions.json"
+    drawn = (("inverse", "inverse.plot_inverse", "solutions"),)
 
     def table(self) -> Group:
         """The best answer, and a row for each of the others."""
@@ -129,12 +130,6 @@ class PosturesReport(Report[Postures]):
     def solids(self) -> dict[str, Equilibrium]:
         """The arm in the best posture."""
         return {"arm": self.answer.solutions[0].equilibrium}
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The postures at the target."""
-        from .plots.inverse import plot_inverse  # Matplotlib takes longer to load than a solve
-
-        return {"inverse": drawing(plot_inverse, self.answer.solutions)}
 
     def conclude(self) -> None:
         """Raise SolveError where the target is missed."""
@@ -260,10 +255,8 @@ class TargetTableReport(Report[TargetTable]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The arm along the targets that were reached."""
-        from .plots.inverse import plot_targets  # Matplotlib takes longer to load than a solve
-
         reached = _reached(self.answer)
-        return {"targets": drawing(plot_targets, reached)} if len(reached) > 1 else {}
+        return {"targets": drawing("inverse.plot_targets", reached)} if len(reached) > 1 else {}
 
     def conclude(self) -> None:
         """Raise SolveError where every target is missed; misses within a table are named in it."""

@@ -79,15 +79,13 @@ class BearingReport(Report[Bearing]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The robot at the limit, and where it lands as a ghost."""
-        from .plots import plot_shape  # Matplotlib takes longer to load than a solve
-
         limit = self.answer.limit
         if limit is None:
             return {}
         words = f"{limit.factor:.4g} times the load, where the equilibrium is lost"
         if limit.after is None:
-            return {"load_limit": drawing(plot_shape, limit.before, remark=words)}
-        return {"load_limit": drawing(plot_shape, limit.before, ghosts=[limit.after],
+            return {"load_limit": drawing("shape.plot_shape", limit.before, remark=words)}
+        return {"load_limit": drawing("shape.plot_shape", limit.before, ghosts=[limit.after],
                                       remark=f"{words}; ghost: where the robot lands")}  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from ..shaping.mold.checks import pressing_strain
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube
 from ..shaping.mold.mandrel_files import write_mandrel
 from .quantities import Quantity
-from .report import Drawing, Report, drawing, remarks, two_columns
+from .report import Report, remarks, two_columns
 
 
 def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
@@ -55,6 +55,7 @@ class MandrelReport(Report[Mandrel]):
     command = "mold mandrel"
     quantities = MANDREL
     file = "mandrel.json"
+    drawn = (("mandrel", "mandrel.plot_mandrel"),)
 
     def title(self) -> str:
         """Which tube."""
@@ -71,9 +72,3 @@ class MandrelReport(Report[Mandrel]):
         paths = [self.save_record(directory), *write_mandrel(self.answer, directory)]
         plot_mandrel_sheet(self.answer, directory / "setup.pdf")
         return [*paths, directory / "setup.pdf"]
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The mandrel, with the tube on it."""
-        from .plots.mandrel import plot_mandrel
-
-        return {"mandrel": drawing(plot_mandrel, self.answer)}

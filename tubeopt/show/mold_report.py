@@ -144,10 +144,8 @@ class MoldReport(Report[RobotMold]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The grooves, and the plates as milled."""
-        from .plots.mold import plot_milled, plot_mold
-
-        return {name: drawing(plot, self.answer.mold, title=self.answer.name)
-                for name, plot in (("mold", plot_mold), ("milled", plot_milled))}  # fmt: skip
+        names = ("mold", "milled")
+        return {name: drawing(f"mold.plot_{name}", self.answer.mold, title=self.answer.name) for name in names}
 
 
 def _springback(back: Springback) -> dict[str, Any]:
@@ -218,6 +216,7 @@ class CalibrationReport(Report[Calibration]):
     command = "mold calibrate"
     quantities = CALIBRATION
     file = "calibration.json"
+    drawn = (("springback", "mold.plot_springback"),)
 
     def rows(self) -> list[tuple[str, str]]:
         """The model, and what the molds of the trials yield by it."""
@@ -237,12 +236,6 @@ class CalibrationReport(Report[Calibration]):
         """Write calibration.json and springback.yaml."""
         save_springback(self.answer, directory / "springback.yaml")
         return [self.save_record(directory), directory / "springback.yaml"]
-
-    def pictures(self) -> dict[str, Drawing]:
-        """What was bent and what came out."""
-        from .plots.mold import plot_springback
-
-        return {"springback": drawing(plot_springback, self.answer)}
 
 
 RATING: tuple[Quantity[MaterialRating], ...] = (
@@ -306,6 +299,5 @@ class RankingReport(Report[Ranking]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The materials side by side."""
-        from .plots.mold import plot_materials
-
-        return {"materials": drawing(plot_materials, self.answer.ratings, title=self.title().replace("degC", "°C"))}
+        title = self.title().replace("degC", "°C")
+        return {"materials": drawing("mold.plot_materials", self.answer.ratings, title=title)}

@@ -90,9 +90,8 @@ def _picture(answer: Any) -> Drawing | None:
 def _at_home(robot: Any) -> Drawing | None:
     """A robot as it stands when nothing is turned."""
     from ..equilibrium.kinematics import forward_kinematics
-    from .plots import plot_shape
 
     try:
-        return drawing(plot_shape, forward_kinematics(robot, np.zeros(robot.n_tubes)))
+        return drawing("shape.plot_shape", forward_kinematics(robot, np.zeros(robot.n_tubes)))
     except SolveError:
         return None

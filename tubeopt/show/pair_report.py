@@ -147,13 +147,12 @@ class PairReport(Report[PairAnswer]):
 
     def pictures(self) -> dict[str, Drawing]:
         """What both hold before and after, and the shapes of each."""
-        from .plots import plot_shapes
-        from .plots.design import plot_pair_shares
-
         a = self.answer
-        found: dict[str, Drawing] = {"pairs": drawing(plot_pair_shares, (a.before, a.after), names=a.names)}
+        found: dict[str, Drawing] = {"pairs": drawing("design.plot_pair_shares", (a.before, a.after), names=a.names)}
         for arm in _arms(a):
             robots = (arm.solution.task.robot, arm.solution.robot)
             home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-            found[f"arm_{arm.number}_shapes"] = drawing(plot_shapes, home, titles=("before", "after"), heading=arm.name)
+            found[f"arm_{arm.number}_shapes"] = drawing(
+                "shape.plot_shapes", home, titles=("before", "after"), heading=arm.name
+            )
         return found

@@ -11,7 +11,7 @@ from ..shaping.mold.lattice import Peg
 from ..shaping.mold.peg_files import write_pegs
 from ..shaping.mold.pegs import PegBoard
 from .quantities import Quantity
-from .report import Drawing, Report, drawing, grid, remarks, two_columns
+from .report import Report, grid, remarks, two_columns
 
 PEG: tuple[Quantity[Peg], ...] = (
     Quantity("hole", "row from below by letter, place in the row from the left"),
@@ -45,6 +45,7 @@ class PegReport(Report[PegBoard]):
     command = "mold pegs"
     quantities = PEGS
     file = "pegs.json"
+    drawn = (("pegs", "pegs.plot_pegs"),)
 
     def title(self) -> str:
         """Which tube."""
@@ -71,9 +72,3 @@ class PegReport(Report[PegBoard]):
     def save(self, directory: Path) -> list[Path]:
         """Write pegs.json, pegs.csv, board.dxf, board.svg and the board's programs."""
         return [self.save_record(directory), *write_pegs(self.answer, directory)]
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The board from above, and how far the tube is off its curve."""
-        from .plots.pegs import plot_pegs
-
-        return {"pegs": drawing(plot_pegs, self.answer)}

@@ -237,14 +237,11 @@ class TrajectoryReport(Report[Trajectory]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The motion, still and moving, and in the plane that was asked for."""
-        from .plots.section import plot_section
-        from .plots.trajectory import animate_trajectory, plot_trajectory
-
         found: dict[str, Drawing] = {
-            "trajectory": drawing(plot_trajectory, self.answer),
-            "trajectory.gif": drawing(animate_trajectory, self.answer),
+            "trajectory": drawing("trajectory.plot_trajectory", self.answer),
+            "trajectory.gif": drawing("trajectory.animate_trajectory", self.answer),
         }
-        return found if self.answer.cut is None else found | {"section": drawing(plot_section, self.answer)}
+        return found if self.answer.cut is None else found | {"section": drawing("section.plot_section", self.answer)}
 
     def conclude(self) -> None:
         """Raise NotProvedError where the proof was not finished."""
@@ -272,6 +269,7 @@ class CheckedReport(Report[Checked]):
     command = "verify"
     quantities = CHECKED
     file = "verify.json"
+    drawn = (("verified", "trajectory.plot_checked"),)
 
     def table(self) -> Group:
         """Whether it holds, what is wrong, and the numbers."""
@@ -279,12 +277,6 @@ class CheckedReport(Report[Checked]):
         verdict = "holds" if a.proof.holds else "does not hold"
         notes = [Text(f"- {fault}") for fault in a.proof.faults]
         return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), *notes, two_columns("", self.rows()))
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The motion as far as it was followed."""
-        from .plots.trajectory import plot_checked
-
-        return {"verified": drawing(plot_checked, self.answer)}
 
     def conclude(self) -> None:
         """Raise SolveError where something does not hold."""

@@ -6,6 +6,8 @@ import functools
 from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
+from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
@@ -41,9 +43,16 @@ def file_name(picture: str) -> str:
     return picture if "." in picture else f"{picture}.{chosen}"
 
 
-def drawing(plot: Callable[..., Any], what: Any, **options: Any) -> Drawing:
-    """A picture of `what`, with nothing left to be said but where to save it."""
-    return lambda path=None: plot(what, path, **options)
+def drawing(plot: str, what: Any, **options: Any) -> Drawing:
+    """A picture of `what`, with nothing left to be said but where to save it.
+
+    Args:
+        plot: the function of `show.plots` that draws it, as "mold.plot_mold", loaded with Matplotlib when it is wanted:
+            that takes longer than a solve.
+        options: what it takes besides.
+    """
+    module, _, name = plot.rpartition(".")
+    return lambda path=None: getattr(import_module(f".plots.{module}", __package__), name)(what, path, **options)
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,10 @@ class Report(Generic[A]):
 
     file: ClassVar[str] = ""
     """Name under which the record is saved; "" where it is not."""
+
+    drawn: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Pictures: name, the function that draws it, as `drawing` takes it, and of which attribute of the answer; without
+    one of the answer itself."""
 
     def __init_subclass__(cls) -> None:
         """A class of reports is that on the answers which it names in its brackets."""
@@ -98,7 +111,10 @@ class Report(Generic[A]):
 
     def pictures(self) -> dict[str, Drawing]:
         """Name of every picture -> what draws it; a name without a suffix gets that of the format asked for."""
-        return {}
+        parts = {
+            name: (plot, attrgetter(*part)(self.answer) if part else self.answer) for name, plot, *part in self.drawn
+        }
+        return {name: drawing(*part) for name, part in parts.items()}
 
     def draw(self, directory: Path) -> list[Path]:
         """Write the pictures into `directory`, in the format of `FORMAT`; return the paths."""

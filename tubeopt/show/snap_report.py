@@ -136,6 +136,7 @@ class EquilibriaReport(Report[Equilibria]):
     command = "equilibria"
     quantities = EQUILIBRIA
     file = "equilibria.json"
+    drawn = (("equilibria", "shape.plot_equilibria", "equilibria"),)
 
     def table(self) -> Group:
         """A row per equilibrium."""
@@ -156,12 +157,6 @@ class EquilibriaReport(Report[Equilibria]):
         ]
         columns = ("tip (mm)", "tubes' tips (deg)", "margin >", "mJ >", "index >", "")
         return Group(Text(f"{head}, translations {millimetres(a.translations)}"), grid(columns, cells))
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The shape of lowest energy, the others as ghosts."""
-        from .plots import plot_equilibria  # Matplotlib takes longer to load than a solve
-
-        return {"equilibria": drawing(plot_equilibria, self.answer.equilibria)}
 
 
 class WayReport(Report[Way]):
@@ -186,12 +181,10 @@ class WayReport(Report[Way]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The robot before and after the snap, or arrived at the end."""
-        from .plots import plot_shape, plot_snap  # Matplotlib takes longer to load than a solve
-
         if self.answer.snap is not None:
-            return {"snap": drawing(plot_snap, self.answer.snap)}
+            return {"snap": drawing("snap.plot_snap", self.answer.snap)}
         arrived = self.answer.arrived
-        return {} if arrived is None else {"snap": drawing(plot_shape, arrived)}
+        return {} if arrived is None else {"snap": drawing("shape.plot_shape", arrived)}
 
 
 class MotionReport(Report[Motion]):
@@ -199,6 +192,7 @@ class MotionReport(Report[Motion]):
 
     command = "follow"
     quantities = MOTION
+    drawn = (("path", "path.plot_path", "path"),)
 
     def title(self) -> str:
         """How far it went."""
@@ -242,12 +236,6 @@ class MotionReport(Report[Motion]):
     def tables(self) -> dict[str, Any]:
         """The state at every waypoint."""
         return {"path": self.answer.path}
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The tip and the margin along the way, with the snaps."""
-        from .plots import plot_path  # Matplotlib takes longer to load than a solve
-
-        return {"path": drawing(plot_path, self.answer.path)}
 
 
 def _nearest(a: RobotMap) -> Array | None:
@@ -317,6 +305,4 @@ class RobotMapReport(Report[RobotMap]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The map."""
-        from .plots import plot_stability_map  # Matplotlib takes longer to load than a solve
-
-        return {"stability_map": drawing(plot_stability_map, self.answer.map, title=self.answer.robot.name)}
+        return {"stability_map": drawing("maps.plot_stability_map", self.answer.map, title=self.answer.robot.name)}

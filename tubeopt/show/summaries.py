@@ -46,10 +46,17 @@ from .workspace_report import LOSS
 
 
 class Summary(NamedTuple):
-    """How an object is shown that has no report: its quantities, and what draws it, where there is a picture of it."""
+    """How an object is shown that has no report: its quantities; what draws it, as `drawing` takes it, "" for nothing;
+    and what of it is drawn, None for nothing."""
 
     quantities: Sequence[Quantity[Any]]
-    picture: Callable[[Any], Drawing | None] = lambda answer: None
+    plot: str = ""
+    drawn: Callable[[Any], Any] = lambda answer: answer
+
+    def picture(self, answer: Any) -> Drawing | None:
+        """What draws it, where there is a picture of it."""
+        what = self.drawn(answer) if self.plot else None
+        return None if what is None else drawing(self.plot, what)
 
 
 def every(quantities: Sequence[Quantity[Any]]) -> tuple[Quantity[Any], ...]:
@@ -200,42 +207,28 @@ MOLD: tuple[Quantity[Mold], ...] = (
 )
 
 
-def _plot(module: str, name: str, *, several: bool = False) -> Callable[[Any], Drawing]:
-    """A picture by the function of that name, loaded with Matplotlib when it is asked for."""
-
-    def picture(answer: Any) -> Drawing:
-        from importlib import import_module
-
-        plot = getattr(import_module(f".plots.{module}", __package__), name)
-        return drawing(plot, [answer] if several else answer)
-
-    return picture
-
-
-SHAPE = _plot("shape", "plot_shape")
-
 SUMMARIES: Mapping[type, Summary] = {
-    Branch: Summary(BRANCH, _plot("branch", "plot_branch")),
+    Branch: Summary(BRANCH, "branch.plot_branch"),
     Certificate: Summary(CERTIFICATE),
-    DesignSolution: Summary(DESIGN, lambda s: SHAPE(s.equilibria[0]) if s.equilibria else None),
-    EnergyMap: Summary(ENERGY_MAP, _plot("maps", "plot_energy_maps", several=True)),
+    DesignSolution: Summary(DESIGN, "shape.plot_shape", lambda s: next(iter(s.equilibria), None)),
+    EnergyMap: Summary(ENERGY_MAP, "maps.plot_energy_maps", lambda answer: [answer]),
     EquilibriumBatch: Summary(BATCH),
-    ForceEstimate: Summary(FORCE, lambda f: SHAPE(f.equilibrium)),
-    HeatingPlan: Summary(PLAN, _plot("heating", "plot_heating")),
-    InverseSolution: Summary(SOLUTION, _plot("inverse", "plot_inverse", several=True)),
+    ForceEstimate: Summary(FORCE, "shape.plot_shape", lambda f: f.equilibrium),
+    HeatingPlan: Summary(PLAN, "heating.plot_heating"),
+    InverseSolution: Summary(SOLUTION, "inverse.plot_inverse", lambda answer: [answer]),
     Jacobian: Summary(JACOBIAN),
-    LoadLimit: Summary(LOAD_LIMIT, lambda limit: SHAPE(limit.before)),
-    Mold: Summary(MOLD, _plot("mold", "plot_mold")),
-    Path: Summary(PATH, _plot("path", "plot_path")),
+    LoadLimit: Summary(LOAD_LIMIT, "shape.plot_shape", lambda limit: limit.before),
+    Mold: Summary(MOLD, "mold.plot_mold"),
+    Path: Summary(PATH, "path.plot_path"),
     ProblemSolution: Summary(PROBLEM),
     Proof: Summary(PROOF),
-    Snap: Summary(SNAP, _plot("snap", "plot_snap")),
+    Snap: Summary(SNAP, "snap.plot_snap"),
     SnappingLoss: Summary(every(LOSS)),
-    StabilityMap: Summary(STABILITY_MAP, _plot("maps", "plot_stability_map")),
+    StabilityMap: Summary(STABILITY_MAP, "maps.plot_stability_map"),
     Tube: Summary(every(TUBE)),
-    Verdict: Summary(VERDICT, lambda v: _plot("snap", "plot_snap")(v.snap) if v.snap is not None else None),
+    Verdict: Summary(VERDICT, "snap.plot_snap", lambda v: v.snap),
     Verification: Summary(every(VERIFICATION)),
-    Workspace: Summary(WORKSPACE, _plot("workspace", "plot_workspace")),
+    Workspace: Summary(WORKSPACE, "workspace.plot_workspace"),
     WorstCertificate: Summary(WORST_CERTIFICATE),
-    WorstMargin: Summary(WORST_MARGIN, lambda w: SHAPE(w.equilibrium)),
+    WorstMargin: Summary(WORST_MARGIN, "shape.plot_shape", lambda w: w.equilibrium),
 }

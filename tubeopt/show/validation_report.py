@@ -162,9 +162,10 @@ class ValidationReport(Report[Validation]):
 
 
 def _pictures(v: Validation, when: str) -> dict[str, Drawing]:
-    from .plots.validation import plot_errors, plot_residuals
-
-    return {"residuals": drawing(plot_residuals, v, when=when), "errors": drawing(plot_errors, v, when=when)}
+    return {
+        "residuals": drawing("validation.plot_residuals", v, when=when),
+        "errors": drawing("validation.plot_errors", v, when=when),
+    }
 
 
 def save_residuals(directory: Path, v: Validation, held_out: Array | None = None) -> Path:
@@ -358,7 +359,5 @@ class EffectsReport(Report[Comparison]):
 
     def pictures(self) -> dict[str, Drawing]:
         """What the effects explain; residuals and errors where one pays."""
-        from .plots.effects import plot_effects
-
         rest = {} if self.answer.fit is None else FitReport(self.answer.fit).pictures()
-        return {"effects": drawing(plot_effects, self.answer)} | rest
+        return {"effects": drawing("effects.plot_effects", self.answer)} | rest

@@ -136,7 +136,5 @@ class WorkspaceReport(Report[Findings]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The workspace, seen from two sides and cut."""
-        from .plots.workspace import plot_workspace  # Matplotlib takes longer to load than a solve
-
         a = self.answer
-        return {"workspace": drawing(plot_workspace, a.workspace, loss=a.loss, size=a.voxels.size)}
+        return {"workspace": drawing("workspace.plot_workspace", a.workspace, loss=a.loss, size=a.voxels.size)}

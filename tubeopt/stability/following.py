@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..block.transcription.second_variation import softest
 from ..display import Displayed
+from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
@@ -274,22 +275,9 @@ def snap_between(index: int, fraction: float, before: Equilibrium, after: Equili
 
 def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
     """Rotations and translations (T, n) of waypoints, T at least 1; raises InputError where they are none."""
-    n = robot.n_tubes
-    try:
-        alpha = np.array(rotations, dtype=float)
-        home = np.zeros_like(alpha) + robot.home_translations
-        shift = home if translations is None else np.array(translations, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("rotations and translations must be tables of numbers, one row per waypoint") from None
-    for name, table in (("rotations", alpha), ("translations", shift)):
-        if table.ndim != 2 or table.shape[1] != n or not len(table):
-            raise InputError(f"{name} have shape {table.shape}; they must be one row of {n} numbers per waypoint")
-        if not np.isfinite(table).all():
-            raise InputError(
-                f"{name} have a value that is not finite in row {int(np.argmin(np.isfinite(table).all(1)))}"
-            )
-    if len(alpha) != len(shift):
-        raise InputError(f"rotations have {len(alpha)} rows, translations {len(shift)}; they must be as many")
+    alpha, shift = joint_arrays(robot, rotations, translations)
+    if not len(alpha):
+        raise InputError("rotations has no rows; it must have one per waypoint")
     changed = np.append(True, (np.diff(shift, axis=0) != 0).any(1))
     # Of tubes that all move by themselves only how far each is pushed is limited: the farthest tell of all.
     alone = all(len(tubes) == 1 for tubes in robot.moving_together)
