@@ -53,10 +53,9 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     folder = Path(path).parent
     rate = None if entry.frame_rate_Hz is None else float(entry.frame_rate_Hz)
     recorded = read_recorded(folder / entry.tips, rate)
-    meanings = {
-        **recorded.meaning,
-        **{k: v for k, v in entry.columns.items() if _mine(k, recorded.table.columns, entry)},
-    }
+    # A column that is of the other file alone says nothing of this one.
+    mine = {k: v for k, v in entry.columns.items() if k in recorded.table.columns or entry.joints is None}
+    meanings = {**recorded.meaning, **mine}
     tips = columns_of(recorded.table, meanings, str(path), robot.n_tubes)
     joints = tips
     if entry.joints is not None:
@@ -73,11 +72,6 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
         columns.table.check()
     found = _assemble(entry, robot, positions, time, (rotations, translations), stamps, frames)
     return replace(found, remarks=(*recorded.remarks, *found.remarks))
-
-
-def _mine(column: str, names: tuple[str, ...], entry: MeasurementMap) -> bool:
-    """Whether a mapped column is for the table of positions: one of another file alone is not."""
-    return column in names or entry.joints is None
 
 
 def _complete(path: str | PathLike[str], entry: MeasurementMap, tips: Columns, joints: Columns, robot: Robot) -> None:

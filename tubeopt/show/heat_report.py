@@ -316,7 +316,8 @@ class RigFitReport(Report[RigFit]):
 
 
 TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (
-    Quantity("loss_factor", "loss factor", lambda f: f.factor, words=lambda f: _factor(f)),
+    Quantity("loss_factor", "loss factor", lambda f: f.factor,
+             words=lambda f: f"{f.factor:.3f}, {100 * f.confidence:g} % interval {f.low:.3f} to {f.high:.3f}"),
     Quantity("low", "least of its interval"),
     Quantity("high", "greatest of its interval"),
     Quantity("confidence", "of the interval"),
@@ -324,10 +325,6 @@ TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (
              words="{end_temperatures_degC:.0f} degC by the calibrated rig"),
     Quantity("least_probability", "of the least likely trial", lambda f: f.surprise),
 )  # fmt: skip
-
-
-def _factor(f: TrialFit) -> str:
-    return f"{f.factor:.3f}, {100 * f.confidence:g} % interval {f.low:.3f} to {f.high:.3f}"
 
 
 class TrialFitReport(Report[TrialFit]):

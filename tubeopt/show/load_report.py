@@ -117,13 +117,10 @@ RECORD: tuple[Quantity[ForceRecord], ...] = (
     line("largest force", lambda r: _largest(r)),
     line("standard errors (median)", lambda r: _errors(r)),
     line("too small to be told", lambda r: _untold(r)),
-    Quantity("estimates", "the force in every row that tells one", lambda r: _told(r), of=ESTIMATE),
+    Quantity("estimates", "the force in every row that tells one",
+             lambda r: [(k, e) for k, e in enumerate(r.estimates, start=1) if e is not None], of=ESTIMATE),
     Quantity("failures", "other rows, from 1, and why", lambda r: [[k + 1, why] for k, why in r.failures]),
 )  # fmt: skip
-
-
-def _told(r: ForceRecord) -> list[tuple[int, ForceEstimate]]:
-    return [(k, e) for k, e in enumerate(r.estimates, start=1) if e is not None]
 
 
 def _largest(r: ForceRecord) -> str | None:

@@ -22,9 +22,10 @@ def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
     return lambda m: get(m.body) if isinstance(m.body, Cylinder) else None
 
 
-def _off_it() -> tuple[Quantity[Tube], ...]:
-    return (Quantity("curvature_per_m", "its largest curvature"), Quantity("curved_length_mm", "its curved part"))
-
+OFF_IT: tuple[Quantity[Tube], ...] = (
+    Quantity("curvature_per_m", "its largest curvature"),
+    Quantity("curved_length_mm", "its curved part"),
+)
 
 MANDREL: tuple[Quantity[Mandrel], ...] = (
     Quantity("tube", "which tube of the robot, from 1", lambda m: m.number),
@@ -44,7 +45,7 @@ MANDREL: tuple[Quantity[Mandrel], ...] = (
     Quantity("cold_length_mm", "cold end from the clamp", lambda m: m.cold.length, form=".4g"),
     Quantity("free_length_mm", "tube between the clamps", form=".4g"),
     Quantity("stock_length_mm", "cut the tube to", form=".4g"),
-    Quantity("predicted", "what comes off it", predict_wound_tube, of=_off_it()),
+    Quantity("predicted", "what comes off it", predict_wound_tube, of=OFF_IT),
     Quantity("remarks", "what to beware of", lambda m: list(m.remarks)),
 )  # fmt: skip
 

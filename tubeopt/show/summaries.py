@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..design.optimize import DesignSolution, Dimension
+from ..design.optimize import DesignSolution
 from ..equilibrium.batch import EquilibriumBatch
 from ..equilibrium.result import Jacobian, Verification
 from ..inverse import InverseSolution
@@ -87,10 +87,6 @@ def _counts(what: Any) -> str:
 
 def _least(margins: Any) -> str:
     return f"{np.nanmin(margins):.4f} to {np.nanmax(margins):.4f}"
-
-
-def _dimension(d: Dimension) -> str:
-    return f"{d.name}: {d.before:.6g} to {d.after:.6g} {d.unit}"
 
 
 CERTIFICATE: tuple[Quantity[Certificate], ...] = (
@@ -188,7 +184,9 @@ DESIGN: tuple[Quantity[DesignSolution], ...] = (
     line("status", lambda s: str(s.status)),
     line("certificate", lambda s: f"{s.certificate:.6f}, a lower bound of the margin at all rotations"),
     line("objectives", lambda s: ", ".join(f"{name} {value:.6g} (SI)" for name, value in s.objectives.items())),
-    line("dimensions", lambda s: "\n".join(map(_dimension, s.dimensions))),
+    line(
+        "dimensions", lambda s: "\n".join(f"{d.name}: {d.before:.6g} to {d.after:.6g} {d.unit}" for d in s.dimensions)
+    ),
 )
 
 PROBLEM: tuple[Quantity[ProblemSolution], ...] = (

@@ -66,12 +66,8 @@ TIP = Variable("tip_position", "tip_{}_mm", "axis")
 MARGIN = Variable("margin", "margin")
 
 
-def _of_waypoints(name: str) -> Callable[[JointPath], Any]:
-    return lambda path: np.array([getattr(e, name) for e in path.equilibria])
-
-
 def _at_waypoints(variable: Variable) -> Variable:
-    return variable._replace(get=_of_waypoints(variable.name))
+    return variable._replace(get=lambda path: np.array([getattr(e, variable.name) for e in path.equilibria]))
 
 
 ENERGY = Variable("energy", "energy_mJ")

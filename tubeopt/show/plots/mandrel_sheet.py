@@ -48,10 +48,13 @@ def _numbers(mandrel: Mandrel) -> list[tuple[str, str]]:
     """What the workshop needs to know; mm."""
     body, tube, held = mandrel.body, mandrel.tube, mandrel.held
     if isinstance(body, Cylinder):
-        hand = "left" if body.lead < 0 else "right"
+        hand, pitch = "left" if body.lead < 0 else "right", 2 * math.pi * abs(body.lead) * TO_MM
         made = [
             ("cylinder, diameter / length", f"{2 * body.radius * TO_MM:.3f} / {body.length * TO_MM:.1f}"),
-            ("helix, radius / pitch", f"{body.helix_radius * TO_MM:.3f} / {_pitch(body) * TO_MM:.3f}, {hand}-handed"),
+            (
+                "helix, radius / pitch",
+                f"{body.helix_radius * TO_MM:.3f} / {pitch:.3f}, {hand}-handed",
+            ),
         ]
     else:
         made = [("block", " × ".join(f"{size * TO_MM:.1f}" for size in body.size))]
@@ -69,10 +72,6 @@ def _numbers(mandrel: Mandrel) -> list[tuple[str, str]]:
         ),
         ("tube from clamp to clamp", f"{mandrel.free_length * TO_MM:.1f}"),
     ]
-
-
-def _pitch(body: Cylinder) -> float:
-    return 2 * math.pi * abs(body.lead)
 
 
 def _steps(mandrel: Mandrel) -> list[str]:

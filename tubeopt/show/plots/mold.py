@@ -202,24 +202,23 @@ def sheet_text(figure: Figure, x: float, y: float, text: str, *, size: float = 7
 def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
     """What the workshop needs to know of one groove; mm and deg."""
     tube, back = groove.tube, mold.spec.springback
+    lost = 1 - abs(tube.curvature / groove.curvature) if groove.curvature else 0.0
+    ends, travel = groove.before_bend + groove.bend_length, max(clamp.travel for clamp in groove.clamps)
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return [
         ("tube, outer / inner diameter", f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}"),
         ("wanted radius", _least(tube, ".2f")),
         ("mold radius", _least(groove.held, ".3f")),
-        (
-            "spring-back of the curvature",
-            f"{(1 - back.obtained(1.0)) * 100 if back.slope == 0 else _lost(groove):.2f} %",
-        ),
+        ("spring-back of the curvature", f"{100 * (1 - back.obtained(1.0) if back.slope == 0 else lost):.2f} %"),
         ("bend, length / angle", f"{groove.bend_length * TO_MM:.2f} / {math.degrees(groove.bend_angle):.2f}°"),
         ("groove, width / depth", f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}"),
         ("end mill / passes", f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}"),
         ("strain when pressed in", f"{groove.strain * 100:.2f} %"),
         ("cut the tube to", f"{groove.stock_length * TO_MM:.1f}"),
-        ("mark: bend begins at / ends at", f"{groove.before_bend * TO_MM:.1f} / {_bend_end(groove) * TO_MM:.1f}"),
+        ("mark: bend begins at / ends at", f"{groove.before_bend * TO_MM:.1f} / {ends * TO_MM:.1f}"),
         ("plate to clamp, proximal / distal", f"{groove.gaps[0] * TO_MM:.1f} / {groove.gaps[1] * TO_MM:.1f}"),
         ("cold end from the clamp", f"{groove.cold.length * TO_MM:.1f}"),
-        ("growth / travel of the sliding clamp", f"{groove.growth * TO_MM:.2f} / {_travel(groove) * TO_MM:.1f}"),
+        ("growth / travel of the sliding clamp", f"{groove.growth * TO_MM:.2f} / {travel * TO_MM:.1f}"),
         ("trim, proximal / distal", f"{groove.trim[0] * TO_MM:.1f} / {groove.trim[1] * TO_MM:.1f}"),
     ]
 
@@ -229,18 +228,6 @@ def _least(tube: Tube, digits: str, unit: str = "") -> str:
     if tube.curvature == 0:
         return "straight"
     return f"{'≥ ' if tube.general else ''}{TO_MM / abs(tube.curvature):{digits}}{unit}"
-
-
-def _lost(groove: Groove) -> float:
-    return (1 - abs(groove.tube.curvature) / abs(groove.curvature)) * 100 if groove.curvature else 0.0
-
-
-def _bend_end(groove: Groove) -> float:
-    return groove.before_bend + groove.bend_length
-
-
-def _travel(groove: Groove) -> float:
-    return max(clamp.travel for clamp in groove.clamps)
 
 
 def _numbers(figure: Figure, mold: Mold, top: float) -> None:

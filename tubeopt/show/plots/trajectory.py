@@ -75,7 +75,7 @@ def plot_trajectory(
     """
     t = trajectory
     figure = new_figure(10.0, 5.4)
-    curves = _curve_count(t)
+    curves = 3 + bool(np.isfinite(t.clearance).all()) + (t.deviation is not None)
     grid = figure.add_gridspec(curves, 2, width_ratios=(1.15, 1.0))
     scene = figure.add_subplot(grid[:, 0])
     arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
@@ -270,10 +270,6 @@ def body_mesh(obstacle: Obstacle) -> Mesh | None:
         surface = obstacle_surface(obstacle, 0.0, sides=SIDES)
     around = isinstance(body, Corridor) or (isinstance(body, DistanceField) and not body.bounded)
     return facets_of(surface, VESSEL if around else OBSTACLE, triangles=isinstance(body, MeshObstacle))
-
-
-def _curve_count(t: Trajectory) -> int:
-    return 3 + bool(np.isfinite(t.clearance).all()) + (t.deviation is not None)
 
 
 def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:

@@ -156,13 +156,9 @@ def map_plot(chart: StabilityMap, equilibrium: Equilibrium) -> str:
                 f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0 + 0.3:.1f}" height="{y1 - y0 + 0.3:.1f}" '
                 f'fill="{fill}" opacity="{dim}"/>'
             )
-    relative = np.degrees(equilibrium.rotations - equilibrium.rotations[_other(chart, equilibrium)])
+    still = max(set(range(equilibrium.robot.n_tubes)) - set(chart.tubes))
+    relative = np.degrees(equilibrium.rotations - equilibrium.rotations[still])
     wrapped = (relative + 180) % 360 - 180
     wound = bool(np.abs(wrapped - relative)[[first, second]].max() > 1e-9)
     body.append(axes.dot(float(wrapped[first]), float(wrapped[second]), "#111", hollow=wound))
     return frame(axes, body, "margin over two rotations", angles=(True, True))
-
-
-def _other(chart: StabilityMap, equilibrium: Equilibrium) -> int:
-    """A tube that the map holds still."""
-    return next(i for i in reversed(range(equilibrium.robot.n_tubes)) if i not in chart.tubes)

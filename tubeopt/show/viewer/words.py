@@ -64,11 +64,8 @@ def certificate_words(certificate: float | None) -> str:
         return "certificate: …"
     if certificate > 0:
         return f"certificate {certificate:.3f}: cannot snap at any rotation here, unloaded"
-    return f"certificate {_signed(certificate)}: not proved free of snaps"
-
-
-def _signed(value: float) -> str:
-    return f"{value:.3f}".replace("-", "\N{MINUS SIGN}")
+    shown = f"{certificate:.3f}".replace("-", "\N{MINUS SIGN}")
+    return f"certificate {shown}: not proved free of snaps"
 
 
 def log_words(log: Sequence[Event]) -> str:
