@@ -123,15 +123,6 @@ class SnapStudy(LoadedStudy):
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
-@dataclass(frozen=True, eq=False)
-class Motion(Displayed):
-    """What a robot does along waypoints."""
-
-    robot: Robot
-    path: Path
-    """Its equilibria and snaps."""
-
-
 class FollowStudy(LoadedStudy):
     """Slow motion through waypoints of joint values (readings, where the robot has a calibration), with the snaps."""
 
@@ -146,7 +137,7 @@ class FollowStudy(LoadedStudy):
     ]
     shaken: bool = Field(False, description="without the friction of the robot's file, as if the robot were shaken")
 
-    def run(self, progress: Progress | None = None) -> Motion:
+    def run(self, progress: Progress | None = None) -> Path:
         """The motion, with the friction that the robot is known to have; raises SolveError where there is no stable
         equilibrium to start from or to land on."""
         last = len(self.path.rotations) - 1
@@ -159,8 +150,7 @@ class FollowStudy(LoadedStudy):
         friction = None if self.shaken else friction_of(self.robot)
         if friction is not None and self.pushing() is not None:
             raise InputError("the robot's file tells of friction, beside which no load can be given; give shaken too")
-        path = follow(self.robot, *joints, load=self.pushing(), friction=friction, progress=step)
-        return Motion(self.robot, path)
+        return follow(self.robot, *joints, load=self.pushing(), friction=friction, progress=step)
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,6 +152,35 @@ def _stock(a: DesignAnswer) -> list[dict[str, Any]] | None:
     ]
 
 
+DIMENSIONS = ("", "before", "after", "")
+"""Columns of `dimension_rows`."""
+
+
+def dimension_rows(s: DesignSolution) -> list[tuple[str, ...]]:
+    """Name, before, after, and the bound on which a dimension lies."""
+    return [
+        (
+            f"{d.name} ({d.unit})" if d.unit else d.name,
+            f"{d.before:.5g}",
+            f"{d.after:.5g}",
+            f"at its {d.bound} bound" if d.bound else "",
+        )
+        for d in s.dimensions
+    ]
+
+
+def checked_again(s: DesignSolution) -> Table:
+    """What was promised, and what other code found."""
+    rows = [(check.what, check.found, "kept" if check.kept else "BROKEN") for check in s.verification.checks]
+    return grid(("", "found", ""), rows, title="checked again by other code", key=True)
+
+
+def before_after(s: DesignSolution, name: str) -> Drawing:
+    """The shapes of the robot that was given and of the design of that name, at home."""
+    home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in (s.task.robot, s.robot)]
+    return drawing("shape.plot_shapes", home, titles=("before", "after"), heading=name)
+
+
 class DesignReport(Report[DesignAnswer]):
     """What is said and saved about a design."""
 
@@ -199,29 +228,16 @@ class DesignReport(Report[DesignAnswer]):
         """The answer as tables: summary, dimensions, what binds, checks."""
         s = self.answer.solution
         parts: list[RenderableType] = [two_columns(s.robot.name or "design", self.summary())]
-        parts.append(grid(("", "before", "after", ""), self.dimension_rows(), title="dimensions", key=True))
+        parts.append(grid(DIMENSIONS, dimension_rows(s), title="dimensions", key=True))
         parts += [Text(f"  {words}") for words in self.answer.remarks]
         if s.sensitivities:
             parts.append(Text("what binds, and what easing it would buy", style="italic"))
             parts += [Text(f"  {one.sentence}") for one in s.sensitivities]
-        rows = [(check.what, check.found, "kept" if check.kept else "BROKEN") for check in s.verification.checks]
-        parts.append(grid(("", "found", ""), rows, title="checked again by other code", key=True))
+        parts.append(checked_again(s))
         if self.answer.stock is not None:
             columns = ("inner to outer", "value", "")
             parts.append(grid(columns, self.stock_rows(), title="choices from stock", key=True))
         return Group(*parts)
-
-    def dimension_rows(self) -> Sequence[tuple[str, ...]]:
-        """Name, before, after, and the bound on which a dimension lies."""
-        return [
-            (
-                f"{d.name} ({d.unit})" if d.unit else d.name,
-                f"{d.before:.5g}",
-                f"{d.after:.5g}",
-                f"at its {d.bound} bound" if d.bound else "",
-            )
-            for d in self.answer.solution.dimensions
-        ]
 
     def stock_rows(self) -> Sequence[tuple[str, ...]]:
         """Sizes, value and status of every choice, the best first."""
@@ -255,15 +271,12 @@ class DesignReport(Report[DesignAnswer]):
     def pictures(self) -> dict[str, Drawing]:
         """Those that the design has; `CAPTIONS` says what each shows."""
         a, s = self.answer, self.answer.solution
-        robots, name = (s.task.robot, s.robot), s.robot.name or "design"
-        home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-        found: dict[str, Drawing] = {
-            "shapes": drawing("shape.plot_shapes", home, titles=("before", "after"), heading=name)
-        }
+        name = s.robot.name or "design"
+        found: dict[str, Drawing] = {"shapes": before_after(s, name)}
         if s.equilibria:
             found["poses"] = drawing("design.plot_poses", s)
         if s.robot.n_tubes > 2:
-            found["maps"] = lambda path=None: _draw_maps(robots, path)
+            found["maps"] = lambda path=None: _draw_maps((s.task.robot, s.robot), path)
         if a.front is not None:
             found["pareto"] = drawing("design.plot_front", a.front)
         if a.tolerance is not None:
@@ -275,7 +288,7 @@ class DesignReport(Report[DesignAnswer]):
         s = self.answer.solution
         lines = [f"# {s.robot.name or 'Design'}", ""]
         lines += _markdown(("", ""), self.summary())
-        lines += ["", "## Dimensions", "", *_markdown(("", "before", "after", ""), self.dimension_rows())]
+        lines += ["", "## Dimensions", "", *_markdown(DIMENSIONS, dimension_rows(s))]
         remarks = self.answer.remarks
         lines += ["", *(f"- {words}" for words in remarks)] if remarks else []
         lines += ["", "## Requirements that bind", ""]

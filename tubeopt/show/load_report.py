@@ -117,8 +117,7 @@ RECORD: tuple[Quantity[ForceRecord], ...] = (
     line("largest force", lambda r: _largest(r)),
     line("standard errors (median)", lambda r: _errors(r)),
     line("too small to be told", lambda r: _untold(r)),
-    Quantity("estimates", "the force in every row that tells one",
-             lambda r: [(k, e) for k, e in enumerate(r.estimates, start=1) if e is not None], of=ESTIMATE),
+    Quantity("estimates", "the force in every row that tells one", lambda r: _told(r), of=ESTIMATE),
     Quantity("failures", "other rows, from 1, and why", lambda r: [[k + 1, why] for k, why in r.failures]),
 )  # fmt: skip
 
@@ -134,6 +133,10 @@ def _largest(r: ForceRecord) -> str | None:
 def _errors(r: ForceRecord) -> str | None:
     told = r.standard_error[~np.isnan(r.standard_error[:, 0])]
     return f"{row(np.median(told, axis=0) * TO_MILLI, '.3g')} mN along x, y, z" if len(told) else None
+
+
+def _told(r: ForceRecord) -> list[tuple[int, ForceEstimate]]:
+    return [(k, e) for k, e in enumerate(r.estimates, start=1) if e is not None]
 
 
 def _untold(r: ForceRecord) -> str:

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from ..bodies.frames import Frame, roll_of
 from ..design.optimize import DesignSolution
-from ..equilibrium.kinematics import forward_kinematics
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
@@ -20,7 +19,7 @@ from ..planning import PairShare, ReachShare
 from ..robots.file import save_robot
 from ..runs.pair_study import PairAnswer
 from ..typing import Array
-from .design_report import CHECK, DIMENSION
+from .design_report import CHECK, DIMENSION, DIMENSIONS, before_after, checked_again, dimension_rows
 from .quantities import Quantity, line
 from .report import Drawing, Report, drawing, grid, two_columns
 
@@ -124,14 +123,9 @@ class PairReport(Report[PairAnswer]):
         """The answer as tables: summary, and of each arm its dimensions and what was checked again."""
         parts: list[RenderableType] = [two_columns(self.title(), self.rows())]
         for arm in _arms(self.answer):
-            rows = [
-                (f"{d.name} ({d.unit})" if d.unit else d.name, f"{d.before:.5g}", f"{d.after:.5g}",
-                 f"at its {d.bound} bound" if d.bound else "")
-                for d in arm.solution.dimensions
-            ]  # fmt: skip
-            parts.append(grid(("", "before", "after", ""), rows, title=f"dimensions of {arm.name}", key=True))
-            checks = [(c.what, c.found, "kept" if c.kept else "BROKEN") for c in arm.solution.verification.checks]
-            parts.append(grid(("", "found", ""), checks, title="checked again by other code", key=True))
+            rows = dimension_rows(arm.solution)
+            parts.append(grid(DIMENSIONS, rows, title=f"dimensions of {arm.name}", key=True))
+            parts.append(checked_again(arm.solution))
         return Group(*parts, *(Text(f"  {words}") for words in self.answer.remarks))
 
     def save(self, directory: Path) -> list[Path]:
@@ -150,9 +144,5 @@ class PairReport(Report[PairAnswer]):
         a = self.answer
         found: dict[str, Drawing] = {"pairs": drawing("design.plot_pair_shares", (a.before, a.after), names=a.names)}
         for arm in _arms(a):
-            robots = (arm.solution.task.robot, arm.solution.robot)
-            home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-            found[f"arm_{arm.number}_shapes"] = drawing(
-                "shape.plot_shapes", home, titles=("before", "after"), heading=arm.name
-            )
+            found[f"arm_{arm.number}_shapes"] = before_after(arm.solution, arm.name)
         return found

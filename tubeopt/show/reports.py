@@ -37,7 +37,7 @@ MODULES = {
     "rig_page": ("HeatingRun",),
     "robot_report": ("ConcentricRobot", "EccentricRobot", "SegmentedEccentricRobot"),
     "served_report": ("Viewed", "Served"),
-    "snap_report": ("Equilibria", "Way", "Motion", "RobotMap"),
+    "snap_report": ("Equilibria", "Way", "Path", "RobotMap"),
     "sweep_report": ("Sweep",),
     "validation_report": ("Comparison", "Validation", "Fit"),
     "workspace_report": ("Findings",),

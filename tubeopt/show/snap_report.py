@@ -10,12 +10,13 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
+from .. import stability
 from ..equilibrium.result import Equilibrium
 from ..files.csv_file import to_csv
 from ..files.files import save_arrays, write_text
 from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
 from ..robots.path_file import joint_columns
-from ..runs.stability_studies import Equilibria, Motion, RobotMap, Way
+from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
 from ..typing import Array
 from .quantities import Quantity, line, record, rows
@@ -100,20 +101,20 @@ WAY: tuple[Quantity[Way], ...] = (
              words="{arrived[tip_position_mm]:.4f} mm"),
 )  # fmt: skip
 
-MOTION: tuple[Quantity[Motion], ...] = (
-    Quantity("robot", "name of the robot", lambda m: m.robot.name),
-    line("least margin", lambda m: f"{min(e.margin for e in m.path.equilibria):.3f} at a waypoint"),
+PATH: tuple[Quantity[stability.Path], ...] = (
+    Quantity("robot", "name of the robot", lambda m: m.equilibria[0].robot.name),
+    line("least margin", lambda m: f"{min(e.margin for e in m.equilibria):.3f} at a waypoint"),
     line("friction", lambda m: _rubbed(m)),
-    Quantity("waypoints", "the state at every waypoint", lambda m: list(m.path.equilibria), of=(*JOINTS, *STATE)),
-    line("tip at the end", lambda m: millimetres(m.path.equilibria[-1].tip_position, ".4f")),
-    Quantity("snaps", "the snaps on the way", lambda m: list(m.path.snaps),
+    Quantity("waypoints", "the state at every waypoint", lambda m: list(m.equilibria), of=(*JOINTS, *STATE)),
+    line("tip at the end", lambda m: millimetres(m.equilibria[-1].tip_position, ".4f")),
+    Quantity("snaps", "the snaps on the way", lambda m: list(m.snaps),
              of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
 )  # fmt: skip
 
 
-def _rubbed(m: Motion) -> str | None:
+def _rubbed(m: stability.Path) -> str | None:
     """What friction did on the way; None without friction."""
-    last = m.path.equilibria[-1].friction
+    last = m.equilibria[-1].friction
     if last is None:
         return None
     return f"took {last.heat * TO_MILLI:.3f} mJ; tubes stick at {100 * last.sticking.mean():.0f} % of where they rub"
@@ -187,18 +188,18 @@ class WayReport(Report[Way]):
         return {} if arrived is None else {"snap": drawing("shape.plot_shape", arrived)}
 
 
-class MotionReport(Report[Motion]):
+class PathReport(Report[stability.Path]):
     """What is said and saved about motion through waypoints. Waypoints are counted from 1."""
 
     command = "follow"
-    quantities = MOTION
-    drawn = (("path", "path.plot_path", "path"),)
+    quantities = PATH
+    drawn = (("path", "path.plot_path"),)
 
     def title(self) -> str:
         """How far it went."""
-        path = self.answer.path
+        path = self.answer
         count = counted(len(path.snaps), "snap", none="no snap")
-        return f"{self.answer.robot.name or 'robot'}: {len(path.equilibria)} waypoints, {count}"
+        return f"{path.equilibria[0].robot.name or 'robot'}: {len(path.equilibria)} waypoints, {count}"
 
     def table(self) -> Group:
         """How far it went, and a row per snap."""
@@ -212,22 +213,22 @@ class MotionReport(Report[Motion]):
                 f"{snap.tip_jump * TO_MM:.3f}",
                 f"{snap.energy_released * TO_MILLI:.4f}",
             )
-            for snap in self.answer.path.snaps
+            for snap in self.answer.snaps
         ]
         columns = ("waypoints", "at (%) >", "rotations (deg)", "translations (mm)", "tip jump (mm) >", "energy (mJ) >")
         return Group(head, grid(columns, cells, title="snaps")) if cells else Group(head)
 
     def save(self, directory: Path) -> list[Path]:
         """Write path.csv and snaps.json."""
-        turns, shifts = joint_columns(self.answer.robot.n_tubes)
+        turns, shifts = joint_columns(self.answer.equilibria[0].robot.n_tubes)
         columns = ["waypoint", *turns, *shifts, "tip_x_mm", "tip_y_mm", "tip_z_mm", "margin"]
         path, snaps = directory / "path.csv", directory / "snaps.json"
         write_text(path, to_csv(columns, self._cells()))
-        write_text(snaps, to_text({key: record(self.answer, MOTION)[key] for key in ("robot", "snaps")}))
+        write_text(snaps, to_text({key: record(self.answer, PATH)[key] for key in ("robot", "snaps")}))
         return [path, snaps]
 
     def _cells(self) -> Iterator[Sequence[object]]:
-        for k, e in enumerate(self.answer.path.equilibria, start=1):
+        for k, e in enumerate(self.answer.equilibria, start=1):
             turns = [in_unit(float(angle), DEG) for angle in e.rotations]
             shifts = [in_unit(float(shift), MM) for shift in e.translations]
             tip = [round(float(x), 9) + 0.0 for x in e.tip_position * TO_MM]
@@ -235,7 +236,7 @@ class MotionReport(Report[Motion]):
 
     def tables(self) -> dict[str, Any]:
         """The state at every waypoint."""
-        return {"path": self.answer.path}
+        return {"path": self.answer}
 
 
 def _nearest(a: RobotMap) -> Array | None:

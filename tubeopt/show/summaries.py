@@ -24,7 +24,6 @@ from ..stability import (
     Certificate,
     EnergyMap,
     LoadLimit,
-    Path,
     Snap,
     StabilityMap,
     Verdict,
@@ -115,13 +114,6 @@ WORST_CERTIFICATE: tuple[Quantity[WorstCertificate], ...] = (
     line("at translations", lambda w: millimetres(w.certificate.translations, ".6g")),
     line("within", lambda w: f"{millimetres(w.lower, '.6g')} to {millimetres(w.upper, '.6g')}"),
     Quantity("evaluations", "evaluations", form="d"),
-)
-
-PATH: tuple[Quantity[Path], ...] = (
-    line("waypoints", lambda p: str(len(p.equilibria))),
-    line("snaps", lambda p: counted(len(p.snaps), "snap", none="none")),
-    line("least margin", lambda p: f"{min(e.margin for e in p.equilibria):.4f} at a waypoint"),
-    line("tip at the end", lambda p: millimetres(p.equilibria[-1].tip_position, ".4f")),
 )
 
 STABILITY_MAP: tuple[Quantity[StabilityMap], ...] = (
@@ -217,7 +209,6 @@ SUMMARIES: Mapping[type, Summary] = {
     Jacobian: Summary(JACOBIAN),
     LoadLimit: Summary(LOAD_LIMIT, "shape.plot_shape", lambda limit: limit.before),
     Mold: Summary(MOLD, "mold.plot_mold"),
-    Path: Summary(PATH, "path.plot_path"),
     ProblemSolution: Summary(PROBLEM),
     Proof: Summary(PROOF),
     Snap: Summary(SNAP, "snap.plot_snap"),
