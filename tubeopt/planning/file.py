@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -17,7 +18,7 @@ from ..files.files import read_text, write_text
 from ..files.units import DEG, MM, RAD, in_unit
 from ..robots.file import load_robot
 from ..robots.load import Load
-from ..robots.path_file import joint_columns
+from ..robots.path_file import joint_cells, joint_columns
 from ..robots.robot import Robot
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
@@ -69,15 +70,24 @@ def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_
         InputError: the file cannot be written.
     """
     t = trajectory
-    turns, shifts = joint_columns(t.robot.n_tubes)
-    tips = ", ".join(str(in_unit(float(angle), DEG)) for angle in t.start.tip_rotations)
     comment = [f"{ROBOT}{robot_file}"] if robot_file else []
-    comment += [f"{BRANCH}{tips}", f"least margin {t.proof.least_margin:.6f}, {t.status}"]
+    comment += [branch_line(t.start), f"least margin {t.proof.least_margin:.6f}, {t.status}"]
+    write_text(path, timed_csv(t.time, t.rotations, t.translations, comment))
+
+
+def timed_csv(time: Array, rotations: Array, translations: Array, comment: Sequence[str]) -> str:
+    """The text of a file that `load_trajectory` reads: time (T,) s, rotations (T, n) rad, translations (T, n) m."""
+    turns, shifts = joint_columns(rotations.shape[1])
     rows = (
-        [in_unit(float(time), RAD), *(in_unit(float(a), DEG) for a in alpha), *(in_unit(float(d), MM) for d in shift)]
-        for time, alpha, shift in zip(t.time, t.rotations, t.translations, strict=True)
+        [in_unit(float(t), RAD), *joint_cells(*joints)]
+        for t, *joints in zip(time, rotations, translations, strict=True)
     )
-    write_text(path, to_csv([TIME, *turns, *shifts], rows, "\n".join(comment)))
+    return to_csv([TIME, *turns, *shifts], rows, "\n".join(comment))
+
+
+def branch_line(start: Equilibrium) -> str:
+    """The comment that tells on which branch a file of joint values begins."""
+    return BRANCH + ", ".join(str(in_unit(float(angle), DEG)) for angle in start.tip_rotations)
 
 
 def joint_trajectory(trajectory: Trajectory) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from os import PathLike
 
 import numpy as np
 
-from ..files.csv_file import read_csv
-from ..files.units import DEG, MM
+from ..files.csv_file import read_csv, to_csv
+from ..files.units import DEG, MM, in_unit
 from ..typing import Array
 from .robot import Robot
 
@@ -25,6 +25,17 @@ def joint_columns(n_tubes: int) -> tuple[list[str], list[str]]:
     """Names of the columns of rotations and translations, inner to outer."""
     tubes = range(1, n_tubes + 1)
     return [f"rotation_{i}_deg" for i in tubes], [f"translation_{i}_mm" for i in tubes]
+
+
+def joint_cells(rotations: Array, translations: Array) -> list[object]:
+    """What is in these columns: rotations (n,) rad, translations (n,) m, in as many digits as tell them exactly."""
+    return [*(in_unit(float(x), DEG) for x in rotations), *(in_unit(float(x), MM) for x in translations)]
+
+
+def waypoints_csv(rotations: Array, translations: Array) -> str:
+    """The text of a file that `load_waypoints` reads: rotations (T, n) rad, translations (T, n) m."""
+    turns, shifts = joint_columns(rotations.shape[1])
+    return to_csv([*turns, *shifts], map(joint_cells, rotations, translations))
 
 
 def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:

@@ -17,12 +17,11 @@ from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
-from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
+from ..files.units import MM, TO_MILLI, TO_MM, in_unit
 from ..inverse import InverseSolution, JointWay
-from ..robots.path_file import joint_columns
+from ..robots.path_file import joint_cells, joint_columns, waypoints_csv
 from ..runs.inverse_study import Postures, Row, TargetTable
 from ..runs.target_file import DIRECTION, POSITION
-from ..typing import Array
 from .quantities import Quantity, line, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, two_columns
@@ -121,10 +120,8 @@ class PosturesReport(Report[Postures]):
         paths = [self.save_record(directory), *save_equilibrium(best.equilibrium, directory)]
         if best.way is not None:
             paths.append(directory / "way.csv")
-            turns, shifts = joint_columns(self.answer.robot.n_tubes)
-            readings_of = to_readings(self.answer.robot, best.way.rotations, best.way.translations)
-            table = zip(*readings_of, strict=True)
-            write_text(paths[-1], to_csv([*turns, *shifts], (_joints(*row) for row in table)))
+            readings = to_readings(self.answer.robot, best.way.rotations, best.way.translations)
+            write_text(paths[-1], waypoints_csv(*readings))
         return paths
 
     def solids(self) -> dict[str, Equilibrium]:
@@ -136,11 +133,6 @@ class PosturesReport(Report[Postures]):
         best = self.answer.solutions[0]
         if not best.reached:
             raise SolveError(f"{best.status}: {_miss(best)}", best)
-
-
-def _joints(rotations: Array, translations: Array) -> list[object]:
-    """Cells of one row of joint values."""
-    return [*(in_unit(float(x), DEG) for x in rotations), *(in_unit(float(x), MM) for x in translations)]
 
 
 OF_THE_TARGET: tuple[Quantity[Row], ...] = (
@@ -245,7 +237,7 @@ class TargetTableReport(Report[TargetTable]):
             if s is None:
                 yield [*target, *[""] * (answers + 5), "FAILED", f'"{r.problem}"']
                 continue
-            joints = _joints(s.rotations, s.translations)
+            joints = joint_cells(s.rotations, s.translations)
             tip = [round(float(x), 9) + 0.0 for x in s.equilibrium.tip_position * TO_MM]
             turned = "" if r.direction is None else float(np.degrees(s.direction_error))
             known = {True: "yes", False: "no", None: ""}[s.reachable]

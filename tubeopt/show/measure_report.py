@@ -7,11 +7,9 @@ from typing import Any
 
 from rich.console import Group
 
-from ..files.csv_file import to_csv
 from ..files.files import write_text
-from ..files.units import DEG, MM, SIGNS, in_unit
-from ..robots.path_file import joint_columns
-from ..typing import Array, Mask
+from ..files.units import SIGNS
+from ..robots.path_file import waypoints_csv
 from ..validation import Placement
 from .quantities import Quantity, in_units
 from .report import Report, grid, two_columns
@@ -63,17 +61,8 @@ class PlacementReport(Report[Placement]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, way.csv, which `tubeopt follow` reads, and configurations.csv, those to measure."""
-        every = [self.answer.measured >= 0, self.answer.measured]
-        names = ("way.csv", "configurations.csv")
-        tables = [_write(directory / name, self.answer, rows) for name, rows in zip(names, every, strict=True)]
-        return [self.save_record(directory), *tables]
-
-
-def _write(path: Path, p: Placement, rows: Array | Mask) -> Path:
-    turns, shifts = joint_columns(p.robot.n_tubes)
-    cells = (
-        [*(in_unit(float(x), DEG) for x in a), *(in_unit(float(x), MM) for x in d)]
-        for a, d in zip(p.rotations[rows], p.translations[rows], strict=True)
-    )
-    write_text(path, to_csv([*turns, *shifts], cells))
-    return path
+        a = self.answer
+        tables = {"way.csv": a.measured >= 0, "configurations.csv": a.measured}
+        for name, rows in tables.items():
+            write_text(directory / name, waypoints_csv(a.rotations[rows], a.translations[rows]))
+        return [self.save_record(directory), *(directory / name for name in tables)]

@@ -14,8 +14,8 @@ from .. import stability
 from ..equilibrium.result import Equilibrium
 from ..files.csv_file import to_csv
 from ..files.files import save_arrays, write_text
-from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
-from ..robots.path_file import joint_columns
+from ..files.units import TO_MILLI, TO_MM
+from ..robots.path_file import joint_cells, joint_columns
 from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
 from ..typing import Array
@@ -229,10 +229,8 @@ class PathReport(Report[stability.Path]):
 
     def _cells(self) -> Iterator[Sequence[object]]:
         for k, e in enumerate(self.answer.equilibria, start=1):
-            turns = [in_unit(float(angle), DEG) for angle in e.rotations]
-            shifts = [in_unit(float(shift), MM) for shift in e.translations]
             tip = [round(float(x), 9) + 0.0 for x in e.tip_position * TO_MM]
-            yield [k, *turns, *shifts, *tip, round(e.margin, 12)]
+            yield [k, *joint_cells(e.rotations, e.translations), *tip, round(e.margin, 12)]
 
     def tables(self) -> dict[str, Any]:
         """The state at every waypoint."""

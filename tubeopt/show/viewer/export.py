@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError
-from ...files.csv_file import to_csv
 from ...files.files import atomic_write
-from ...files.units import DEG, MM, RAD, in_unit
+from ...files.units import DEG, MM, in_unit
 from ...files.yaml_file import save_yaml
-from ...planning.file import BRANCH, TIME
+from ...planning.file import branch_line, timed_csv
 from ...robots.file import save_robot
-from ...robots.path_file import joint_columns
 from ...robots.robot import Robot
 from ..arm_surfaces import Part
 from .host import quiet_server, titled_page
@@ -55,18 +53,9 @@ def recording_csv(session: Session) -> str:
     rows = np.array(session.recording)
     rows = rows[np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)]
     n = session.robot.n_tubes
-    turns, shifts = joint_columns(n)
     time = paced(rows[:, :n], rows[:, n:])
-    cells = [
-        [
-            in_unit(float(t), RAD),
-            *(in_unit(x, DEG) for x in row[:n].tolist()),
-            *(in_unit(x, MM) for x in row[n:].tolist()),
-        ]
-        for t, row in zip(time, rows, strict=True)
-    ]
-    tips = ", ".join(str(in_unit(float(angle), DEG)) for angle in start.tip_rotations)
-    return to_csv([TIME, *turns, *shifts], cells, f"A recording of {session.robot.name or 'a robot'}.\n{BRANCH}{tips}")
+    comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(start)]
+    return timed_csv(time, rows[:, :n], rows[:, n:], comment)
 
 
 def _text(write: Callable[[Path], None], suffix: str) -> str:
