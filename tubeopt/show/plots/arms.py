@@ -44,7 +44,7 @@ def plot_arms(plan: ArmsPlan, *, title: str = "", view: tuple[float, float] | No
     stage = _stage(plan, view)
     _draw(scene, plan, np.linspace(0.0, plan.duration, SHOWN), stage)
     _distances(curve, plan, np.linspace(0.0, plan.duration, CURVE))
-    curve.legend(loc="best", frameon=False)
+    curve.legend(loc="best")
     headed(figure, title or " and ".join(arm.called for arm in plan.arms))
     return figure
 

@@ -68,8 +68,7 @@ def plot_branch(
         axes.plot(x, y, ".", ms=5, color=DOT_COLOUR, zorder=6, label=dots_label)
     axes.set_xlabel(f"input angle of tube {tube + 1} relative to tube {base + 1} (deg)")
     axes.set_ylabel(f"tip angle of tube {tube + 1} relative to tube {base + 1} (deg)")
-    axes.grid(color="#E6E8EB", lw=0.5)
-    axes.set_axisbelow(True)
+    axes.grid()
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(angle_locator())
     axes.margins(x=0.07)

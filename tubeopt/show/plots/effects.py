@@ -14,7 +14,7 @@ from .style import FAINT, INK, finish, new_figure, styled
 if TYPE_CHECKING:
     from ...validation import Comparison
 
-KEPT, REFUSED, GRID = "#0072B2", "#B8BEC6", "#E6E8EB"
+KEPT, REFUSED = "#0072B2", "#B8BEC6"
 
 
 @styled
@@ -73,8 +73,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     axes.invert_yaxis()
     axes.set_xlim(0, 1.14 * float(values.max()))
     axes.set_xlabel(f"RMS tip error held out (mm), {c.folds} blocks")
-    axes.xaxis.grid(color=GRID, lw=0.5)
-    axes.set_axisbelow(True)
+    axes.xaxis.grid()
 
 
 def _draw_parity(axes: Axes, c: Comparison) -> None:
@@ -98,5 +97,4 @@ def _draw_parity(axes: Axes, c: Comparison) -> None:
     axes.set_ylabel("RMS of places passed both ways (mm)")
     axes.set_ylim(0, 1.32 * axes.get_ylim()[1])
     axes.legend(loc="upper right", fontsize=7)
-    axes.yaxis.grid(color=GRID, lw=0.5)
-    axes.set_axisbelow(True)
+    axes.yaxis.grid()

@@ -29,7 +29,7 @@ def plot_friction_band(band: FrictionBand, *, magnified: float = 1.0) -> Figure:
     headed(figure, f"{band.equilibrium.robot.name or 'robot'}: where friction can hold it{wider}")
     for axes, across in zip(figure.subplots(1, 2), (0, 1), strict=True):
         _draw(axes, band, across, magnified)
-    figure.axes[0].legend(frameon=False, fontsize=7, loc="upper left")
+    figure.axes[0].legend(fontsize=7, loc="upper left")
     return figure
 
 

@@ -69,8 +69,7 @@ def plot_hysteresis(
         for followed, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
             _draw_way(panel, followed, along, way, quantity)
         panel.set_ylabel(name)
-        panel.grid(color="#E6E8EB", lw=0.5)
-        panel.set_axisbelow(True)
+        panel.grid()
     for followed, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
         _name_snaps(panels[0], followed, along, way, quantities[0][1])
     figure.align_ylabels(panels)

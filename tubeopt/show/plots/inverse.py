@@ -140,7 +140,7 @@ def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) 
     for axes, label in zip(rows, ("rotations (deg)", "translations (mm)", "margin"), strict=True):
         axes.set_ylabel(label)
         axes.set_xlim(way[0], max(way[-1], 1e-9))
-        axes.grid(color="#E6E8EB", lw=0.6)
+        axes.grid()
     for axes in rows[:2]:
         axes.tick_params(labelbottom=False)
     for i in range(robot.n_tubes):

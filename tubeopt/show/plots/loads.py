@@ -13,12 +13,11 @@ from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..colours import TUBE_COLOURS
 from .kinds import Axes, Figure
-from .style import FAINT, INK, finish, new_figure, styled
+from .style import FAINT, INK, finish, headed, new_figure, styled
 
 if TYPE_CHECKING:
     from ...validation.force import ForceEstimate
 
-GRID = "#E6E8EB"
 AXES = "xyz"
 
 
@@ -62,10 +61,8 @@ def plot_payload(
     margin.set_ylabel("stability margin")
     margin.set_xlabel("payload (mN)")
     for panel in (side, moved, margin):
-        panel.grid(color=GRID, lw=0.5)
-        panel.set_axisbelow(True)
-    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
-    return finish(figure, path)
+        panel.grid()
+    return finish(headed(figure, title), path)
 
 
 def _first_order(start: Equilibrium, end: Equilibrium, payloads: Array) -> Array:
@@ -108,11 +105,10 @@ def plot_load_limits(
         panel.set_ylim(0, 1.08 * most)
         panel.set_xticks(np.radians([0, 90, 180, 270]))
         panel.set_xticklabels([plane[0], plane[1], f"\N{MINUS SIGN}{plane[0]}", f"\N{MINUS SIGN}{plane[1]}"])
-        panel.grid(color=GRID, lw=0.6)
+        panel.grid()
         panel.set_rlabel_position(-45)
         panel.yaxis.set_major_locator(MaxNLocator(4))
-    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
-    return finish(figure, path)
+    return finish(headed(figure, title), path)
 
 
 @styled
@@ -136,11 +132,9 @@ def plot_bearing(
     axes.axhline(0.0, color=INK, lw=0.8)
     axes.set_xlabel("largest force on the tip (mN)")
     axes.set_ylabel("certificate")
-    axes.grid(color=GRID, lw=0.5)
-    axes.set_axisbelow(True)
+    axes.grid()
     axes.legend(loc="best")
-    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
-    return finish(figure, path)
+    return finish(headed(figure, title), path)
 
 
 @styled
@@ -170,11 +164,9 @@ def plot_force_estimates(
         panel.plot(*(true[[i, j]] * TO_MILLI), "+", ms=9, mew=1.5, color=INK, zorder=5)
         panel.set_xlabel(f"force along {AXES[i]} (mN)")
         panel.set_ylabel(f"force along {AXES[j]} (mN)")
-        panel.grid(color=GRID, lw=0.5)
-        panel.set_axisbelow(True)
+        panel.grid()
     panels[0].legend(loc="best")
-    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
-    return finish(figure, path)
+    return finish(headed(figure, title), path)
 
 
 CHI_SQUARED_95 = 5.991

@@ -12,7 +12,7 @@ from ...shaping.mold.mandrel_files import rotation_table
 from ...typing import Array
 from ..colours import tube_colour
 from .kinds import Axes, Figure
-from .style import INK, new_figure, picture
+from .style import INK, headed, new_figure, picture
 
 BODY = "#D9D4C5"
 
@@ -29,8 +29,7 @@ def plot_mandrel(mandrel: Mandrel, *, title: str = "") -> Figure:
     side = figure.add_subplot(1, 2, 2)
     draw_space(space, mandrel)
     draw_plan(side, mandrel)
-    figure.suptitle(f"{title or f'Mandrel of tube {mandrel.number}'}, {_made(mandrel)}", x=0.02, ha="left", fontsize=9)
-    return figure
+    return headed(figure, f"{title or f'Mandrel of tube {mandrel.number}'}, {_made(mandrel)}")
 
 
 def _made(mandrel: Mandrel) -> str:

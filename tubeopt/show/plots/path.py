@@ -60,8 +60,7 @@ def plot_path(path: Path) -> Figure:
     below.set_xlim(1 - 0.02 * last, last + 0.02 * last)
     below.xaxis.get_major_locator().set_params(integer=True)
     for axes in (above, below):
-        axes.grid(axis="y", color="#E6E8EB", lw=0.5)
-        axes.set_axisbelow(True)
+        axes.grid(axis="y")
     above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.4)
     headed(figure, _heading(path))
     return figure

@@ -11,7 +11,7 @@ from ...shaping.mold.pegs import PegBoard
 from ...typing import Array
 from ..colours import tube_colour
 from .kinds import Axes, Figure
-from .style import INK, new_figure, picture
+from .style import INK, headed, new_figure, picture
 
 DISK = "#D9D4C5"
 
@@ -40,12 +40,11 @@ def plot_pegs(board: PegBoard, *, title: str = "") -> Figure:
         axes.axvspan(*(x * TO_MM for x in board.kept), color=DISK, alpha=0.35, lw=0)
         for peg in board.pegs:
             axes.axvline(peg.arc_length * TO_MM, color=INK, lw=0.5, alpha=0.4)
-    figure.suptitle(
+    return headed(
+        figure,
         f"{title or f'{len(board.pegs)} pegs for tube {board.number}'}: within {board.deviation * 1e6:.0f} µm and "
         f"{math.degrees(board.heading_deviation):.2f}° of its curve as far as it is kept (shaded below)",
-        x=0.02, ha="left", fontsize=9,
-    )  # fmt: skip
-    return figure
+    )
 
 
 def _colder(board: PegBoard) -> Array:

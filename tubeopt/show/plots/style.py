@@ -40,6 +40,7 @@ STILL = 1e-3
 FORMATS = ("png", "pdf", "svg")
 
 RC = {
+    "axes.axisbelow": True,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.linewidth": 0.7,
@@ -50,6 +51,8 @@ RC = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8,
+    "grid.color": "#E6E8EB",
+    "grid.linewidth": 0.5,
     "hatch.linewidth": 0.5,
     "legend.frameon": False,
     "mathtext.fontset": "dejavusans",

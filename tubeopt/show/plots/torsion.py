@@ -80,8 +80,7 @@ def _draw_curves(above: Axes, below: Axes, equilibrium: Equilibrium) -> None:
             if end > 0:
                 axes.plot(s[-1:] * TO_MM, values[-1:], "o", ms=3.6 + 0.9 * i, zorder=4, **look)
     for axes in (above, below):
-        axes.grid(axis="y", color="#E6E8EB", lw=0.5)
-        axes.set_axisbelow(True)
+        axes.grid(axis="y")
 
 
 def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Array, Array]:

@@ -316,8 +316,7 @@ def _margin_scale(axes: Axes, least: float) -> None:
 def _along_time(axes: Sequence[Axes], time: Array) -> None:
     """Rules, and one scale of time below all."""
     for each in axes:
-        each.grid(axis="y", color="#E6E8EB", lw=0.5)
-        each.set_axisbelow(True)
+        each.grid(axis="y")
         each.tick_params(labelbottom=each is axes[-1])
     axes[-1].set_xlabel("time (s)")
     axes[-1].set_xlim(float(time[0]), max(float(time[-1]), float(time[0]) + 1e-9))

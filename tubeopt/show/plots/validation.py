@@ -18,7 +18,6 @@ from .style import FAINT, INK, finish, headed, new_figure, picture, styled
 if TYPE_CHECKING:
     from ...validation import ErrorTable, Validation
 
-GRID = "#E6E8EB"
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
 LONG_ENOUGH = 0.16
@@ -79,8 +78,7 @@ def _draw_arrows(axes: Axes, start: Array, arrow: Array, factor: float) -> None:
     axes.set_xlim(both[:, 0].min() - pad, both[:, 0].max() + pad)
     axes.set_ylim(both[:, 1].min() - pad, both[:, 1].max() + pad)
     axes.set_aspect("equal")
-    axes.grid(color=GRID, lw=0.5)
-    axes.set_axisbelow(True)
+    axes.grid()
 
 
 def _round_factor(value: float) -> float:
@@ -264,8 +262,7 @@ def plot_simulated_circles(
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-reach, reach)
     axes.set_aspect("equal")
-    axes.grid(color=GRID, lw=0.5)
-    axes.set_axisbelow(True)
+    axes.grid()
     axes.set_xlabel("x (mm)")
     axes.set_ylabel("y (mm)")
     figure.legend(title="simulated tips; separation", loc="outside lower center", ncols=2)
