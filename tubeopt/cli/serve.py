@@ -8,7 +8,6 @@ from contextlib import suppress
 from decimal import Decimal
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from ..control.c_binding import servo_of
@@ -18,7 +17,7 @@ from ..control.servo import OBJECTIVES, ServoOptions
 from ..equilibrium.readings import to_model
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.units import DEG, MM, to_si
-from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, metres, radians
+from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, joints_of
 from ..runs.obstacle_file import Bodies
 from ..show.served_report import Served
 from .flags import asks
@@ -65,9 +64,7 @@ def serve(study: ServeEntry, output: Output) -> None:
     """
     can_be_saved(output.out)
     robot, options = study.robot, _options(study)
-    rotations = radians(study.rotations_deg, np.zeros(robot.n_tubes))
-    translations = metres(study.translations_mm, robot.home_translations)
-    seed = to_model(robot, rotations, translations)
+    seed = to_model(robot, *joints_of(robot, study.rotations_deg, study.translations_mm))
     servo = servo_of(robot, seed, obstacles=study.obstacles, options=options)
     server = RobotServer(
         CrtkRobot(servo, watchdog=float(study.watchdog_s)),

@@ -7,14 +7,13 @@ from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from pydantic import Field
 
 from ..errors import InputError
 from ..files.checked import Whole, in_file
 from ..robots.path_file import Waypoints as Way
-from ..runs.base import RobotPath, Study, metres, radians
+from ..runs.base import RobotPath, Study, joints_of
 from ..runs.forward_study import ForwardKinematicsStudy
 from ..runs.inverse_study import InverseStudy
 from ..runs.load_file import Pushed
@@ -106,20 +105,17 @@ def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
 def _begins(study: Study, path: str) -> dict[str, Any]:
     """What a study says of the view: joint values to begin with, a path to play, obstacles, margin."""
     if isinstance(study, ForwardKinematicsStudy | EquilibriaStudy):
-        at_home = np.zeros(study.robot.n_tubes), study.robot.home_translations
-        return _joints(radians(study.rotations_deg, at_home[0]), metres(study.translations_mm, at_home[1]))
+        return _joints(*joints_of(study.robot, study.rotations_deg, study.translations_mm))
     if isinstance(study, FollowStudy):
         return {"waypoints": _timed(study.path)}
     if isinstance(study, SnapStudy):
-        at_home = np.zeros(study.robot.n_tubes), study.robot.home_translations
-        return _joints(radians(study.from_deg, at_home[0]), metres(study.from_mm, at_home[1]))
+        return _joints(*joints_of(study.robot, study.from_deg, study.from_mm))
     if isinstance(study, InverseStudy):
         out: dict[str, Any] = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
         return out | (_joints(*study.start) if study.start is not None else {})
     if isinstance(study, PlanStudy):
-        at_home = np.zeros(study.robot.n_tubes), study.robot.home_translations
         out = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
-        return out | _joints(radians(study.start_deg, at_home[0]), metres(study.start_mm, at_home[1]))
+        return out | _joints(*joints_of(study.robot, study.start_deg, study.start_mm))
     raise InputError(f"{path}: a study of kind {study.kind} says nothing to begin with; it must be {', '.join(KINDS)}")
 
 

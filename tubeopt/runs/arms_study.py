@@ -16,7 +16,7 @@ from ..files.units import MM, to_si
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, TipGoal, plan_arms
 from ..typing import Array
 from .anatomy_file import AnatomyKey, BasePart
-from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
+from .base import OnePerTube, Progress, RobotPath, Study, joints_of, metres, radians
 from .obstacle_file import Bodies, Place, point
 from .plan_study import RatesEntry
 
@@ -33,9 +33,7 @@ class PlacedPart(Entry):
     @property
     def start(self) -> tuple[Array, Array]:
         """Joint values with which it begins."""
-        return radians(self.start_deg, np.zeros(self.robot.n_tubes)), metres(
-            self.start_mm, self.robot.home_translations
-        )
+        return joints_of(self.robot, self.start_deg, self.start_mm)
 
     def placed(self, anatomy: Anatomy) -> PlacedRobot:
         """The robot where it stands; landmarks are those of an anatomy."""

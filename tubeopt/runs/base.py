@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field, ValidationInfo
 from ..files.checked import Entry, Number, Whole, in_file
 from ..files.units import DEG, MM, to_si
 from ..robots.file import AnyRobot, load_robot
+from ..robots.robot import Robot
 from ..typing import Array
 
 Progress = Callable[[int, int], object]
@@ -107,3 +108,8 @@ def radians(values: Sequence[Decimal] | None, otherwise: Array) -> Array:
 def metres(values: Sequence[Decimal] | None, otherwise: Array) -> Array:
     """`values` (mm) in m, or `otherwise` where there are none."""
     return otherwise if values is None else np.array([to_si(value, MM) for value in values])
+
+
+def joints_of(robot: Robot, turned: Sequence[Decimal] | None, shifted: Sequence[Decimal] | None) -> tuple[Array, Array]:
+    """Rotations (n,) rad and translations (n,) m of `turned` (deg) and `shifted` (mm); 0 and home without them."""
+    return radians(turned, np.zeros(robot.n_tubes)), metres(shifted, robot.home_translations)

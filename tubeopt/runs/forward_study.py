@@ -6,14 +6,13 @@ import logging
 from decimal import Decimal
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, joints_of
 from .load_file import LoadedStudy
 
 LOGGER = logging.getLogger(__name__)
@@ -34,11 +33,9 @@ class ForwardKinematicsStudy(LoadedStudy):
 
     def run(self, progress: Progress | None = None) -> Equilibrium:
         """The equilibrium; raises SolveError where none is found."""
-        rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
-        translations = metres(self.translations_mm, self.robot.home_translations)
         found = forward_kinematics(
             self.robot,
-            *to_model(self.robot, rotations, translations),
+            *to_model(self.robot, *joints_of(self.robot, self.rotations_deg, self.translations_mm)),
             load=self.pushing(),
             method=self.method,
             tolerance=float(self.tolerance_rad),

@@ -21,7 +21,7 @@ from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
 from .anatomy_file import AnatomyKey
-from .base import OnePerTube, Progress, RobotPath, metres, radians
+from .base import OnePerTube, Progress, RobotPath, joints_of
 from .load_file import LoadedStudy
 from .obstacle_file import Bodies, Place, point
 from .target_file import Targets, load_joints, load_targets
@@ -152,8 +152,7 @@ class InverseStudy(LoadedStudy):
     def _reference(self) -> tuple[Array, Array] | None:
         if self.reference_deg is None and self.reference_mm is None:
             return None
-        rotations = radians(self.reference_deg, np.zeros(self.robot.n_tubes))
-        return to_model(self.robot, rotations, metres(self.reference_mm, self.robot.home_translations))
+        return to_model(self.robot, *joints_of(self.robot, self.reference_deg, self.reference_mm))
 
     def _seed(self) -> tuple[Array, Array] | None:
         """Joint values where the robot is."""

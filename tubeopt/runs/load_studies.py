@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from ..display import Displayed
@@ -19,7 +18,7 @@ from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
 from ..typing import Array
 from ..validation import ForceRecord, estimate_forces
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, joints_of, radians
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
 
@@ -74,8 +73,7 @@ class LoadLimitStudy(LoadedStudy):
         """The limit; raises SolveError where there is no stable equilibrium without load, or the branch is lost."""
         if progress is not None:
             progress(0, 0)
-        rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
-        translations = metres(self.translations_mm, self.robot.home_translations)
+        rotations, translations = joints_of(self.robot, self.rotations_deg, self.translations_mm)
         load, up_to = self.pushing(), float(self.up_to)
         start = None
         if self.from_deg is not None:

@@ -21,7 +21,7 @@ from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
 from .anatomy_file import AnatomyKey
-from .base import OnePerTube, Progress, RobotPath, metres, radians
+from .base import OnePerTube, Progress, RobotPath, joints_of, metres, radians
 from .load_file import LoadedStudy
 from .obstacle_file import Bodies, Place, point
 
@@ -166,8 +166,7 @@ class PlanStudy(LoadedStudy):
         return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
 
     def _ends(self) -> tuple[tuple[Array, Array], Any]:
-        alpha = radians(self.start_deg, np.zeros(self.robot.n_tubes))
-        shift = metres(self.start_mm, self.robot.home_translations)
+        alpha, shift = joints_of(self.robot, self.start_deg, self.start_mm)
         towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
         if self.tip_mm is not None:
             return (alpha, shift), TipGoal(np.array(point(self.tip_mm)), towards)

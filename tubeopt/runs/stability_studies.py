@@ -34,7 +34,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, metres, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, joints_of, metres, radians
 from .load_file import LoadedStudy
 
 
@@ -64,8 +64,7 @@ class EquilibriaStudy(LoadedStudy):
         """The equilibria; raises SolveError where one is missing."""
         if progress is not None:
             progress(0, 0)
-        rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
-        translations = metres(self.translations_mm, self.robot.home_translations)
+        rotations, translations = joints_of(self.robot, self.rotations_deg, self.translations_mm)
         found = find_equilibria(self.robot, rotations, translations, load=self.pushing())
         return Equilibria(self.robot, rotations, translations, tuple(found))
 
@@ -99,8 +98,7 @@ class SnapStudy(LoadedStudy):
     to_mm: OnePerTube | None = Field(None, description="translations to move to; by default those of the start")
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        alpha = radians(self.from_deg, np.zeros(self.robot.n_tubes))
-        shift = metres(self.from_mm, self.robot.home_translations)
+        alpha, shift = joints_of(self.robot, self.from_deg, self.from_mm)
         return (alpha, shift), (radians(self.to_deg, alpha), metres(self.to_mm, shift))
 
     @model_validator(mode="after")

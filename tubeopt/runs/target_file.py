@@ -14,7 +14,7 @@ from ..files.units import MM, RAD
 from ..files.yaml_file import load_yaml
 from ..robots.robot import Robot
 from ..typing import Array
-from .base import metres, radians
+from .base import joints_of
 
 POSITION = ("x_mm", "y_mm", "z_mm")
 DIRECTION = ("direction_x", "direction_y", "direction_z")
@@ -68,4 +68,4 @@ def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:
         if values is not None and len(values) != n
     ]
     refuse(path, problems)
-    return radians(joints.rotations_deg, np.zeros(n)), metres(joints.translations_mm, robot.home_translations)
+    return joints_of(robot, joints.rotations_deg, joints.translations_mm)

@@ -169,7 +169,7 @@ def dimension_rows(s: DesignSolution) -> list[tuple[str, ...]]:
     ]
 
 
-def checked_again(s: DesignSolution) -> Table:
+def checked_again(s: DesignSolution) -> RenderableType:
     """What was promised, and what other code found."""
     rows = [(check.what, check.found, "kept" if check.kept else "BROKEN") for check in s.verification.checks]
     return grid(("", "found", ""), rows, title="checked again by other code", key=True)
