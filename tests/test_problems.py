@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from tubeopt.shaping.heating.settings import DEFAULT_HEATING
+
 SAMPLES = {
     "calibrate_friction": 36,
     "design_pair": 3,
@@ -28,7 +30,7 @@ SAMPLES = {
 """Of rows, poses and seconds, fewer than a problem has; of all others, as of maps, 12: as many as it has take up to
 half a minute."""
 
-TUNED = ("tubeopt.shaping.heating.leading.TUNING", 12)
+LAW_RIGS = 12
 """Rigs on which the gains of a law are chosen: a quarter of as many as usual."""
 
 PROBLEMS = sorted((Path(__file__).resolve().parents[1] / "problems").glob("*.py"))
@@ -38,7 +40,7 @@ PROBLEMS = sorted((Path(__file__).resolve().parents[1] / "problems").glob("*.py"
 def test_problem(
     script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(*TUNED)
+    monkeypatch.setitem(vars(DEFAULT_HEATING), "law_rigs", LAW_RIGS)
     spec = importlib.util.spec_from_file_location(script.stem, script)
     assert spec is not None
     assert spec.loader is not None

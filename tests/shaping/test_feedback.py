@@ -42,9 +42,8 @@ def plan() -> HeatingPlan:
 @functools.lru_cache(maxsize=1)
 def led() -> Feedback:
     """It, led by a thermocouple, whose gains are chosen on fewer rigs than usual."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tubeopt.shaping.heating.leading.TUNING", 12)
-        return lead_by(plan(), Thermocouple(), samples=60)
+    few = replace(plan().spec, solver=replace(plan().spec.solver, law_rigs=12))
+    return lead_by(replace(plan(), spec=few), Thermocouple(), samples=60)
 
 
 def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_not() -> None:
