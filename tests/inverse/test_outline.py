@@ -16,10 +16,11 @@ from tubeopt import IkSession, InverseOptions, InverseSolver, forward_kinematics
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Lookout, Scene
+from tubeopt.equilibrium.jacobian import compiled_slopes
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
-from tubeopt.inverse.posture import compiled_slopes, posture_of
+from tubeopt.inverse.posture import posture_of
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array

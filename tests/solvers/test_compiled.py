@@ -28,6 +28,7 @@ from tubeopt import (
     forward_kinematics_batch,
 )
 from tubeopt.equilibrium import kinematics, loaded
+from tubeopt.equilibrium.jacobian import compiled_slopes, derivatives_of
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled import binding, remembered
 from tubeopt.solvers.compiled import library as building
@@ -394,3 +395,47 @@ def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pyt
     start = binding.Start(*arm, np.zeros(3), at.translations)
     for sides in ((1, 1, 1), (-1, 1, -1)):
         assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, sides) is not None
+
+
+@compiler
+def test_jacobian_is_that_of_the_general_derivatives() -> None:
+    for robot, shift in ((THESIS, np.zeros(3)), (THESIS, np.array([-0.05, -0.03, -0.02])), (CRL, np.zeros(CRL.n_tubes))):
+        at = forward_kinematics(robot, np.array([-1.0, 0.8, 2.0])[: robot.n_tubes], shift)
+        for side in (1, -1):
+            told, of = at.jacobian(side=side), derivatives_of(at, side=side)
+            for mine, other in (
+                (told.position, of.tip_position),
+                (told.rotation, of.tip_rotation),
+                (told.tip_rotations, of.tip_rotations),
+                (told.energy, of.energy),
+                (told.margin, of.margin),
+            ):
+                assert mine == pytest.approx(other, rel=0, abs=1e-8 * np.abs(other).max())
+        turned = at.jacobian(wrt=("translations", "rotations"))
+        assert np.array_equal(turned.energy, np.roll(at.jacobian().energy, robot.n_tubes))
+
+
+@compiler
+def test_a_margin_that_two_modes_share_has_no_slope_unless_one_of_them_is_asked_for() -> None:
+    """Three tubes as stiff and as curved as each other, a third of a turn apart: two modes are alike."""
+    thin = Tube(1.0e-3, 0.8e-3, 0.02, 0.1, 5.0)
+    wide = [replace(thin, outer_diameter=d, inner_diameter=d - 0.2e-3) for d in (1.0e-3, 1.4e-3, 1.8e-3)]
+    shares = [thin.bending_stiffness / tube.bending_stiffness for tube in wide]
+    tubes = [
+        replace(
+            tube,
+            material=replace(
+                tube.material,
+                youngs_modulus=tube.material.youngs_modulus * share,
+                shear_modulus=tube.material.shear_modulus * share,
+            ),
+        )
+        for tube, share in zip(wide, shares, strict=True)
+    ]
+    at = forward_kinematics(ConcentricRobot(tuple(tubes)), np.radians([0.0, 120.0, -120.0]))
+    assert 0 < at.margin < 0.99
+    assert np.isnan(at.jacobian().margin).all()
+    assert np.isfinite(at.jacobian().position).all()
+    one = compiled_slopes(at)
+    assert one is not None
+    assert np.isfinite(one.margin).all()

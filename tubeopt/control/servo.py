@@ -16,12 +16,13 @@ from math import hypot
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
+from ..equilibrium.jacobian import compiled_slopes
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..inverse.joints import Configuration, configuration
 from ..inverse.least_squares import constrained_least_squares
-from ..inverse.posture import Posture, compiled_slopes
+from ..inverse.posture import Posture
 from ..inverse.settings import DEFAULT_SOLVER
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot

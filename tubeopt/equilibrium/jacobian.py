@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import SolveError
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
+from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from .derivatives import Derivatives
 from .general_derivatives import general_columns
@@ -19,6 +20,9 @@ from .state import arm_of_equilibrium, problem_of
 
 JOINTS = ("rotations", "translations")
 """What a Jacobian is taken with respect to unless asked otherwise."""
+
+SAME_ARM = 1e-9
+"""Rotations that differ by less, rad, are of one arm."""
 
 
 def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, side: int = 1) -> Derivatives:
@@ -40,6 +44,31 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
         margin=equilibrium.margin,
         problem=lambda: problem_of(equilibrium),
     )
+
+
+def compiled_slopes(
+    at: Equilibrium, sides: tuple[int, ...] | None = None, *, compliance: bool = False, either: bool = True
+) -> Slopes | None:
+    """The derivatives of an equilibrium by the compiled kernel, of translations that move towards `sides` (n,), 1 where
+    not given; None where it has none. Of a margin that two modes share, those of `either` of them, or NaN."""
+    still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
+    arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
+    start = Start(*arm, still, at.translations)
+    return slopes_compiled(at.robot, at.rotations, at.translations, start, sides, compliance=compliance, either=either)
+
+
+def _by_joints(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | None:
+    """The Jacobian by joint values of a stable equilibrium of concentric tubes, from the compiled kernel; None where
+    that is not what is asked, or what the kernel finds from here is not this equilibrium to the last digits."""
+    if not set(wrt) <= set(JOINTS) or side not in (1, -1) or len(equilibrium.arc_length) < 2:
+        return None
+    n = equilibrium.robot.n_tubes
+    found = compiled_slopes(equilibrium, (side,) * n, either=False)
+    if found is None or found.off > SAME_ARM:
+        return None
+    columns = [JOINTS.index(name) * n + i for name in wrt for i in range(n)]
+    tables = found.position, found.turn, found.tip_rotations, found.margin, found.energy
+    return Jacobian(tuple(wrt), *(table[..., columns] for table in tables))
 
 
 @lru_cache(maxsize=64)
@@ -71,5 +100,8 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         return Jacobian(tuple(wrt), *loaded_columns(equilibrium, wrt, side))
     if is_general(equilibrium.robot):
         return Jacobian(tuple(wrt), *general_columns(equilibrium, wrt, side))
+    by_joints = _by_joints(equilibrium, wrt, side)
+    if by_joints is not None:
+        return by_joints
     of = derivatives_of(equilibrium, wrt, side=side)
     return Jacobian(of.wrt, of.tip_position, of.tip_rotation, of.tip_rotations, of.margin, of.energy)

@@ -11,13 +11,13 @@ import numpy as np
 from ..bodies.scene import Scene
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.general_motion import GeneralMotion
+from ..equilibrium.jacobian import compiled_slopes
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
 from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
 from ..robots.robot import is_general
-from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
 from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array
 from .joints import JointSpace
@@ -193,14 +193,3 @@ def same_place(one: Posture | None, other: Posture) -> bool:
 def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
     """The posture of an equilibrium."""
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
-
-
-def compiled_slopes(
-    at: Equilibrium, sides: tuple[int, ...] | None = None, *, compliance: bool = False
-) -> Slopes | None:
-    """The derivatives of an equilibrium by the compiled kernel, of translations that move towards `sides` (n,), 1 where
-    not given; None where it has none. Of a margin that two modes share, those of one of them."""
-    still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
-    arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
-    start = Start(*arm, still, at.translations)
-    return slopes_compiled(at.robot, at.rotations, at.translations, start, sides, compliance=compliance)

@@ -232,16 +232,19 @@ def solve_compiled(
 
 class Slopes(NamedTuple):
     """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
-    2n), tip rotations (n, 2n) and margin (2n,); the compliance (6, 6) of the tip at no load, None where not asked for;
-    and derivatives of the shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None of an arm
-    with another mesh."""
+    2n), tip rotations (n, 2n), margin and energy (2n,); the compliance (6, 6) of the tip at no load, None where not
+    asked for; and derivatives of the shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None
+    of an arm with another mesh. `off` is by how much the rotations of the arm differ from those of the start, rad;
+    infinite with another mesh."""
 
     position: Array
     turn: Array
     tip_rotations: Array
     margin: Array
+    energy: Array
     compliance: Array | None
     along: Array | None
+    off: float
 
 
 def slopes_compiled(
@@ -252,46 +255,50 @@ def slopes_compiled(
     sides: tuple[int, ...],
     *,
     compliance: bool = False,
+    either: bool = True,
 ) -> Slopes | None:
     """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, where breakpoints
     coincide those of translations that move towards their `sides` (n,), 1 or -1; of a margin that two modes share, by
-    one of these. None where the kernel declines or has none.
+    `either` of these, or NaN. None where the kernel declines or has none.
     """
     prepared = with_kernel(robot, 0)
     if prepared is None or prepared[0].differentiate is None:
         return None
     kernel, n = prepared[0], robot.n_tubes
     room = room_of(kernel)
-    same = room.has(prepared, rotations.tobytes() + translations.tobytes(), start)
-    if not same and solve_compiled(robot, rotations, translations, start) is None:
+    kept = room.has(prepared, rotations.tobytes() + translations.tobytes(), start)
+    if not kept and solve_compiled(robot, rotations, translations, start) is None:
         return None
     points = int(room.fields["pieces"]) * STEPS + 1
     places = room.fields["arc_length"][:points]
-    same = same or (points == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF))
-    whole = 14 * n + 2 * n * n + 36
+    same = kept or (points == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF))
+    off = 0.0 if kept else float(np.abs(room.fields["rotation"][:points].T - start.rotation).max()) if same else np.inf
+    whole = 16 * n + 2 * n * n + 36
     out = np.empty(whole + points * 6 * n)
     at = _place(out)
-    if not kernel.differentiate(_asked(robot, sides, compliance)[1], *room.at, at, at + 8 * whole):
+    if not kernel.differentiate(_asked(robot, sides, compliance, either)[1], *room.at, at, at + 8 * whole):
         return None
-    by_joint = out[: 14 * n + 2 * n * n].reshape(7 + n, 2 * n)
+    by_joint = out[: whole - 36].reshape(8 + n, 2 * n)
     return Slopes(
         position=by_joint[:3],
         turn=by_joint[3:6],
-        tip_rotations=by_joint[6:-1],
-        margin=by_joint[-1],
+        tip_rotations=by_joint[6:-2],
+        margin=by_joint[-2],
+        energy=by_joint[-1],
         compliance=out[whole - 36 : whole].reshape(6, 6) if compliance else None,
         along=out[whole:].reshape(points, 3, 2 * n) if same else None,
+        off=off,
     )
 
 
 @lru_cache(maxsize=256)
-def _asked(robot: Robot, sides: tuple[int, ...], compliance: bool) -> tuple[NDArray[np.int64], int]:
-    """(2 n + 1,) the C struct Asked, and where it is."""
+def _asked(robot: Robot, sides: tuple[int, ...], compliance: bool, either: bool) -> tuple[NDArray[np.int64], int]:
+    """(2 n + 2,) the C struct Asked, and where it is."""
     n = len(sides)
-    out = np.zeros(2 * n + 1, dtype=np.int64)
+    out = np.zeros(2 * n + 2, dtype=np.int64)
     for k, tubes in enumerate(robot.moving_together):
         out[list(tubes)] = k
-    out[n:-1], out[-1] = sides, compliance
+    out[n:-2], out[-2:] = sides, (compliance, either)
     return out, _at(out)
 
 

@@ -6,18 +6,20 @@
    that moves uncovers a stretch of another cross-section, which kicks the twist there and bends the arm. */
 
 #define FLAT (1 - 1e-9)   /* margin above which nothing softens */
-#define MODE_ERROR 1e-18 /* square of how far off its direction may be */
+#define MODE_ERROR 1e-22 /* square of how far off its direction may be */
+#define ONE_VALUE 1e-9   /* between eigenvalues that are one */
 
 typedef struct {
     double position[3][2 * N], turn[3][2 * N]; /* of the tip by rotations, then translations: per rad and per m */
-    double tip_rotations[N][2 * N], margin[2 * N];
+    double tip_rotations[N][2 * N], margin[2 * N], energy[2 * N];
     double compliance[6][6]; /* force and moment -> translation and turn of the tip, world axes, at no load */
 } Slopes;
 
 /* What is asked of them. Tubes of one carriage move together, and share its slope; where breakpoints coincide, it is that
-   towards the carriage's side, 1 or -1. The compliance, half of the work, where it is not 0. */
+   towards the carriage's side, 1 or -1. The compliance, half of the work, where it is not 0; of a margin that two modes
+   share, no slope (NAN) where `either` is 0, else that of one of them. */
 typedef struct {
-    long long carriage[N], side[N], compliance;
+    long long carriage[N], side[N], compliance, either;
 } Asked;
 
 /* The solved arm at the points of all pieces, and how the margin leans on them. */
@@ -92,12 +94,12 @@ static int section_at(const Tubes *t, const Jump *jump, int which, double *kb, d
     return any;
 }
 
-/* What w' (n), u (2) and, with a mode y, y'V''y gain at a jump with rotations theta. */
+/* What w' (n), u (2), the energy per length and, with a mode y, y'V''y gain at a jump with rotations theta. */
 static double gains_of(const Tubes *t, const Jump *jump, int side, const double *theta, const double *y, double *kick,
-                       double *bend) {
+                       double *bend, double *stored) {
     double form = 0;
     memset(kick, 0, N * sizeof(double));
-    bend[0] = bend[1] = 0;
+    bend[0] = bend[1] = *stored = 0;
     for (int which = 0; which < 2; which++) {
         double kb[N], m[N], moment[N], slope[N * N], gradient[3 * N], energy, u[2], part, sign = which ? -side : side;
         if (!section_at(t, jump, which, kb, m)) continue;
@@ -108,6 +110,7 @@ static double gains_of(const Tubes *t, const Jump *jump, int side, const double 
         variation(in, varied, 0, 0, 0);
         for (int i = 0; i < N; i++) kick[i] += sign * moment[i] / t->kt[i];
         for (int j = 0; j < 2; j++) bend[j] += sign * u[j];
+        *stored += sign * energy;
         form += sign * part;
     }
     return form;
@@ -293,14 +296,15 @@ static void by_carriage(const Unknowns *q, const State *state, const Profile *ar
     const Layout *l = q->layout;
     const Tubes *t = q->tubes;
     Jump jumps[2 * N];
-    double base[N], tip[6], turn[2 * N][3], formed = 0, released = 1 - out->margin;
+    double base[N], tip[6], turn[2 * N][3], formed = 0, energy = 0, released = 1 - out->margin;
     int count = jumps_of(q, carriage, own, side, jumps), last = l->pieces * STEPS, size = 0;
     memset(a->moments, 0, sizeof a->moments);
     memset(a->kicks, 0, sizeof a->kicks);
     for (int k = 0; k < count; k++) {
-        double kick[N], u[2];
+        double kick[N], u[2], stored;
         int p = jumps[k].piece, at = p * STEPS;
-        formed += gains_of(t, jumps + k, side, out->rotation[at], a->mode.rotation[p], kick, u);
+        formed += gains_of(t, jumps + k, side, out->rotation[at], a->mode.rotation[p], kick, u, &stored);
+        energy += stored;
         for (int i = 0; i < N; i++) a->kicks[p][i] += kick[i];
         for (int r = 0; r < 3; r++) turn[k][r] = out->frame[at][3 * r] * u[0] + out->frame[at][3 * r + 1] * u[1];
     }
@@ -308,6 +312,8 @@ static void by_carriage(const Unknowns *q, const State *state, const Profile *ar
         int mine = carriage[i] == own;
         base[i] = mine ? -arm->twist[0][i] : 0;
         size += mine;
+        /* At a fixed shape a shorter transmission is a stiffer spring, kt / |beta|. */
+        if (mine) energy += t->kt[i] * arm->twist[0][i] * arm->twist[0][i] / 2;
         if (mine) formed += t->kt[i] * a->mode.twist[0][i] * a->mode.twist[0][i] * released;
     }
     respond(q, state, h, base, a);
@@ -319,8 +325,11 @@ static void by_carriage(const Unknowns *q, const State *state, const Profile *ar
         for (int at = from; at < last && along; at++) swing(out, turn[k], from, at, a->shift[at]);
     }
     for (int r = 0; r < 3 && pushes(q, out, carriage, own, side); r++) tip[r] += out->frame[last][3 * r + 2];
-    for (int i = 0; i < N; i++)
-        if (carriage[i] == own) put_column(q, out, a, tip, formed, N + i, 1.0 / size, slopes, along);
+    for (int i = 0; i < N; i++) {
+        if (carriage[i] != own) continue;
+        put_column(q, out, a, tip, formed, N + i, 1.0 / size, slopes, along);
+        slopes->energy[N + i] = energy / size;
+    }
 }
 
 /* Column v of the compliance: a unit force (v < 3) or moment at the tip. */
@@ -358,6 +367,30 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
     }
 }
 
+/* x <- H^-1 x beside a direction of unit length. */
+typedef struct {
+    Factored factor;
+    const double *direction;
+} Beside;
+
+static void by_factor_beside(const void *of, double *x) {
+    const Beside *b = of;
+    by_factor(&b->factor, x);
+    double along = dot(x, b->direction, b->factor.n);
+    for (int r = 0; r < b->factor.n; r++) x[r] -= along * b->direction[r];
+}
+
+/* Whether two modes share the least eigenvalue of H, factorised, one of which is `mode`, of unit length. */
+static int shared(const double *h, int n, const double *mode, double least) {
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], other[MOST_UNKNOWNS], along;
+    Beside of = {{h, n, STRIDE}, mode};
+    Lanczos lanczos = {by_factor_beside, &of, n, LANCZOS, MOST_UNKNOWNS, 0, MODE_ERROR, 0, basis[0]};
+    anywhere(other, n);
+    along = dot(other, mode, n);
+    for (int r = 0; r < n; r++) other[r] -= along * mode[r];
+    return least_of(&lanczos, other) - least < ONE_VALUE;
+}
+
 /* All slopes at a solved state, its arm and the mode of its margin. 0 where the second variation, for which `h` is room, is
    singular. Into `along`, where not NULL, those of the shape points. */
 static int all_slopes(const Unknowns *q, const State *state, const Profile *arm, double *mode, const Answer *out,
@@ -374,8 +407,9 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
         double all[MOST_UNKNOWNS], part = 0.3 * sqrt(dot(mode, mode, q->size) / q->size);
         anywhere(all, q->size);
         for (int r = 0; r < q->size; r++) mode[r] += part * all[r];
-        least_eigenvalue(h, q->size, STRIDE, MODE_ERROR, mode);
+        double least = least_eigenvalue(h, q->size, STRIDE, MODE_ERROR, mode);
         lean_of_margin(q, state, mode, 1 - out->margin, a);
+        if (!asked->either && shared(h, q->size, mode, least)) a->form = NAN;
     }
     for (int i = 0; i < N; i++) {
         double base[N] = {0}, tip[6];
@@ -386,6 +420,8 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
         respond(q, state, h, base, a);
         tip_change(q, out, a, NULL, tip, along ? a->shift : NULL);
         put_column(q, out, a, tip, 0, i, 1, slopes, along);
+        /* The equilibrium is a minimum of the energy: only what a joint does at a fixed shape counts. */
+        slopes->energy[i] = -q->tubes->kt[i] * arm->twist[0][i];
         for (int j = 0; j < i; j++) first &= carriage[j] != carriage[i];
         if (first) by_carriage(q, state, arm, out, h, carriage, carriage[i], asked->side[i], a, slopes, along);
     }
