@@ -86,9 +86,13 @@ def test_limits_for_another_number_of_tubes() -> None:
 @pytest.mark.parametrize(
     ("rotations", "translations", "message"),
     [
-        (((1, -1),), ((0, 1),), "limit of rotation 1 is [1, -1]; it must be least, greatest"),
-        (((-1, 1),), ((0, float("nan")),), "limit of translation 1 is [0, nan]; it must be least, greatest"),
-        (((-1, 1), (-np.inf, 1)), ((0, 1),) * 2, "limit of rotation 2 is [-inf, 1]; it must be least, greatest"),
+        (((1, -1),), ((0, 1),), "limit of rotation 1 is 1 rad to -1 rad; it must be least, greatest"),
+        (((-1, 1),), ((0, float("nan")),), "limit of translation 1 is 0 m to nan m; it must be least, greatest"),
+        (
+            ((-1, 1), (-np.inf, 1)),
+            ((0, 1),) * 2,
+            "limit of rotation 2 is -inf rad to 1 rad; it must be least, greatest",
+        ),
         (
             ((-1, 1), (-1, 1)),
             ((0, 1),),

@@ -109,7 +109,7 @@ def test_saved_and_loaded_is_equal_to_the_last_bit(tmp_path: Path) -> None:
         (
             "{length_mm: 10, helix: {radius_mm: 0.3, pitch_mm: 1.2}}",
             "",
-            "per m; its radius must exceed half the outer_diameter (0.0005 m)",
+            "per m; its radius must exceed half the outer_diameter (0.5 mm)",
         ),
         (
             "{length_mm: 100, helix: {radius_mm: 10, pitch_mm: 0.5}}",
@@ -124,7 +124,7 @@ def test_saved_and_loaded_is_equal_to_the_last_bit(tmp_path: Path) -> None:
         (
             "{length_mm: 10, radius_mm: 80, twist_deg_per_mm: 360}",
             "",
-            "piece 1 is twisted by 6283.19 rad per m (360 deg per mm)",
+            "piece 1 is twisted by 360000 deg per m (360 deg per mm)",
         ),
         (
             "{length_mm: 10, radius_mm: 80}",

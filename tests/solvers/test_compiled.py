@@ -399,7 +399,11 @@ def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pyt
 
 @compiler
 def test_jacobian_is_that_of_the_general_derivatives() -> None:
-    for robot, shift in ((THESIS, np.zeros(3)), (THESIS, np.array([-0.05, -0.03, -0.02])), (CRL, np.zeros(CRL.n_tubes))):
+    for robot, shift in (
+        (THESIS, np.zeros(3)),
+        (THESIS, np.array([-0.05, -0.03, -0.02])),
+        (CRL, np.zeros(CRL.n_tubes)),
+    ):
         at = forward_kinematics(robot, np.array([-1.0, 0.8, 2.0])[: robot.n_tubes], shift)
         for side in (1, -1):
             told, of = at.jacobian(side=side), derivatives_of(at, side=side)
