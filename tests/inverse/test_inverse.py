@@ -493,7 +493,7 @@ class TestInput:
             ({"seed": 3}, "seed is 3; it must be a pair"),
             ({"seed": ([0, 0], None)}, "rotations of seed has 2 numbers"),
             ({"reference": ([0, 0, 0], [1, 1, 1])}, "pulls it out of its actuator"),
-            ({"robot": None}, "robot is None; it must be a ConcentricRobot"),
+            ({"robot": None}, "robot is None; it must be a robot"),
             ({"limits": 3}, "limits is 3; it must be a JointLimits"),
             ({"obstacles": Sphere((0, 0, 1), 0.1)}, r"it must be a sequence of bodies, as \[Sphere"),
             ({"obstacles": ["wall"]}, "obstacle 1 is 'wall'; it must be a body"),

@@ -259,7 +259,7 @@ def test_short_time_limits_bound_what_slow_robots_do(kind: str) -> None:
         began = time.process_time()
         with suppress(SolveError):
             ask()
-        assert time.process_time() - began <= 1.1 * limit + 0.5
+        assert time.process_time() - began <= 1.1 * limit + 1.0
 
 
 def test_bodies_that_are_far_away_cost_smoothing_nothing() -> None:
