@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 from pydantic import Field
 
+from ..equilibrium.readings import to_model
 from ..errors import InputError
 from ..files.checked import Whole, in_file
-from ..robots.path_file import Waypoints as Way
 from ..runs.base import RobotPath, Study, joints_of
 from ..runs.forward_study import ForwardKinematicsStudy
 from ..runs.inverse_study import InverseStudy
@@ -24,7 +24,7 @@ from ..runs.study_file import load_study
 from ..show.served_report import Viewed
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
-from ..show.viewer.playback import Waypoints, load_waypoints, paced
+from ..show.viewer.playback import Waypoints, load_waypoints, without_times
 from .flags import asks
 from .interruption import left_alone
 from .messages import LOGGER
@@ -104,15 +104,17 @@ def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
 
 def _begins(study: Study, path: str) -> dict[str, Any]:
     """What a study says of the view: joint values to begin with, a path to play, obstacles, margin."""
-    if isinstance(study, ForwardKinematicsStudy | EquilibriaStudy):
+    if isinstance(study, ForwardKinematicsStudy):
+        return _joints(*to_model(study.robot, *joints_of(study.robot, study.rotations_deg, study.translations_mm)))
+    if isinstance(study, EquilibriaStudy):
         return _joints(*joints_of(study.robot, study.rotations_deg, study.translations_mm))
     if isinstance(study, FollowStudy):
-        return {"waypoints": _timed(study.path)}
+        return {"waypoints": without_times(study.robot, study.path)}
     if isinstance(study, SnapStudy):
         return _joints(*joints_of(study.robot, study.from_deg, study.from_mm))
     if isinstance(study, InverseStudy):
         out: dict[str, Any] = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
-        return out | (_joints(*study.start) if study.start is not None else {})
+        return out | (_joints(*to_model(study.robot, *study.start)) if study.start is not None else {})
     if isinstance(study, PlanStudy):
         out = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
         return out | _joints(*joints_of(study.robot, study.start_deg, study.start_mm))
@@ -125,7 +127,3 @@ KINDS = ("forward_kinematics", "equilibria", "follow", "snap", "inverse_kinemati
 
 def _joints(rotations: Any, translations: Any) -> dict[str, Any]:
     return {"rotations": rotations, "translations": translations}
-
-
-def _timed(way: Way) -> Waypoints:
-    return Waypoints(paced(way.rotations, way.translations), way.rotations, way.translations)

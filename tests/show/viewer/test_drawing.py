@@ -9,11 +9,21 @@ import numpy as np
 import pytest
 
 from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE
-from tubeopt import ConcentricRobot, InputError, forward_kinematics, load_robot, save_robot, stability_map, trace_branch
+from tubeopt import (
+    Calibration,
+    ConcentricRobot,
+    InputError,
+    forward_kinematics,
+    load_robot,
+    save_robot,
+    stability_map,
+    trace_branch,
+)
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.bodies.plane import Plane
 from tubeopt.planning.file import load_trajectory
+from tubeopt.robots.calibration import Calibration
 from tubeopt.show.arm_surfaces import Centreline, plate_part, robot_parts
 from tubeopt.show.colours import margin_colour
 from tubeopt.show.surfaces import Surface, obstacle_surface
@@ -239,3 +249,16 @@ def test_a_page_for_a_colleague_needs_nothing_else() -> None:
     assert "<title>A &amp; B, tubeopt</title>" in page
     assert page.lstrip().lower().startswith("<!doctype html")
     assert "__VISER_EMBED_DATA__" in page
+
+
+def test_files_of_a_calibrated_robot_tell_what_its_drives_read(tmp_path: Path) -> None:
+    from tubeopt.runs.target_file import load_joints
+
+    drives = replace(Calibration.none(3), rotation_offsets=(0.1, 0.0, -0.2))
+    robot = replace(THESIS, calibration=drives)
+    session, _ = move_joint(open_session(robot), 0, 1.0)
+    (tmp_path / "joints.yaml").write_text(export.joints_yaml(session))
+    read = load_joints(tmp_path / "joints.yaml", robot)
+    assert read[0] == pytest.approx(session.equilibrium.rotations - np.array(drives.rotation_offsets), abs=1e-9)
+    (tmp_path / "path.csv").write_text("rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0\n10,0,0\n")
+    assert load_waypoints(tmp_path / "path.csv", robot).rotations[0] == pytest.approx(np.array(drives.rotation_offsets))

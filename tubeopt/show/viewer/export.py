@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...equilibrium.readings import to_readings
 from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import DEG, MM, in_unit
@@ -25,11 +26,13 @@ from .session import Session
 
 
 def joints_yaml(session: Session) -> str:
-    """Joint values with the keys rotations_deg and translations_mm, as `tubeopt ik --from` reads them."""
+    """Joint values (readings, of a robot with a calibration) with the keys rotations_deg and translations_mm, as
+    `tubeopt ik --from` reads them."""
     here = session.equilibrium
+    rotations, translations = to_readings(session.robot, here.rotations, here.translations)
     data = {
-        "rotations_deg": [in_unit(x, DEG) for x in here.rotations.tolist()],
-        "translations_mm": [in_unit(x, MM) for x in here.translations.tolist()],
+        "rotations_deg": [in_unit(x, DEG) for x in rotations.tolist()],
+        "translations_mm": [in_unit(x, MM) for x in translations.tolist()],
     }
     return _text(lambda path: save_yaml(path, data, f"Joint values of {session.robot.name or 'a robot'}."), ".yaml")
 

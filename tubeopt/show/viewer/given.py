@@ -16,6 +16,9 @@ from ...runs.obstacle_file import load_obstacles
 
 TABLES, IMAGES, MESHES = (".yaml", ".yml"), (".nii", ".nii.gz", ".mgz", ".nrrd"), (".stl", ".ply", ".obj")
 
+YAML = ".yaml,.yml,application/yaml"
+"""Files that a browser offers to be loaded as YAML."""
+
 BODIES = ",".join((*TABLES, *IMAGES, ".gz", *MESHES))
 """What a browser offers; of a name with two dots it looks at the last part only."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -13,7 +14,7 @@ from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
 from .cut import ACROSS
 from .designs import Knob, knobs
-from .given import BODIES
+from .given import BODIES, YAML
 from .hand import KEYS
 from .push_panel import PushPanel
 from .session import Session, joint_names, space_of
@@ -34,10 +35,6 @@ OBLIQUE = "a direction"
 """Of planes that are not across an axis."""
 
 PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>'
-
-
-YAML = ".yaml,.yml,application/yaml"
-"""Files that a browser offers to be loaded as YAML."""
 
 
 class Panel:
@@ -351,7 +348,8 @@ class Panel:
         self._upload("Load bodies (YAML, mesh, image)", "obstacles", BODIES)
         self._cut_controls()
         self._upload("Put another robot beside (YAML)", "beside", YAML)
-        self._check("dark", False, self._dark)
+        theme = partial(self._gui.configure_theme, show_share_button=False, show_logo=False)
+        self._check("dark", False, lambda on: theme(dark_mode=on))
         for label, side in (
             ("From x", "side"),
             ("From y", "front"),
@@ -378,9 +376,6 @@ class Panel:
         oblique.on_update(changed)
         at.on_update(changed)
 
-    def _dark(self, on: bool) -> None:
-        self._gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=on)
-
     def _save_controls(self) -> None:
         for label, what in (
             ("Picture (PNG)", "picture"),
@@ -394,9 +389,8 @@ class Panel:
 
 def _reach(values: np.ndarray, rotations: int) -> np.ndarray:
     """Ends of sliders: rotations no farther than `LONGEST_TURN`, all in whole steps."""
-    out = values.copy()
-    out[:rotations] = np.clip(out[:rotations], -LONGEST_TURN, LONGEST_TURN)
-    return np.round(out, 1)
+    turns = np.clip(values[:rotations], -LONGEST_TURN, LONGEST_TURN)
+    return np.round(np.append(turns, values[rotations:]), 1)
 
 
 def _typed(value: float, digits: int) -> str:

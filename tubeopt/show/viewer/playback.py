@@ -7,10 +7,12 @@ from os import PathLike
 
 import numpy as np
 
+from ...equilibrium.readings import to_model
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.csv_file import read_csv
 from ...planning.file import TIME, load_trajectory
+from ...robots.path_file import Waypoints as Way
 from ...robots.path_file import load_waypoints as load_path
 from ...robots.robot import Robot
 from ...stability import Path, Snap, follow
@@ -60,8 +62,7 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
             increase, joint values out of the robot's limits, no equilibrium at the start with the tip rotations given.
     """
     if TIME not in read_csv(path).columns:
-        way = load_path(path, robot)
-        found = Waypoints(paced(way.rotations, way.translations), way.rotations, way.translations)
+        found = without_times(robot, load_path(path, robot))
     else:
         timed = load_trajectory(path, robot)
         found = Waypoints(timed.time - timed.time[0], timed.rotations, timed.translations, timed.start())
@@ -73,6 +74,12 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
         except InputError as error:
             raise InputError(f"{path}: row {row + 1}: {error}") from None
     return found
+
+
+def without_times(robot: Robot, way: Way) -> Waypoints:
+    """The waypoints of a path, in the model's joint values, passed at the speeds of a file without times."""
+    rotations, translations = to_model(robot, way.rotations, way.translations)
+    return Waypoints(paced(rotations, translations), rotations, translations)
 
 
 def recorded(session: Session) -> Waypoints:
