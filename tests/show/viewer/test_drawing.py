@@ -10,7 +10,6 @@ import pytest
 
 from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE
 from tubeopt import (
-    Calibration,
     ConcentricRobot,
     InputError,
     forward_kinematics,
