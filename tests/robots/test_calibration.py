@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import pytest
 
 from tests.command_line import ROOT, Run, answer
 from tubeopt import InputError, JointLimits, forward_kinematics, load_robot
+from tubeopt.planning.file import joint_trajectory, load_trajectory, save_trajectory
 from tubeopt.robots.calibration import Calibration
+from tubeopt.runs.study_file import load_study
 
 ROBOTS = ROOT / "configs" / "robots"
 
@@ -82,3 +85,35 @@ def test_fk_and_ik_speak_of_readings(run: Run, tmp_path: Path) -> None:
     turned = np.radians(solution["readings_deg"]), np.array(solution["readings_mm"]) * 1e-3
     tip = forward_kinematics(robot, *drives(3).to_model(*turned)).tip_position
     np.testing.assert_allclose(tip * 1e3, data["tip_position_mm"], atol=1e-4)
+
+
+def test_a_plan_is_asked_and_saved_in_readings(tmp_path: Path) -> None:
+    own = drives(3)
+    robot = replace(load_robot(ROBOTS / "thesis_ctr.yaml"), calibration=own)
+    study, file = tmp_path / "study.yaml", tmp_path / "trajectory.csv"
+    robot.save(tmp_path / "robot.yaml")
+    study.write_text(
+        "{kind: plan, robot: robot.yaml, objective: none, start_deg: [10, 20, 30], start_mm: [-50, -30, -20], "
+        "goal_deg: [20, 25, 60]}"
+    )
+    plan = load_study(study).run()
+    there = np.radians([20, 25, 60]), np.array([-0.05, -0.03, -0.02])
+    tip = forward_kinematics(robot, *own.to_model(*there)).tip_position
+    np.testing.assert_allclose(plan.tip_position[-1], tip, atol=1e-9)
+    save_trajectory(plan, file)
+    rows = np.loadtxt(file, delimiter=",", comments=["#", "time"])
+    np.testing.assert_allclose(rows[0, 1:], [10, 20, 30, -50, -30, -20], atol=1e-9)
+    np.testing.assert_allclose(rows[-1, 1:], [20, 25, 60, -50, -30, -20], atol=1e-9)
+    np.testing.assert_allclose(joint_trajectory(plan)["points"][-1]["positions"], np.concatenate(there), atol=1e-12)
+    np.testing.assert_allclose(load_trajectory(file, robot).rotations, plan.rotations, atol=1e-12)
+
+
+def test_the_snap_of_a_certificate_is_repeated_in_readings(run: Run, tmp_path: Path) -> None:
+    own = replace(drives(2), translation_offsets=(0.0, 0.0))
+    robot = replace(load_robot(ROBOTS / "two_tube.yaml"), calibration=own)
+    robot.save(tmp_path / "robot.yaml")
+    told = answer(run("certify", str(tmp_path / "robot.yaml"), "--json"), 3)
+    snap = answer(run(*shlex.split(told["repeat"])[1:], "--json"), 0)["snap"]
+    assert snap["rotations_deg"][0] - snap["rotations_deg"][1] == pytest.approx(203.903566, abs=1e-5)
+    read = own.to_readings(np.radians(snap["rotations_deg"]), np.array(snap["translations_mm"]) * 1e-3)
+    np.testing.assert_allclose(snap["readings_deg"], np.degrees(read[0]))

@@ -14,7 +14,6 @@ from ..control.c_binding import servo_of
 from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..control.servo import OBJECTIVES, ServoOptions
-from ..equilibrium.readings import to_model
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.units import DEG, MM, to_si
 from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, joints_of
@@ -64,7 +63,7 @@ def serve(study: ServeEntry, output: Output) -> None:
     """
     can_be_saved(output.out)
     robot, options = study.robot, _options(study)
-    seed = to_model(robot, *joints_of(robot, study.rotations_deg, study.translations_mm))
+    seed = joints_of(robot, study.rotations_deg, study.translations_mm)
     servo = servo_of(robot, seed, obstacles=study.obstacles, options=options)
     server = RobotServer(
         CrtkRobot(servo, watchdog=float(study.watchdog_s)),

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 from pydantic import Field
 
-from ..equilibrium.readings import to_model
 from ..errors import InputError
 from ..files.checked import Whole, in_file
 from ..runs.base import RobotPath, Study, joints_of
@@ -104,9 +103,7 @@ def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
 
 def _begins(study: Study, path: str) -> dict[str, Any]:
     """What a study says of the view: joint values to begin with, a path to play, obstacles, margin."""
-    if isinstance(study, ForwardKinematicsStudy):
-        return _joints(*to_model(study.robot, *joints_of(study.robot, study.rotations_deg, study.translations_mm)))
-    if isinstance(study, EquilibriaStudy):
+    if isinstance(study, ForwardKinematicsStudy | EquilibriaStudy):
         return _joints(*joints_of(study.robot, study.rotations_deg, study.translations_mm))
     if isinstance(study, FollowStudy):
         return {"waypoints": without_times(study.robot, study.path)}
@@ -114,7 +111,7 @@ def _begins(study: Study, path: str) -> dict[str, Any]:
         return _joints(*joints_of(study.robot, study.from_deg, study.from_mm))
     if isinstance(study, InverseStudy):
         out: dict[str, Any] = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
-        return out | (_joints(*to_model(study.robot, *study.start)) if study.start is not None else {})
+        return out | (_joints(*study.start) if study.start is not None else {})
     if isinstance(study, PlanStudy):
         out = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
         return out | _joints(*joints_of(study.robot, study.start_deg, study.start_mm))

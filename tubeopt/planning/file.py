@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..equilibrium.readings import to_model, to_readings
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.csv_file import read_csv, to_csv
@@ -64,7 +65,7 @@ class TimedJoints:
 
 
 def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_file: str = "") -> None:
-    """Write the joint values over time; `robot_file` is where the robot is, relative to the file.
+    """Write what the drives read over time; `robot_file` is where the robot is, relative to the file.
 
     Raises:
         InputError: the file cannot be written.
@@ -72,11 +73,12 @@ def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_
     t = trajectory
     comment = [f"{ROBOT}{robot_file}"] if robot_file else []
     comment += [branch_line(t.start), f"least margin {t.proof.least_margin:.6f}, {t.status}"]
-    write_text(path, timed_csv(t.time, t.rotations, t.translations, comment))
+    write_text(path, timed_csv(t.time, *to_readings(t.robot, t.rotations, t.translations), comment))
 
 
 def timed_csv(time: Array, rotations: Array, translations: Array, comment: Sequence[str]) -> str:
-    """The text of a file that `load_trajectory` reads: time (T,) s, rotations (T, n) rad, translations (T, n) m."""
+    """The text of a file that `load_trajectory` reads: time (T,) s, and what the drives read, rotations (T, n) rad and
+    translations (T, n) m."""
     turns, shifts = joint_columns(rotations.shape[1])
     rows = (
         [in_unit(float(t), RAD), *joint_cells(*joints)]
@@ -91,11 +93,11 @@ def branch_line(start: Equilibrium) -> str:
 
 
 def joint_trajectory(trajectory: Trajectory) -> dict[str, Any]:
-    """The joint values over time as a message trajectory_msgs/JointTrajectory of ROS, in plain data: SI units, names
+    """What drives read over time as a message trajectory_msgs/JointTrajectory of ROS, in plain data: SI units, names
     rotation_1, ... and translation_1, ...; rates and accelerations are those of central differences, at rest at both
     ends."""
     t = trajectory
-    table = np.concatenate([t.rotations, t.translations], axis=1)
+    table = np.concatenate(to_readings(t.robot, t.rotations, t.translations), axis=1)
     names = [f"{kind}_{i + 1}" for kind in ("rotation", "translation") for i in range(t.robot.n_tubes)]
     if len(t.time) > 1:
         rates = np.gradient(table, t.time, axis=0)
@@ -127,7 +129,8 @@ def save_joint_trajectory(trajectory: Trajectory, path: str | PathLike[str]) -> 
 
 
 def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> TimedJoints:
-    """The trajectory in a CSV file: columns time_s, rotation_1_deg, ... and translation_1_mm, ... (by default home).
+    """The trajectory in a CSV file: columns time_s, rotation_1_deg, ... and translation_1_mm, ... (by default home),
+    which the drives read; the answer has the model's joint values.
 
     Args:
         robot: whose it is; by default that of the file which a comment `# robot: FILE` names.
@@ -147,7 +150,7 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     home = np.tile(own.home_translations, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home
     table.check()
-    return TimedJoints(own, time, rotations, translations, _tips(path, comments, own.n_tubes))
+    return TimedJoints(own, time, *to_model(own, rotations, translations), _tips(path, comments, own.n_tubes))
 
 
 def _tips(path: str | PathLike[str], comments: list[str], n: int) -> Array | None:

@@ -16,7 +16,7 @@ from ..files.units import MM, to_si
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, TipGoal, plan_arms
 from ..typing import Array
 from .anatomy_file import AnatomyKey, BasePart
-from .base import OnePerTube, Progress, RobotPath, Study, joints_of, metres, radians
+from .base import OnePerTube, Progress, RobotPath, Study, joints_of
 from .obstacle_file import Bodies, Place, point
 from .plan_study import RatesEntry
 
@@ -69,13 +69,12 @@ class ArmPart(PlacedPart):
 
     def ends(self, anatomy: Anatomy) -> tuple[tuple[Array, Array], Any]:
         """Start and goal."""
-        alpha, shift = self.start
         towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
         if self.tip_mm is not None:
-            return (alpha, shift), TipGoal(np.array(point(self.tip_mm)), towards)
+            return self.start, TipGoal(np.array(point(self.tip_mm)), towards)
         if self.tip_at is not None:
-            return (alpha, shift), TipGoal(anatomy.place(self.tip_at), towards)
-        return (alpha, shift), (radians(self.goal_deg, alpha), metres(self.goal_mm, shift))
+            return self.start, TipGoal(anatomy.place(self.tip_at), towards)
+        return self.start, joints_of(self.robot, self.goal_deg or self.start_deg, self.goal_mm or self.start_mm)
 
 
 class ArmsStudy(Study):

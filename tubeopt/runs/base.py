@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo
 
+from ..equilibrium.readings import to_model
 from ..files.checked import Entry, Number, Whole, in_file
 from ..files.units import DEG, MM, to_si
 from ..robots.file import AnyRobot, load_robot
@@ -111,5 +112,10 @@ def metres(values: Sequence[Decimal] | None, otherwise: Array) -> Array:
 
 
 def joints_of(robot: Robot, turned: Sequence[Decimal] | None, shifted: Sequence[Decimal] | None) -> tuple[Array, Array]:
-    """Rotations (n,) rad and translations (n,) m of `turned` (deg) and `shifted` (mm); 0 and home without them."""
-    return radians(turned, np.zeros(robot.n_tubes)), metres(shifted, robot.home_translations)
+    """The model's rotations (n,) rad and translations (n,) m where drives are said to read `turned` (deg) and `shifted`
+    (mm), 0 and home without them: what is read is the model's where the robot has no calibration.
+
+    Raises:
+        SolveError: carriages yield without end.
+    """
+    return to_model(robot, radians(turned, np.zeros(robot.n_tubes)), metres(shifted, robot.home_translations))

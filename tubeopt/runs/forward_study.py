@@ -9,7 +9,6 @@ from typing import Literal
 from pydantic import Field
 
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
 from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, joints_of
@@ -35,7 +34,7 @@ class ForwardKinematicsStudy(LoadedStudy):
         """The equilibrium; raises SolveError where none is found."""
         found = forward_kinematics(
             self.robot,
-            *to_model(self.robot, *joints_of(self.robot, self.rotations_deg, self.translations_mm)),
+            *joints_of(self.robot, self.rotations_deg, self.translations_mm),
             load=self.pushing(),
             method=self.method,
             tolerance=float(self.tolerance_rad),

@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
-from ..equilibrium.readings import to_model
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
 from ..files.units import MM, to_si
@@ -152,11 +151,11 @@ class InverseStudy(LoadedStudy):
     def _reference(self) -> tuple[Array, Array] | None:
         if self.reference_deg is None and self.reference_mm is None:
             return None
-        return to_model(self.robot, *joints_of(self.robot, self.reference_deg, self.reference_mm))
+        return joints_of(self.robot, self.reference_deg, self.reference_mm)
 
     def _seed(self) -> tuple[Array, Array] | None:
         """Joint values where the robot is."""
-        return None if self.start is None else to_model(self.robot, *self.start)
+        return self.start
 
     def _options(self) -> InverseOptions:
         return InverseOptions(

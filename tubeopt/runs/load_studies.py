@@ -18,7 +18,7 @@ from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
 from ..typing import Array
 from ..validation import ForceRecord, estimate_forces
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, joints_of, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, joints_of
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
 
@@ -77,7 +77,7 @@ class LoadLimitStudy(LoadedStudy):
         load, up_to = self.pushing(), float(self.up_to)
         start = None
         if self.from_deg is not None:
-            way = [radians(self.from_deg, rotations), rotations]
+            way = [joints_of(self.robot, self.from_deg, self.translations_mm)[0], rotations]
             start = follow(self.robot, way, [translations, translations]).equilibria[-1]
         if load is not None:
             found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=up_to)

@@ -21,7 +21,7 @@ from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
 from .anatomy_file import AnatomyKey
-from .base import OnePerTube, Progress, RobotPath, joints_of, metres, radians
+from .base import OnePerTube, Progress, RobotPath, joints_of
 from .load_file import LoadedStudy
 from .obstacle_file import Bodies, Place, point
 
@@ -166,13 +166,13 @@ class PlanStudy(LoadedStudy):
         return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
 
     def _ends(self) -> tuple[tuple[Array, Array], Any]:
-        alpha, shift = joints_of(self.robot, self.start_deg, self.start_mm)
+        start = joints_of(self.robot, self.start_deg, self.start_mm)
         towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
         if self.tip_mm is not None:
-            return (alpha, shift), TipGoal(np.array(point(self.tip_mm)), towards)
+            return start, TipGoal(np.array(point(self.tip_mm)), towards)
         if self.tip_at is not None and self.anatomy is not None:
-            return (alpha, shift), TipGoal(self.anatomy.place(self.tip_at), towards)
-        return (alpha, shift), (radians(self.goal_deg, alpha), metres(self.goal_mm, shift))
+            return start, TipGoal(self.anatomy.place(self.tip_at), towards)
+        return start, joints_of(self.robot, self.goal_deg or self.start_deg, self.goal_mm or self.start_mm)
 
     def run(self, progress: Progress | None = None) -> Trajectory:
         """The trajectory; raises SolveError where there is none, or none was found in time."""

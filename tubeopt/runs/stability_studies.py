@@ -34,7 +34,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, joints_of, metres, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, joints_of
 from .load_file import LoadedStudy
 
 
@@ -98,8 +98,8 @@ class SnapStudy(LoadedStudy):
     to_mm: OnePerTube | None = Field(None, description="translations to move to; by default those of the start")
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        alpha, shift = joints_of(self.robot, self.from_deg, self.from_mm)
-        return (alpha, shift), (radians(self.to_deg, alpha), metres(self.to_mm, shift))
+        end = self.to_deg or self.from_deg, self.to_mm or self.from_mm
+        return joints_of(self.robot, self.from_deg, self.from_mm), joints_of(self.robot, *end)
 
     @model_validator(mode="after")
     def _goes_somewhere(self) -> Self:
@@ -205,12 +205,16 @@ class CertifyStudy(Study):
         if progress is not None:
             progress(0, 0)
         if not self.over_box:
-            translations = metres(self.translations_mm, self.robot.home_translations)
+            translations = joints_of(self.robot, None, self.translations_mm)[1]
             return self._under_force(
                 Certification(self.robot, judge(self.robot, translations, progress=progress), None)
             )
         low, high = np.array(self.robot.limits.translations).T
-        worst = worst_certificate(self.robot, metres(self.lower_mm, low), metres(self.upper_mm, high))
+        if self.lower_mm is not None:
+            low = joints_of(self.robot, None, self.lower_mm)[1]
+        if self.upper_mm is not None:
+            high = joints_of(self.robot, None, self.upper_mm)[1]
+        worst = worst_certificate(self.robot, low, high)
         verdict = judge(self.robot, worst.certificate.translations, progress=progress)
         return self._under_force(Certification(self.robot, verdict, worst))
 
@@ -260,7 +264,7 @@ class StabilityMapStudy(Study):
 
     def run(self, progress: Progress | None = None) -> RobotMap:
         """The map; raises SolveError where there is no stable equilibrium to start from or to land on."""
-        translations = metres(self.translations_mm, self.robot.home_translations)
+        translations = joints_of(self.robot, None, self.translations_mm)[1]
         options: dict[str, Any] = {key: getattr(self, key) for key in ("samples", "directions", "workers")}
         first, second = self.tubes
         found = stability_map(self.robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)

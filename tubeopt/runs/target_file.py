@@ -54,7 +54,7 @@ class JointsFile(Entry):
 
 
 def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:
-    """Rotations (n,) rad and translations (n,) m in a YAML file with the keys rotations_deg and translations_mm.
+    """Rotations (n,) rad and translations (n,) m of the model where drives read what a YAML file says.
 
     Raises:
         InputError: no such file, not YAML, an unknown key, not as many numbers as there are tubes.

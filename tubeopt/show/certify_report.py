@@ -10,6 +10,7 @@ import typer
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from ..equilibrium.readings import to_readings
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
 from ..robots.robot import is_general
 from ..runs.stability_studies import Certification
@@ -73,17 +74,22 @@ def _way(verdict: Verdict) -> list[Array]:
 def command(a: Certification) -> str | None:
     """The command that repeats the snap, or, without one, shows the least margin found; None without either."""
     verdict = a.verdict
-    shift = flag(verdict.certificate.translations * TO_MM)
     file = shlex.quote(a.robot_file)
     if not verdict.followed:
         return None
     if verdict.snap is not None:
-        start, end = (flag(np.degrees(angles)) for angles in _way(verdict))
-        return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
+        (start, shift), (end, _) = (_read(a, angles) for angles in _way(verdict))
+        return f"tubeopt snap {file} --from-deg {flag(start)} --to-deg {flag(end)} --from-mm {flag(shift)}"
     if verdict.worst is None:
         return None
-    angles = flag(np.asarray(np.round(np.degrees(verdict.worst.equilibrium.rotations), 4), dtype=float))
-    return f"tubeopt equilibria {file} --rotations-deg {angles} --translations-mm {shift}"
+    angles, shift = _read(a, verdict.worst.equilibrium.rotations)
+    return f"tubeopt equilibria {file} --rotations-deg {flag(np.round(angles, 4))} --translations-mm {flag(shift)}"
+
+
+def _read(a: Certification, rotations: Array) -> tuple[Array, Array]:
+    """What the drives read there, deg and mm."""
+    turned, shifted = to_readings(a.robot, rotations, a.verdict.certificate.translations)
+    return np.degrees(turned), shifted * TO_MM
 
 
 def _shares(a: Certification) -> list[tuple[tuple[int, int], float]]:

@@ -237,7 +237,7 @@ class TargetTableReport(Report[TargetTable]):
             if s is None:
                 yield [*target, *[""] * (answers + 5), "FAILED", f'"{r.problem}"']
                 continue
-            joints = joint_cells(s.rotations, s.translations)
+            joints = joint_cells(*to_readings(s.equilibrium.robot, s.rotations, s.translations))
             tip = [round(float(x), 9) + 0.0 for x in s.equilibrium.tip_position * TO_MM]
             turned = "" if r.direction is None else float(np.degrees(s.direction_error))
             known = {True: "yes", False: "no", None: ""}[s.reachable]

@@ -26,6 +26,7 @@ from ..typing import Array
 from .equilibrium_report import by_history
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
+from .readings import joints_in_words, readings
 from .report import Drawing, Report, drawing, two_columns
 
 BEYOND = "assuming no other load and no friction"
@@ -120,9 +121,9 @@ def _ends(k: int, name: str, about: str) -> Quantity[Trajectory]:
     joints: tuple[Quantity[Trajectory], ...] = (
         Quantity("rotations_deg", "rotation of every tube", lambda t: t.rotations[k]),
         Quantity("translations_mm", "translation of every tube", lambda t: t.translations[k]),
+        *readings(lambda t: t.arms[k]),
     )
-    words = f"rotations {{{name}[rotations_deg]:.4g}} deg, translations {{{name}[translations_mm]:.4g}} mm"
-    return Quantity(name, about, lambda t: t, of=joints, words=words)
+    return Quantity(name, about, lambda t: t, of=joints, words=lambda t: joints_in_words(t.arms[k]))
 
 
 def _chosen(t: Trajectory) -> str | None:

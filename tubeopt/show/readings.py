@@ -42,3 +42,12 @@ def readings(of: Callable[[A], Equilibrium]) -> tuple[Quantity[A], ...]:
             optional=True,
         ),
     )
+
+
+def joints_in_words(e: Equilibrium) -> str:
+    """Joint values of an answer, and what the drives of a calibrated robot read there."""
+    words = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
+    if e.robot.calibration is None:
+        return words
+    turned, shifted = to_readings(e.robot, e.rotations, e.translations)
+    return f"{words}; the drives read {degrees(turned, '.4g')}, {millimetres(shifted, '.4g')}"

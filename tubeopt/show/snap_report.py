@@ -11,6 +11,7 @@ from rich.console import Group
 from rich.text import Text
 
 from .. import stability
+from ..equilibrium.readings import to_readings
 from ..equilibrium.result import Equilibrium
 from ..files.csv_file import to_csv
 from ..files.files import save_arrays, write_text
@@ -20,6 +21,7 @@ from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
 from ..typing import Array
 from .quantities import Quantity, line, record, rows
+from .readings import readings
 from .report import Drawing, Report, drawing, grid, to_text, two_columns
 from .words import counted, degrees, in_a_word, margin_in_words, millimetres, row
 
@@ -61,6 +63,7 @@ STATE: tuple[Quantity[Equilibrium], ...] = (
 EQUILIBRIA: tuple[Quantity[Equilibria], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
+    *readings(lambda a: a.equilibria[0]),
     Quantity(
         "equilibria",
         "all equilibria there, the lowest energy first",
@@ -76,6 +79,7 @@ SNAP: tuple[Quantity[Snap], ...] = (
     Quantity("fraction", "part of the way to it"),
     Quantity("rotations_deg", "rotations at which it happens", label="snap at rotations", form=".9g"),
     Quantity("translations_mm", "translations", form=".9g"),
+    *readings(lambda snap: snap.before),
     line("tip before", lambda snap: millimetres(snap.before.tip_position, ".4f")),
     line("tip after", lambda snap: millimetres(snap.after.tip_position, ".4f")),
     Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
@@ -230,7 +234,7 @@ class PathReport(Report[stability.Path]):
     def _cells(self) -> Iterator[Sequence[object]]:
         for k, e in enumerate(self.answer.equilibria, start=1):
             tip = [round(float(x), 9) + 0.0 for x in e.tip_position * TO_MM]
-            yield [k, *joint_cells(e.rotations, e.translations), *tip, round(e.margin, 12)]
+            yield [k, *joint_cells(*to_readings(e.robot, e.rotations, e.translations)), *tip, round(e.margin, 12)]
 
     def tables(self) -> dict[str, Any]:
         """The state at every waypoint."""

@@ -58,7 +58,7 @@ def recording_csv(session: Session) -> str:
     n = session.robot.n_tubes
     time = paced(rows[:, :n], rows[:, n:])
     comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(start)]
-    return timed_csv(time, rows[:, :n], rows[:, n:], comment)
+    return timed_csv(time, *to_readings(session.robot, rows[:, :n], rows[:, n:]), comment)
 
 
 def _text(write: Callable[[Path], None], suffix: str) -> str:
