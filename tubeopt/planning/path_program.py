@@ -12,7 +12,8 @@ Between knots q is cubic, so q'' is linear and q' is quadratic, and the bounds
 hold everywhere, and are convex in the square of the duration, S = T^2. Length, int |q'|^2, and effort, int |q''|^2, are
 quadratic in q and q'. Joint values alone could jump between knots to another branch with the same joint values: the tip
 rotations change by a bounded amount per interval, and their motion counts as well. The Hessian that IPOPT is given is
-exact but for the curvature of the equilibrium, of active margins and of obstacles. Blocks are mapped over the knots.
+exact but for the curvature of the equilibrium, of active margins and of obstacles. Blocks are mapped over the knots, and
+so are their derivatives: CasADi by itself would pass through all knots once for every unknown that an equation has.
 """
 
 from __future__ import annotations
@@ -102,8 +103,8 @@ class PathQuestion:
 
 @dataclass(frozen=True, eq=False)
 class PathProgram:
-    """The program. Unknowns, in units of the scale and by columns: joint values (m, K), rates (m, K), tip rotations
-    (n, K), square of the duration, margin.
+    """The program, its Hessian, and its constraints with their Jacobian. Unknowns, in units of the scale and by columns:
+    joint values (m, K), rates (m, K), tip rotations (n, K), square of the duration, margin.
 
     `rows`: number of constraints of each kind, in order.
     `least`: of unknowns and parameters, the smooth least distances by columns (rows, K), m; `body`: of which obstacle
@@ -112,13 +113,15 @@ class PathProgram:
 
     problem: dict[str, Any]
     hessian: ca.Function
+    jacobian: ca.Function
     rows: dict[str, int]
     least: ca.Function
     body: list[int]
 
     def solver(self, seconds: float) -> ca.Function:
         """IPOPT, to spend at most so many seconds."""
-        options = {**OPTIONS, "ipopt.max_wall_time": max(seconds, 0.1), "hess_lag": self.hessian}
+        options = {**OPTIONS, "ipopt.max_wall_time": max(seconds, 0.1)}
+        options |= {"hess_lag": self.hessian, "jac_g": self.jacobian}
         return ca.nlpsol("path", "ipopt", self.problem, options)
 
 
@@ -143,10 +146,11 @@ def _program(question: PathQuestion) -> PathProgram:
     q = joints * ca.repmat(p["scale"], 1, knots)
     spread = ca.DM(np.array([[float(i in g) for g in question.carriages] for i in range(n)]))
     shift = spread @ q[n:, :] + ca.repmat(p["offset"], 1, knots)
-    robots = ca.repmat(p["robot"], 1, knots)
-    shown = bool(question.obstacles) or question.extra is not None
-    block = (explicit_arm if shown else explicit_joints)(question.kind).map(knots)
-    rotations, fields, *arm = block(tip, shift, ca.repmat(margin, 1, knots), robots)
+    at = tip, shift, ca.repmat(margin, 1, knots), ca.repmat(p["robot"], 1, knots), ca.repmat(p["radius"], 1, knots)
+    knot = _knot(question)
+    # Symbols stand for what the arms are until all else is differentiated.
+    arms = ca.MX.sym("arms", knot.size1_out(0), knots)
+    rotations, fields, least = ca.vertsplit(arms, [0, n, n + question.kind.sections, arms.shape[0]])
     early, middle, late = _cubic(joints, rates, ca.repmat(p["step"].T, m, 1))
     speed, force = ca.repmat(p["rate"], 1, intervals), ca.repmat(p["acceleration"], 1, intervals)
     accelerations = ca.vertcat(early, late) / ca.vertcat(force, force)
@@ -167,8 +171,6 @@ def _program(question: PathQuestion) -> PathProgram:
         "twist": ca.vertcat(ca.vec(turned - twist), ca.vec(-turned - twist)),
     }
     if question.obstacles:
-        distance = _distance(question).map("distance", "serial", knots, [5], [])
-        least = distance(*arm, shift, robots, p["radius"])
         parts["clearance"] = ca.vec(least) / question.length
     h = ca.repmat(p["step"].T, m, 1)
     delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
@@ -180,17 +182,45 @@ def _program(question: PathQuestion) -> PathProgram:
     )
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
     given = ca.vertcat(*p.values())
-    g = ca.vertcat(*parts.values())
-    problem = {"x": x, "f": objective, "g": g, "p": given}
+    problem = {"x": x, "f": objective, "p": given}
     bent: Any = 0
     if question.extra is not None:
+        arm = explicit_arm(question.kind).map(knots)(*at[:4])[2:]
         extra, bent = _extra(question, {"rotations": q[:n, :], "translations": shift, "arm": arm}, p["step"], x)
         problem["f"] = objective + extra
     rows = {name: part.numel() for name, part in parts.items()}
-    distances = ca.Function("least", [x, given], [parts.get("clearance", ca.DM(0, 1)) * question.length])
-    return PathProgram(
-        problem, _hessian({**problem, "f": objective}, rows, bent), rows, distances, rows_of_bodies(question)
-    )
+    problem["g"], jacobian = _constraints(ca.vertcat(*parts.values()), arms, knot, at, x, given)
+    distances = ca.Function("least", [x, given], [ca.vec(knot.map(knots)(*at)[n + question.kind.sections :, :])])
+    hessian = _hessian({**problem, "f": objective}, rows, bent)
+    return PathProgram(problem, hessian, jacobian, rows, distances, rows_of_bodies(question))
+
+
+def _knot(question: PathQuestion) -> ca.Function:
+    """(tip rotations, translations, margin, robot, radius of the arm) of one knot -> in one column joint rotations,
+    determinants of the Jacobi fields, and least distances, m, of none where there are no bodies."""
+    kind = question.kind
+    sizes = {"tip": kind.n, "shift": kind.n, "margin": 1, "robot": kind.size, "radius": kind.n}
+    tip, shift, margin, robot, radius = given = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    if not question.obstacles:
+        rotations, fields = explicit_joints(kind)(tip, shift, margin, robot)
+        least: Any = ca.MX(0, 1)
+    else:
+        rotations, fields, *arm = explicit_arm(kind)(tip, shift, margin, robot)
+        least = _distance(question)(*arm, shift, robot, radius)
+    return ca.Function("knot", given, [ca.densify(ca.vertcat(rotations, fields, least))])
+
+
+def _constraints(g: Any, arms: Any, knot: ca.Function, at: tuple[Any, ...], x: Any, p: Any) -> tuple[Any, Any]:
+    """The constraints, of which an expression has symbols for the `arms` that the function `knot` makes of `at`; and as
+    a function (x, p) they and their Jacobian, in which every knot is differentiated by what it depends on."""
+    count, chain = arms.shape[1], ca.jacobian(ca.vec(ca.vertcat(*at[:3])), x)
+    one = [ca.MX.sym(knot.name_in(k), knot.sparsity_in(k)) for k in range(knot.n_in())]
+    by = ca.vertcat(*one[:3])
+    slopes = ca.Function("slopes", one, [ca.jacobian(knot(*one), by)])
+    blocks = ca.diagcat(*ca.horzsplit(slopes.map(count)(*at), by.numel()))
+    jacobian = ca.jacobian(g, x) + ca.jacobian(g, arms) @ (blocks @ chain)
+    g, jacobian = ca.graph_substitute([g, jacobian], [arms], [knot.map(count)(*at)])
+    return g, ca.Function("jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"])
 
 
 _in_free_space = lru_cache(maxsize=32)(_program)
