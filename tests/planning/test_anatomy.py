@@ -64,7 +64,7 @@ def test_an_insertion_is_smoothed_as_asked_and_touches_no_voxel_that_is_barred(t
     goal = end.tip_position
     assert field.signed_distance(goal) > 1e-3
     # However busy the machine is, there is time to smooth.
-    effort = WaySearch(smoothing_seconds=300.0, smoothing_intervals=12)
+    effort = WaySearch(smoothing_seconds=300.0, smoothing_intervals=8)
     options = PlanOptions(clearance=2e-4, objective="effort", effort=effort, time_limit=600.0)
     plan = plan_trajectory(ROBOT, WITHDRAWN, end, obstacles=[field], options=options)
     assert plan.proved

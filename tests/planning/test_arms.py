@@ -20,7 +20,7 @@ from tubeopt.bodies.frames import Frame, base_frame, roll_of
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.placed import seen_from
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.inverse.settings import DEFAULT_WAY
+from tubeopt.inverse.settings import DEFAULT_WAY, WaySearch
 from tubeopt.planning import arms_plan
 from tubeopt.planning.arms import at_rest
 from tubeopt.typing import Array
@@ -114,7 +114,8 @@ def test_two_arms_cross_over_without_touching() -> None:
     shift = [0.012, -0.05, -0.085]
     goals = [(np.radians([60, 50, 75]), shift), (np.radians([-120, -130, -105]), shift)]
     ball = Sphere((0.0, 0.03, 0.03), 0.004)
-    plan = plan_arms(arms, [REST] * 2, goals, obstacles=[ball], options=PlanOptions(clearance=5e-4))
+    options = PlanOptions(clearance=5e-4, effort=WaySearch(smoothing_intervals=8))
+    plan = plan_arms(arms, [REST] * 2, goals, obstacles=[ball], options=options)
     assert plan.proved
     assert plan.status == "proved"
     assert plan.proof.least_clearance >= 5e-4

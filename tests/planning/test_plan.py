@@ -51,12 +51,13 @@ from tubeopt.typing import Array
 OBJECTIVES = ("none", "length", "time")
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
 FEW_KNOTS = WaySearch(smoothing_intervals=8, smoothing_refinements=0)
+SOME_KNOTS = WaySearch(smoothing_intervals=12)
 TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
 def turn() -> Trajectory:
-    return plan_trajectory(THESIS, HOME, TURNED)
+    return plan_trajectory(THESIS, HOME, TURNED, options=PlanOptions(effort=SOME_KNOTS))
 
 
 def test_the_turn_that_snaps_is_planned(turn: Trajectory) -> None:
@@ -133,15 +134,12 @@ def test_objectives(objective: str) -> None:
     goal = ([150 * DEG, 30 * DEG, 0.0], [-0.02, -0.02, -0.01])
     plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective=objective, effort=FEW_KNOTS))
     assert plan.proof.holds
+    assert plan.statistics.knots == 9, "as many as asked for"
     if objective == "time":
         assert plan.time[-1] < 150 / 90 + 1.5
 
 
-def test_knots_of_the_smooth_motion_are_as_many_as_asked_for() -> None:
-    goal = ([60 * DEG, 30 * DEG, 0.0], [-0.02, -0.02, -0.01])
-    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective="effort", effort=FEW_KNOTS))
-    assert plan.statistics.knots == 9
-    assert plan.proof.holds
+def test_knots_that_are_none_are_refused() -> None:
     with pytest.raises(InputError, match="smoothing_intervals is 0; it must be at least 1"):
         WaySearch(smoothing_intervals=0)
 
@@ -294,7 +292,7 @@ def test_tips_that_exist_are_not_refused(robot: Robot) -> None:
 def test_an_optimal_search_is_no_longer_than_what_it_begins_with() -> None:
     start, goal = ([0.0, 0.0], None), ([300 * DEG, 0.0], None)
     first = plan_trajectory(TWO_TUBE, start, goal, options=PlanOptions(objective="none"))
-    options = PlanOptions(search="optimal", search_seconds=1.0, objective="none")
+    options = PlanOptions(search="optimal", search_seconds=0.3, objective="none")
     plan = plan_trajectory(TWO_TUBE, start, goal, options=options)
     assert plan.proof.holds
     assert plan.statistics.raw_length <= first.statistics.raw_length * (1 + 1e-9)
@@ -340,7 +338,7 @@ def test_curves_of_joint_values_keep_to_motions_that_bend() -> None:
     task, _ = asked(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions())
     begin = np.zeros(len(task.scale))
     end = begin + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(begin)]
-    fine = begin + np.linspace(0, 1, 20_001)[:, None] * (end - begin)
+    fine = begin + np.linspace(0, 1, 4_001)[:, None] * (end - begin)
     exact = task.chart.joints(fine, task.arms(fine)) / task.scale
     (table,) = joint_curves(task, np.stack([begin, end]))
     curve = rounded(table)(np.linspace(0, 1, 400)) / task.scale

@@ -22,6 +22,7 @@ from tubeopt import (
     SolveError,
     Trajectory,
     Tube,
+    WaySearch,
     follow_the_leader,
     forward_kinematics,
     inverse_kinematics,
@@ -98,7 +99,7 @@ def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
             start,
             goal,
             obstacles=[body_at(goal, start, "half-space", left)],
-            options=PlanOptions(clearance=1e-3),
+            options=PlanOptions(clearance=1e-3, effort=WaySearch(smoothing_intervals=12)),
         )
         for left in (0.03, spare)
     )

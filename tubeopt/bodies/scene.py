@@ -21,6 +21,9 @@ from ..typing import Array, Index
 FEW = 4
 """Bodies of a kind that are asked one by one."""
 
+HANDFUL = 16
+"""Bodies of a kind that are all asked at once: up to so many that takes less than half as long as trees do."""
+
 SIZES = 2.0
 """Balls in one tree differ in radius by no more than this factor, so that few of them are asked in vain."""
 
@@ -64,6 +67,8 @@ class Crowd:
 
     def nearest(self, points: Array, least: Array) -> Array:
         """(N,) distance of points (N, 3) from the nearest body where it is less than `least` (N,), else `least`."""
+        if len(self.bodies) <= HANDFUL:
+            return np.minimum(least, self.kind.distances(points, self.table[:, None]).min(0))
         out = least.copy()
         for layer in self.layers:
             reach = np.maximum(out + layer.largest, 0.0)
