@@ -7,13 +7,12 @@ NumPy, and solved by shooting with DOP853. The one-segment robot is there too in
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
 
 from tubeopt import SegmentedEccentricRobot, Tube
 from tubeopt.typing import Array
@@ -66,81 +65,115 @@ def rows_of(robot: SegmentedEccentricRobot, advance: tuple[float, ...]) -> tuple
 
 
 def shoot(tubes: tuple[Row, ...], rotations: Array, twist: Array | None = None) -> Answer:
-    """The equilibrium whose torsion w at the plate is near `twist` (n,), by default 0."""
-    held = np.array([tube.held for tube in tubes])
-
-    def loose(w: Array) -> Array:
-        return _integrate(tubes, rotations + held * w, w)[1]
-
-    found = root(loose, np.zeros(len(tubes)) if twist is None else twist, tol=1e-12)
-    assert np.abs(found.fun).max() < 1e-9, found.message
-    theta = rotations + held * found.x
-    state, _, ends = _integrate(tubes, theta, found.x)
-    n = len(tubes)
-    frame = state[2 * n : 2 * n + 9].reshape(3, 3)
-    return Answer(state[2 * n + 9 :], frame, theta, found.x, ends)
+    """The equilibrium whose torsion w at the plate is near `twist` (n,), by default 0: by Newton's method with
+    differences."""
+    held, n = np.array([tube.held for tube in tubes]), len(tubes)
+    w = np.zeros(n) if twist is None else np.array(twist, dtype=float)
+    size = 1e-6 * max(1.0, float(np.abs(w).max()))
+    for _ in range(20):
+        several = w + size * np.concatenate([np.zeros((1, n)), np.eye(n)])
+        left = _ends(tubes, rotations + held * several, several)[0]
+        w = w - np.linalg.solve(((left[1:] - left[0]) / size).T, left[0])
+        if np.abs(left[0]).max() < 1e-7:
+            break
+    theta = rotations + held * w
+    left, ends = _ends(tubes, theta[None], w[None])
+    assert np.abs(left).max() < 1e-9
+    state = _with_frame(tubes, theta, w)
+    return Answer(state[2 * n + 9 :], state[2 * n : 2 * n + 9].reshape(3, 3), theta, w, ends[0])
 
 
 def torsion_map(tubes: tuple[Row, ...], rotations: Array, twist: Array) -> Array:
     """(n, n) how w at the ends changes with `twist` (n,) at the plate: singular at a fold."""
     held = np.array([tube.held for tube in tubes])
     size = 1e-5 * np.abs(twist).max()
-    ends = [
-        [_integrate(tubes, rotations + held * w, w)[1] for w in (twist + step, twist - step)]
-        for step in size * np.eye(len(twist))
-    ]
-    return np.column_stack([(up - down) / (2 * size) for up, down in ends])
+    several = twist + size * np.concatenate([np.eye(len(twist)), -np.eye(len(twist))])
+    up, down = np.split(_ends(tubes, rotations + held * several, several)[0], 2)
+    return np.asarray((up - down).T / (2 * size))
 
 
-def _integrate(tubes: tuple[Row, ...], theta: Array, w: Array) -> tuple[Array, Array, Array]:
-    """State at the tip; w and theta of every tube at its own end."""
+def _sections(tubes: tuple[Row, ...]) -> Iterator[tuple[tuple[float, float], Array, Array]]:
+    """Where each section begins and ends, and which tubes (n,) are there and are curved."""
     cuts = np.unique(np.clip([[0.0, tube.begin, tube.end] for tube in tubes], 0.0, None).round(15))
-    state = np.concatenate([theta, w, np.eye(3).ravel(), np.zeros(3)])
-    twist, rotation = w.copy(), theta.copy()
     for start, stop in pairwise(cuts):
         middle = (start + stop) / 2
         there = np.array([middle < tube.end for tube in tubes])
-        curved = there & [tube.begin < middle for tube in tubes]
-        run = solve_ivp(
-            _slope(tubes, there, curved),
-            (start, stop),
-            state,
-            method="DOP853",
-            rtol=TOLERANCE,
-            atol=TOLERANCE,
-        )
-        state = run.y[:, -1]
-        twist[there], rotation[there] = state[len(w) : 2 * len(w)][there], state[: len(w)][there]
-    return state, twist, rotation
+        yield (start, stop), there, there & [tube.begin < middle for tube in tubes]
+
+
+def _ends(tubes: tuple[Row, ...], theta: Array, w: Array) -> tuple[Array, Array]:
+    """w and theta of every tube at its own end, of several arms at once: (B, n) at the plate and (B, n) there."""
+    twist, rotation, n = w.copy(), theta.copy(), len(tubes)
+    state = np.concatenate([theta, w], axis=1)
+    for ends, there, curved in _sections(tubes):
+        rates = _rates(tubes, there, curved)
+
+        def slope(_: float, y: Array, rates: Rates = rates) -> Array:
+            theta, w = np.split(y.reshape(-1, 2 * n), 2, axis=1)
+            return np.concatenate(rates(theta, w)[:2], axis=1).ravel()
+
+        state = _run(slope, ends, state.ravel()).reshape(-1, 2 * n)
+        twist[:, there], rotation[:, there] = state[:, n:][:, there], state[:, :n][:, there]
+    return twist, rotation
+
+
+def _with_frame(tubes: tuple[Row, ...], theta: Array, w: Array) -> Array:
+    """theta, w, R and p at the tip from theta and w (n,) at the plate."""
+    state = np.concatenate([theta, w, np.eye(3).ravel(), np.zeros(3)])
+    for ends, there, curved in _sections(tubes):
+        state = _run(_slope(tubes, there, curved), ends, state)
+    return state
+
+
+def _run(slope: Callable[[float, Array], Array], ends: tuple[float, float], state: Array) -> Array:
+    run = solve_ivp(slope, ends, state, method="DOP853", rtol=TOLERANCE, atol=TOLERANCE)
+    return np.asarray(run.y[:, -1])
 
 
 def curvature(bending: Array, pull: Array, place: Array, theta: Array) -> tuple[Array, Array]:
-    """u (2,) and g (n,): u (sum EI / g) = sum pull (cos theta, sin theta), by iteration that gains a factor d |u| at
-    every step, to the last bit."""
-    total = np.array([pull @ np.cos(theta), pull @ np.sin(theta)])
-    stretch = np.ones(len(theta))
+    """u (..., 2) and g (..., n) at theta (..., n): u (sum EI / g) = sum pull (cos theta, sin theta), by iteration that
+    gains a factor d |u| at every step, to the last bit."""
+    total = np.stack([np.cos(theta) @ pull, np.sin(theta) @ pull], axis=-1)
+    stretch, across = np.ones_like(theta), np.stack([place[:, 1], -place[:, 0]])
+    u = total / bending.sum()
     for _ in range(12):
-        u = total / (bending / stretch).sum()
+        before = u
         # e3' hat(u) d of (3.10): the tube on the inside of the bend is the shorter one.
-        stretch = 1 + u[0] * place[:, 1] - u[1] * place[:, 0]
+        stretch = 1 + u @ across
+        u = total / (bending / stretch).sum(-1)[..., None]
+        if np.abs(u - before).max() <= 1e-16 * np.abs(u).max():
+            break
     return u, stretch
 
 
-def _slope(tubes: tuple[Row, ...], there: Array, curved: Array) -> Callable[[float, Array], Array]:
-    """(theta, w, R, p)' of a section with these tubes there and curved, as a function of s and state."""
-    n = len(tubes)
+Rates = Callable[[Array, Array], tuple[Array, Array, Array]]
+
+
+def _rates(tubes: tuple[Row, ...], there: Array, curved: Array) -> Rates:
+    """theta', w' (..., n) and u (..., 2) of a section with these tubes there and curved, as a function of theta, w."""
     bending, torsional, bend = (
         np.array([getattr(tube, name) for tube in tubes]) for name in ("bending", "torsional", "curvature")
     )
     place = np.array([tube.place for tube in tubes])
-    pull = bending * bend * curved
+    pull, present = bending * bend * curved, bending * there
+
+    def rates(theta: Array, w: Array) -> tuple[Array, Array, Array]:
+        u, stretch = curvature(present, pull, place, theta)
+        gain = pull * (u[..., :1] * np.sin(theta) - u[..., 1:] * np.cos(theta)) / torsional
+        return stretch * w * there, gain, u
+
+    return rates
+
+
+def _slope(tubes: tuple[Row, ...], there: Array, curved: Array) -> Callable[[float, Array], Array]:
+    """(theta, w, R, p)' of a section with these tubes there and curved, as a function of s and state."""
+    n, rates = len(tubes), _rates(tubes, there, curved)
 
     def slope(_: float, y: Array) -> Array:
-        theta, w, frame = y[:n], y[n : 2 * n], y[2 * n : 2 * n + 9].reshape(3, 3)
-        u, stretch = curvature(bending * there, pull, place, theta)
-        gain = pull * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / torsional
+        frame = y[2 * n : 2 * n + 9].reshape(3, 3)
+        turned, gain, u = rates(y[:n], y[n : 2 * n])
         hat = np.array([[0.0, 0.0, u[1]], [0.0, 0.0, -u[0]], [-u[1], u[0], 0.0]])
-        return np.concatenate([stretch * w * there, gain, (frame @ hat).ravel(), frame[:, 2]])
+        return np.concatenate([turned, gain, (frame @ hat).ravel(), frame[:, 2]])
 
     return slope
 
@@ -157,7 +190,7 @@ def stepped_tip(tubes: tuple[Row, ...], answer: Answer, steps: int) -> Array:
     run = solve_ivp(_slope(tubes, flags, flags), (0.0, length), start, "DOP853", s, rtol=TOLERANCE, atol=TOLERANCE)
     bending, bend = np.array([tube.bending for tube in tubes]), np.array([tube.curvature for tube in tubes])
     place = np.array([tube.place for tube in tubes])
-    u = np.array([curvature(bending, bending * bend, place, theta)[0] for theta in run.y[:n].T])
+    u = curvature(bending, bending * bend, place, run.y[:n].T)[0]
     mean = np.einsum("k,akc->ac", weight / 2, u.reshape(steps, 5, 2))
     frame, tip = np.eye(3), np.zeros(3)
     for ux, uy in mean:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
 
 Array = NDArray[np.float64]
 
@@ -85,26 +84,34 @@ class Shooting:
         cuts = [0.0, *self.transition, *self.end, *(s for s, _ in load.points)]
         self.cuts = sorted({round(c, 13) for c in cuts if 0 <= c <= self.length + 1e-13})
 
-    def _rates(self, s: float, y: Array, present: Array, curved: Array) -> Array:
+    def _rates(self, s: float, flat: Array, present: Array, curved: Array) -> Array:
+        """Of several arms at once: (B * S,) states one after the other."""
         n = self.n
-        theta, t, R = y[:n], y[n : 2 * n], y[2 * n + 3 : 2 * n + 12].reshape(3, 3)
-        m, force = y[2 * n + 12 : 2 * n + 14], y[2 * n + 14 : 2 * n + 17]
-        K, pull, a, slope, f = 0.0, np.zeros(2), np.zeros((n, 2)), np.zeros(n), np.array(self.load.distributed, float)
+        y = flat.reshape(-1, 2 * n + 17)
+        theta, t, R = y[:, :n], y[:, n : 2 * n], y[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3)
+        m, force = y[:, 2 * n + 12 : 2 * n + 14], y[:, 2 * n + 14 :]
+        K, slope, f = 0.0, np.zeros_like(theta), np.array(self.load.distributed, float)
+        a = np.zeros((n, 2, len(y)))
         for i, tube in enumerate(self.tubes):
             if not present[i]:
                 continue
             kb, kt = tube.bending(s - self.beta[i]), tube.torsional(s - self.beta[i])
-            u = np.array(tube.precurvature(s - self.transition[i]), float) if curved[i] else np.zeros(3)
-            c, d = np.cos(theta[i]), np.sin(theta[i])
+            u = tube.precurvature(s - self.transition[i]) if curved[i] else (0.0, 0.0, 0.0)
+            c, d = np.cos(theta[:, i]), np.sin(theta[:, i])
             a[i] = kb * (c * u[0] - d * u[1]), kb * (d * u[0] + c * u[1])
-            K, pull, slope[i] = K + kb, pull + a[i], u[2] + t[i] / kt
+            K += kb
+            slope[:, i] = u[2] + t[:, i] / kt
             f = f + tube.mass * np.array(self.load.gravity)
-        ux, uy = (m + pull) / K
-        torque = (ux * a[:, 1] - uy * a[:, 0]) * present
-        nu, whole = R.T @ force, float(t @ present)
-        hat = np.array([[0, 0, uy], [0, 0, -ux], [-uy, ux, 0]])
-        bend = (-uy * whole + nu[1], ux * whole - nu[0])
-        return np.concatenate([slope, torque, R[:, 2], (R @ hat).ravel(), bend, -f])
+        ux, uy = (m.T + a.sum(0)) / K
+        torque = (ux * a[:, 1] - uy * a[:, 0]).T * present
+        nu, whole = np.einsum("bji,bj->ib", R, force), t @ present
+        along = R[:, :, 2]
+        turned = np.stack(
+            [-uy[:, None] * along, ux[:, None] * along, uy[:, None] * R[:, :, 0] - ux[:, None] * R[:, :, 1]], 2
+        )
+        bend = np.stack([-uy * whole + nu[1], ux * whole - nu[0]], 1)
+        parts = slope, torque, along, turned.reshape(-1, 9), bend, np.broadcast_to(-f, (len(y), 3))
+        return np.concatenate(parts, axis=1).ravel()
 
     def _weight(self) -> Array:
         total = np.array(self.load.force, float) + np.array(self.load.distributed) * self.length
@@ -115,98 +122,102 @@ class Shooting:
         return np.asarray(total)
 
     def march(self, unknown: Array, tolerance: float = 1e-12) -> tuple[Array, Array]:
-        """Residual (n + 2,) at the tubes' ends, and the state at the tip."""
-        n = self.n
-        t0, m0 = unknown[:n], unknown[n:]
-        theta = self.alpha.copy()
+        """Residuals (B, n + 2) at the tubes' ends, and the states (B, S) at the tip, of several unknowns (B, n + 2)."""
+        n, count = self.n, len(unknown)
+        t0, m0 = unknown[:, :n], unknown[:, n:]
+        theta = np.tile(self.alpha, (count, 1))
+        nodes, weights = np.polynomial.legendre.leggauss(40)
         for i, tube in enumerate(self.tubes):
-            lo, hi = self.beta[i], 0.0
+            lo = self.beta[i]
             if lo < 0:
-                marks = [lo, *([self.transition[i]] if lo < self.transition[i] < 0 else []), hi]
-                nodes, weights = np.polynomial.legendre.leggauss(40)
+                marks = [lo, *([self.transition[i]] if lo < self.transition[i] < 0 else []), 0.0]
                 for a, b in pairwise(marks):
                     for x, w in zip((a + b) / 2 + (b - a) / 2 * nodes, (b - a) / 2 * weights, strict=True):
                         wound = tube.precurvature(x - self.transition[i])[2] if x > self.transition[i] else 0.0
-                        theta[i] += w * (wound + t0[i] / tube.torsional(x - lo))
-        y = np.concatenate([theta, t0, np.zeros(3), np.eye(3).ravel(), m0, self._weight()])
-        miss = np.zeros(n)
+                        theta[:, i] += w * (wound + t0[:, i] / tube.torsional(x - lo))
+        same = np.tile(np.concatenate([np.zeros(3), np.eye(3).ravel()]), (count, 1))
+        y = np.concatenate([theta, t0, same, m0, np.tile(self._weight(), (count, 1))], axis=1)
+        miss = np.zeros((count, n))
         last = int(np.argmax(self.end))
         for i in range(n):
             if self.end[i] <= 0:
-                miss[i] = y[n + i]
+                miss[:, i] = y[:, n + i]
         for a, b in pairwise(self.cuts):
             for s, f in self.load.points:
                 if abs(s - a) < 1e-12:
-                    y[2 * n + 14 :] -= f
-            middle = (a + b) / 2
-            present, curved = middle < self.end, (middle > self.transition) & (middle < self.end)
-            out = solve_ivp(
-                self._rates, (a, b), y, method="DOP853", rtol=tolerance, atol=tolerance * 1e-2, args=(present, curved)
-            )
-            y = out.y[:, -1]
+                    y[:, 2 * n + 14 :] -= f
+            y = self._along((a, b), y, tolerance)[-1]
             for i in range(n):
                 if abs(self.end[i] - b) < 1e-12 and i != last:
-                    miss[i] = y[n + i]
-                    y[n + i] = 0.0
-        R = y[2 * n + 3 : 2 * n + 12].reshape(3, 3)
-        own = R.T @ np.array(self.load.moment, float)
-        miss[last] = y[n + last] - own[2]
-        return np.concatenate([miss, y[2 * n + 12 : 2 * n + 14] - own[:2]]), y
+                    miss[:, i] = y[:, n + i]
+                    y[:, n + i] = 0.0
+        R = y[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3)
+        own = np.einsum("bji,j->bi", R, np.array(self.load.moment, float))
+        miss[:, last] = y[:, n + last] - own[:, 2]
+        return np.concatenate([miss, y[:, 2 * n + 12 : 2 * n + 14] - own[:, :2]], axis=1), y
+
+    def _along(self, ends: tuple[float, float], y: Array, tolerance: float, count: int = 2) -> Array:
+        """States (count, B, S) of several arms along a section, from those (B, S) where it begins or ends."""
+        middle = sum(ends) / 2
+        present, curved = middle < self.end, (middle > self.transition) & (middle < self.end)
+        s = np.linspace(*ends, count)
+        flow = solve_ivp(
+            self._rates, ends, y.ravel(), "DOP853", s, rtol=tolerance, atol=tolerance * 1e-2, args=(present, curved)
+        )
+        return np.asarray(flow.y.T.reshape(count, *y.shape))
 
     def solve(self, start: Array | None = None) -> Shot:
-        """The equilibrium near `start` (n + 2,): torques and bending moment at the plate."""
-        x0 = np.zeros(self.n + 2) if start is None else np.array(start, float)
-        # Torques of a tube are some 1e-3 N m: solve for them in those units.
-        found = root(lambda x: self.march(x * 1e-3)[0] * 1e3, x0 * 1e3, method="hybr", options={"xtol": 1e-13})
-        unknown = found.x * 1e-3
-        miss, y = self.march(unknown)
+        """The equilibrium near `start` (n + 2,), torques and bending moment at the plate, by Newton's method with
+        differences."""
         n = self.n
+        unknown, step = np.zeros(n + 2) if start is None else np.array(start, float), 1e-8
+        for _ in range(20):
+            miss = self.march(unknown + step * np.concatenate([np.zeros((1, n + 2)), np.eye(n + 2)]))[0]
+            change = np.linalg.solve((miss[1:] - miss[0]).T / step, -miss[0])
+            unknown = unknown + change
+            if np.abs(change).max() < 1e-8:
+                break
+        miss, states = self.march(unknown[None])
+        y = states[0]
         R = y[2 * n + 3 : 2 * n + 12].reshape(3, 3)
         return Shot(
             float(np.abs(miss).max()), y[2 * n : 2 * n + 3], R, self.alpha, unknown[:n], unknown[n:], unknown, y
         )
 
-    def _back(self, y: Array) -> tuple[list[Array], list[float]]:
-        """States from the tip to the plate, 40 per section, and their arc lengths."""
-        n, out, places = self.n, [], []
+    def _back(self, y: Array) -> Array:
+        """States (P, B, S) of several arms from the tip (B, S) to the plate, 41 per section."""
+        n, out = self.n, []
         for a, b in reversed(list(pairwise(self.cuts))):
-            middle = (a + b) / 2
-            present, curved = middle < self.end, (middle > self.transition) & (middle < self.end)
-            s = np.linspace(b, a, 41)
-            flow = solve_ivp(self._rates, (b, a), y, "DOP853", s, rtol=1e-11, atol=1e-13, args=(present, curved))
-            out += list(flow.y.T)
-            places += s.tolist()
-            y = flow.y[:, -1].copy()
+            out.append(self._along((b, a), y, 1e-11, 41))
+            y = out[-1][-1].copy()
             for place, f in self.load.points:
                 if abs(place - a) < 1e-12:
-                    y[2 * n + 14 :] += f
-        return out, places
+                    y[:, 2 * n + 14 :] += f
+        return np.concatenate(out)
 
     def determinants(self, shot: Shot) -> Array:
         """Of the Jacobi fields that leave the free tip, (S,) from the tip to the plate and with the transmissions: the
         equilibrium is stable if and only if all are positive (no conjugate point)."""
         n, step = self.n, 1e-6
-        fields = []
+        starts = np.tile(shot.end, (2 * (n + 3), 1))
         for k in range(n + 3):
-            sides = []
-            for sign in (1, -1):
-                y = shot.end.copy()
+            for y, size in zip(starts[2 * k : 2 * k + 2], (step, -step), strict=True):
                 if k < n:
-                    y[k] += sign * step
+                    y[k] += size
                 else:
-                    psi = np.zeros(3)
-                    psi[k - n] = sign * step
+                    psi = size * np.eye(3)[k - n]
                     turn = np.eye(3) + np.array([[0, -psi[2], psi[1]], [psi[2], 0, -psi[0]], [-psi[1], psi[0], 0]])
                     y[2 * n + 3 : 2 * n + 12] = (turn @ shot.frame).ravel()
-                states, _ = self._back(y)
-                sides.append(np.array(states))
-            base = (sides[0] + sides[1]) / 2
-            change = (sides[0] - sides[1]) / (2 * step)
-            R = base[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3)
-            W = change[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3) @ R.swapaxes(1, 2)
-            turned = np.stack([W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]], 1) / 2
-            fields.append(np.concatenate([change[:, :n], turned, change[:, n : 2 * n]], axis=1))
-        table = np.array(fields).transpose(1, 2, 0)
+        states = self._back(starts)
+        up, down = states[:, ::2], states[:, 1::2]
+        change = (up - down) / (2 * step)
+        R = (up + down)[..., 2 * n + 3 : 2 * n + 12].reshape(*change.shape[:2], 3, 3) / 2
+        W = change[..., 2 * n + 3 : 2 * n + 12].reshape(R.shape) @ R.swapaxes(2, 3)
+        turned = (
+            np.stack([W[..., 2, 1] - W[..., 1, 2], W[..., 0, 2] - W[..., 2, 0], W[..., 1, 0] - W[..., 0, 1]], 2) / 2
+        )
+        fields = np.concatenate([change[..., :n], turned, change[..., n : 2 * n]], axis=2)
+        table = fields.transpose(0, 2, 1)
         last = table[-1, : n + 3].copy()
         for i, tube in enumerate(self.tubes):
             if self.beta[i] < 0:
