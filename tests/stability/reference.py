@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
-from scipy.linalg import eigh
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
 from scipy.special import ellipj
 
 from tubeopt.robots.robot import Robot
@@ -189,23 +189,22 @@ def _newton(tubes: Bundle, rotations: Array, tips: Array) -> Array:
     """Newton's method from each set of tip angles; those that arrive, without leaving by more than half a radian."""
     if not len(tips):
         return tips
-    free, start = tubes.coupled, tips.copy()
+    free = tubes.coupled
     tips[:, free] += (rotations - shoot(tubes, tips))[:, free[-1:]]
-    start = tips.copy()
+    start, size, on = tips.copy(), np.full(len(tips), np.inf), np.arange(len(tips))
     for _ in range(12):
-        gap = (shoot(tubes, tips, step=0.02) - rotations)[:, free]
-        columns = []
-        for k in free:
-            up, down = tips.copy(), tips.copy()
-            up[:, k] += 1e-5
-            down[:, k] -= 1e-5
-            columns.append((shoot(tubes, up, step=0.02) - shoot(tubes, down, step=0.02))[:, free] / 2e-5)
-        slope = np.stack(columns, axis=2)
+        gap = (shoot(tubes, tips[on]) - rotations)[:, free]
+        # The slope may be coarse: it only leads there.
+        sides = tips[on] + 1e-5 * np.concatenate([np.eye(tips.shape[1])[free], -np.eye(tips.shape[1])[free]])[:, None]
+        ends = shoot(tubes, sides.reshape(-1, tips.shape[1]), step=0.1)[:, free]
+        up, down = np.split(ends.reshape(2 * len(free), len(on), len(free)), 2)
+        slope = ((up - down) / 2e-5).transpose(1, 2, 0)
         slope[np.abs(np.linalg.det(slope)) < 1e-12] += 1e-6 * np.eye(len(free))
         step = np.linalg.solve(slope, -gap[:, :, None])[:, :, 0]
-        size = np.abs(step).max(1, initial=0.0)
-        tips[:, free] += step * np.minimum(1.0, 0.2 / np.maximum(size, 1e-12))[:, None]
-        if size.max(initial=0.0) < 1e-10:
+        size[on] = np.abs(step).max(1, initial=0.0)
+        tips[np.ix_(on, free)] += step * np.minimum(1.0, 0.2 / np.maximum(size[on], 1e-12))[:, None]
+        on = on[(size[on] >= 1e-10) & (np.abs(tips - start)[on].max(1) < 0.5)]
+        if not len(on):
             break
     arrived = (size < 1e-8) & (np.abs(tips - start).max(1) < 0.5)
     return np.asarray(tips[arrived])
@@ -317,25 +316,25 @@ class Elements:
         noise = 1e-13 * float(np.abs(self.tubes.coupling).sum((1, 2)) @ self.tubes.length)
         metric = self.stretch[np.ix_(self.free, self.free)]
         rate = 0.3
+        energy, gradient, hessian = self.energy(rotations, theta)
         for _ in range(5000):
-            energy, gradient, hessian = self.energy(rotations, theta)
             while True:
-                matrix = hessian + metric / rate
                 try:
-                    np.linalg.cholesky(matrix)
-                except np.linalg.LinAlgError:
+                    factors = cho_factor(hessian + metric / rate, check_finite=False)
+                except LinAlgError:
                     rate /= 4
                     continue
                 step = np.zeros(theta.size)
-                step[self.free] = np.linalg.solve(matrix, -gradient)
+                step[self.free] = cho_solve(factors, -gradient, check_finite=False)
                 if np.abs(step).max() <= stride:
                     break
                 rate /= 2
             trial = theta + step.reshape(theta.shape)
-            if self.energy(rotations, trial)[0] > energy + noise + 1e-13 * abs(energy):
+            there = self.energy(rotations, trial)
+            if there[0] > energy + noise + 1e-13 * abs(energy):
                 rate /= 4
                 continue
-            theta, rate = trial, min(3 * rate, 1e9)
+            theta, rate, (energy, gradient, hessian) = trial, min(3 * rate, 1e9), there
             if np.abs(step).max() < 1e-4 and rate > 1e3:
                 near = self.newton(rotations, theta)
                 if near is not None and np.abs(near - theta).max() < stride:
@@ -349,13 +348,14 @@ class Elements:
         theta[0, self.held] = rotations[self.held]
         for _ in range(8):
             _, gradient, hessian = self.energy(rotations, theta)
+            step = np.zeros(theta.size)
             if stable:
                 try:
-                    np.linalg.cholesky(hessian)
-                except np.linalg.LinAlgError:
+                    step[self.free] = cho_solve(cho_factor(hessian, check_finite=False), -gradient, check_finite=False)
+                except LinAlgError:
                     return None
-            step = np.zeros(theta.size)
-            step[self.free] = np.linalg.solve(hessian, -gradient)
+            else:
+                step[self.free] = np.linalg.solve(hessian, -gradient)
             theta = theta + step.reshape(theta.shape)
             if np.abs(step).max() < STILL:
                 return theta
