@@ -184,9 +184,6 @@ def test_certificate_under_force_is_that_of_the_library_and_so_are_its_derivativ
         snap_free_certificate(robot, shift, max_force=force), abs=1e-10
     )
     for name in names:
-        slopes = [(certificate(name, i, 1.001) - certificate(name, i, 0.999)) / 2e-3 for i in range(robot.n_tubes)]
-        fine = [(certificate(name, i, 1.0005) - certificate(name, i, 0.9995)) / 1e-3 for i in range(robot.n_tubes)]
-        # Richardson's extrapolation of the two.
-        wanted = (4 * np.array(fine) - np.array(slopes)) / 3
+        wanted = [(certificate(name, i, 1.0001) - certificate(name, i, 0.9999)) / 2e-4 for i in range(robot.n_tubes)]
         found = -solution.multiplier(f"held {name}")
         np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())

@@ -17,12 +17,16 @@ from tubeopt.stability import Snap, find_snap, trace_branch
 STEPS = 40
 """Steps of the brute force per straight line, halved wherever the robot moves much in one."""
 
+SNAPPING = (0, 2, 3, 5, 6, 11, 15, 17)
+"""Ways that snap: without them the brute force would be compared with little."""
+
 
 @pytest.mark.parametrize("k", range(20))
 def test_same_states_as_slow_descent(k: int) -> None:
     robot, rotations, translations = snapping_way(k)
     path = follow(robot, rotations, translations)
     assert len(path.equilibria) == len(rotations)
+    assert path.snaps or k not in SNAPPING
     joints = np.stack([rotations, translations], axis=1)
     state = settle_at(robot, rotations[0], translations[0], path.equilibria[0].tip_rotations)
     for leg in range(len(rotations) - 1):
@@ -53,12 +57,6 @@ def check_snap(snap: Snap) -> None:
     assert snap.tip_jump == pytest.approx(np.linalg.norm(snap.after.tip_position - snap.before.tip_position))
     assert np.array_equal(snap.rotations, snap.before.rotations)
     assert np.array_equal(snap.translations, snap.after.translations)
-
-
-def test_the_paths_snap() -> None:
-    """Otherwise the comparison above would compare nothing."""
-    snaps = [snap for k in range(8) for snap in follow(*snapping_way(k)).snaps]
-    assert len(snaps) >= 4
 
 
 def test_hysteresis_of_two_tubes() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -150,11 +149,10 @@ def test_pairs_that_the_offsets_part_in_one_of_two_segments(rotations: Array, wi
         assert answer.end_rotation == pytest.approx(equilibrium.tip_rotations, abs=1e-6)
 
 
-def test_three_segments_take_three_seconds_at_most() -> None:
-    """The three segments one after the other; turned apart, the whole has one equilibrium."""
-    random = np.random.default_rng(46)
-    for _ in range(2):
-        began = time.process_time()
-        found = find_equilibria(THREE, random.uniform(-TURN, TURN, 9))
-        assert time.process_time() - began < 3.0
-        assert len(found) == 1
+def test_three_segments_turned_apart_have_one_equilibrium() -> None:
+    """The three segments one after the other."""
+    rotations = np.random.default_rng(46).uniform(-TURN, TURN, 9)
+    (only,) = find_equilibria(THREE, rotations)
+    assert only.stable
+    answer = reference_shoot(rows_of(THREE, (0.09, 0.05, 0.0)), rotations, only.torsion[:, 0])
+    assert answer.tip == pytest.approx(only.tip_position, abs=1e-8)

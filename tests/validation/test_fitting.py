@@ -19,9 +19,9 @@ from tubeopt.validation.setup import Setup
 
 from .laboratory import CONFIGS, DEVICE_BASE, MM, NOISE, ctr, etr, mirrored, noisy, turned
 
-RUNS = 20
-WITHIN = 18
-"""Of 20 runs in which a 95 % interval must hold the truth."""
+RUNS = 12
+WITHIN = 11
+"""Of 12 runs in which a 95 % interval must hold the truth."""
 
 Case = tuple[Robot, Measurements, dict[str, float]]
 

@@ -56,13 +56,13 @@ def test_play_lets_the_drive_turn_before_the_tube_follows() -> None:
 
 def test_what_is_wrong_with_the_drives_is_found_within_the_intervals() -> None:
     hits = dict.fromkeys(TRUTH, 0)
-    for seed in range(10):
+    for seed in range(6):
         found = fit(robot(), driven(seed=seed), NAMES, FitOptions(folds=0))
         for e in found.estimates:
             hits[e.name] += bool(e.low <= TRUTH[e.name] <= e.high)
         assert found.noise == pytest.approx(0.3 * MM, rel=0.1)
-    assert min(hits.values()) >= 8, hits
-    assert sum(hits.values()) >= 53
+    assert min(hits.values()) >= 5, hits
+    assert sum(hits.values()) >= 32
 
 
 def test_slopes_around_a_fit_stand_in_the_order_of_the_parameters_asked_for() -> None:

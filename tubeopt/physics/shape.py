@@ -70,12 +70,21 @@ def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tu
 
 def magnus_quaternion(quaternion: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
     """`magnus_step` of a pose whose rotation is a unit quaternion (4,), scalar first: 7 numbers instead of 12, and the
-    norm is kept."""
+    norm is kept. Of `SX` symbols, written out by a function that is built once."""
+    turn, shift = _quaternion_step().call([quaternion, position, curvature, length])
+    return turn, shift
+
+
+@lru_cache(maxsize=1)
+def _quaternion_step() -> ca.Function:
+    quaternion, position = ca.SX.sym("q", 4), ca.SX.sym("p", 3)
+    curvature, length = ca.SX.sym("u", 2, 3), ca.SX.sym("h")
     omega, v = _magnus(curvature, length)
     quarter = ca.dot(omega, omega) / 4
     turn = ca.vertcat(_series(quarter, 0), _series(quarter, 1) * omega / 2)
     _, shift = exponential(omega, v)
-    return quaternion_product(quaternion, turn), position + rotation_matrix(quaternion) @ shift
+    ends = [quaternion_product(quaternion, turn), position + rotation_matrix(quaternion) @ shift]
+    return ca.Function("quaternion_step", [quaternion, position, curvature, length], ends)
 
 
 def quaternion_product(a: Any, b: Any) -> Any:

@@ -123,6 +123,22 @@ def _slopes(here: CrossSection, inputs: list[Any], wrt: Any) -> tuple[Any, Any, 
     return out[0], out[1], out[2]
 
 
+def symbolic_section(theta: Any, stiffness: Any, moment: Any, *place: Any, load: Any = None) -> CrossSection:
+    """`cross_section` of `SX` symbols, written out by a function that is built once: where one expression has many."""
+    given = [theta, stiffness, moment, *place, *([] if load is None else [load])]
+    return CrossSection(*_written_section(theta.shape[0], moment.shape[1], bool(place), load is not None).call(given))
+
+
+@lru_cache(maxsize=32)
+def _written_section(n: int, moments: int, eccentric: bool, loaded: bool) -> ca.Function:
+    theta, stiffness, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "d", "phi"))
+    moment, load = ca.SX.sym("m", n, moments), ca.SX.sym("load", 2)
+    given = [theta, stiffness, moment, *([offset, angle] if eccentric else [])]
+    here = cross_section(*given, load=load if loaded else 0.0)
+    outputs = [here.curvature, ca.SX(here.stretch), here.moment, here.bending_energy]
+    return ca.Function("section", [*given, *([load] if loaded else [])], outputs)
+
+
 @lru_cache(maxsize=32)
 def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     """CasADi functions of (theta, stiffness, moment[, offset, angle]) at one cross-section of n tubes.

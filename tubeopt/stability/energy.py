@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from ..block.transcription.green import ahead, reach
@@ -148,8 +149,10 @@ def _held_minimum(
 
     energy, gradient, hessian = total(z)
     for _ in range(60):
-        values, vectors = np.linalg.eigh(hessian)
-        step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-2))
+        _, step, failed = scipy.linalg.lapack.dposv(hessian, -gradient)
+        if failed:  # the energy is not convex here
+            values, vectors = np.linalg.eigh(hessian)
+            step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-2))
         turn = float(np.abs(problem.factor @ step).max())
         if turn < 1e-7:
             break

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from ...physics.shape import GAUSS_POINTS, magnus_quaternion, rotation_matrix
-from ...physics.torsion import CrossSection, bent_anyhow, cross_section, section_functions
+from ...physics.torsion import CrossSection, bent_anyhow, section_functions, symbolic_section
 from .panel import Local, local, width
 from .tableau import Tableau, tableau
 
@@ -97,7 +97,7 @@ class Piece:
     def section(self, theta: Any, x: Any) -> CrossSection:
         """The cross-section at the fraction x of this piece, at rotations (n,)."""
         here = self.local(x)
-        return cross_section(theta + here.wound, here.stiffness, here.moment, *self.place)
+        return symbolic_section(theta + here.wound, here.stiffness, here.moment, *self.place)
 
     def balance(self, theta: Any, x: Any) -> Any:
         """M, dM/dtheta (n, n), where theta' is another than w g c, of eccentric tubes dg/dtheta (n, n): at the fraction
@@ -132,7 +132,7 @@ class LoadedPiece(Piece):
         """The cross-section at the fraction x, where the moment is that between its points."""
         moment = ca.horzcat(self.bend, self.bent) @ ca.vertcat(*_between([0.0, *self.grid.tableau.nodes.tolist()], x))
         here = self.local(x)
-        return cross_section(theta + here.wound, here.stiffness, here.moment, load=moment)
+        return symbolic_section(theta + here.wound, here.stiffness, here.moment, load=moment)
 
 
 def _between(nodes: list[float], x: Any) -> list[Any]:

@@ -11,29 +11,35 @@ from ...physics.matrix import determinant
 from ...physics.shape import quaternion_product, rotation_matrix
 from ...physics.strain import bend_from_own
 from . import loaded_fields
-from .collocated import Grid, bending_of, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
+from .collocated import Grid, Torsion, bending_of, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
 
 OPTIONS = {"cse": True}
 
 
 @lru_cache(maxsize=64)
+def _torsion(grid: Grid) -> Torsion:
+    """The collocated torsion of a piece of symbols, which most functions begin with."""
+    return torsion_of(symbols(grid))
+
+
+@lru_cache(maxsize=64)
 def torsion_function(grid: Grid) -> ca.Function:
     """Arguments of a piece -> defect (n, K), theta and w (n,) where it ends."""
-    torsion = torsion_of(symbols(grid))
+    torsion = _torsion(grid)
     return ca.Function("torsion", torsion.piece.arguments, [torsion.defect, *torsion.end], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def bending_function(grid: Grid) -> ca.Function:
     """Arguments of a piece that bears a load -> defect (2, K), bending moment (2,) where it ends."""
-    torsion = torsion_of(symbols(grid))
+    torsion = _torsion(grid)
     return ca.Function("bending", torsion.piece.arguments, list(bending_of(torsion)), OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def pose_function(grid: Grid) -> ca.Function:
     """(q, p, arguments of a piece) -> q (4,), p (3,) where it ends."""
-    torsion = torsion_of(symbols(grid))
+    torsion = _torsion(grid)
     q, p, arguments = *_pose(), torsion.piece.arguments
     turn, shift, _ = shape_of(torsion)[-1]
     end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
@@ -43,7 +49,7 @@ def pose_function(grid: Grid) -> ca.Function:
 @lru_cache(maxsize=64)
 def places_function(grid: Grid) -> ca.Function:
     """(q, p, arguments of a piece) -> positions (3, 4) of its shape points after its beginning."""
-    torsion = torsion_of(symbols(grid))
+    torsion = _torsion(grid)
     q, p = _pose()
     places = [p + rotation_matrix(q) @ shift for _, shift, _ in shape_of(torsion)]
     return ca.Function("places", [q, p, *torsion.piece.arguments], [ca.horzcat(*places)], OPTIONS)
@@ -53,7 +59,7 @@ def places_function(grid: Grid) -> ca.Function:
 def inside_function(grid: Grid) -> ca.Function:
     """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it; of tubes
     made of pieces also their natural turn, natural twist, and ease (n,)."""
-    torsion = torsion_of(symbols(grid))
+    torsion = _torsion(grid)
     q, p = _pose()
     x = ca.SX.sym("x")
     turn, shift, _ = shape_of(torsion, x)[-1]
@@ -69,7 +75,7 @@ def inside_function(grid: Grid) -> ca.Function:
 @lru_cache(maxsize=64)
 def energy_function(grid: Grid) -> ca.Function:
     """Arguments of a piece -> its elastic energy, J."""
-    torsion = torsion_of(symbols(grid))
+    torsion = _torsion(grid)
     return ca.Function("energy", torsion.piece.arguments, [energy_of(torsion)], OPTIONS)
 
 
@@ -105,7 +111,7 @@ def bend_function(grid: Grid) -> ca.Function:
 @lru_cache(maxsize=64)
 def twist_function(grid: Grid) -> ca.Function:
     """Arguments of a piece -> w (n, K) at its points."""
-    torsion = torsion_of(symbols(grid))
+    torsion = _torsion(grid)
     return ca.Function("twist", torsion.piece.arguments, [torsion.twist], OPTIONS)
 
 
@@ -151,7 +157,7 @@ def field_matrix_function(grid: Grid) -> ca.Function:
 @lru_cache(maxsize=64)
 def rates_function(grid: Grid) -> ca.Function:
     """(margin, a typical stiffness, arguments of a piece that bears a load) -> `loaded_fields.rates_of` its points."""
-    torsion, margin, typical = torsion_of(symbols(grid)), ca.SX.sym("margin"), ca.SX.sym("typical")
+    torsion, margin, typical = _torsion(grid), ca.SX.sym("margin"), ca.SX.sym("typical")
     rates = loaded_fields.rates_of(torsion, margin, typical)
     return ca.Function("rates", [margin, typical, *torsion.piece.arguments], [rates], OPTIONS)
 
