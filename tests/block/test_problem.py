@@ -126,7 +126,7 @@ def test_multistart_starts_blocks_at_equilibria() -> None:
     block = EquilibriumBlock(problem, near, rotations=turn, translations=shift)
     problem.subject_to("tip", block.tip_position == goal.tip_position, scale=0.1)
     problem.minimize(ca.sumsqr(turn))
-    solution = problem.multistart(["turn", "shift"], 2)
+    solution = problem.multistart(["turn", "shift"], 2, seed=3)
     found = block.equilibrium(solution)
     np.testing.assert_allclose(found.tip_position, goal.tip_position, atol=1e-8)
     assert solution.attempts is not None

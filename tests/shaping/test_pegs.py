@@ -78,6 +78,7 @@ def _nonlinear(board: PegBoard, count: int = 60) -> tuple[Array, Array]:
     pins = np.array([peg.pin for peg in board.pegs])
     sides = np.array([1.0 if peg.left else -1.0 for peg in board.pegs])
     link = np.array([np.searchsorted(s, peg.arc_length) for peg in board.pegs])
+    near = np.clip(link[:, None] + np.arange(-3, 3), 0, count - 1)
 
     def points(x: Array) -> Array:
         steps = x[-1] * np.column_stack([np.cos(x[:-1]), np.sin(x[:-1])])
@@ -92,14 +93,10 @@ def _nonlinear(board: PegBoard, count: int = 60) -> tuple[Array, Array]:
 
     def room(x: Array) -> Array:
         at = points(x)
-        best = []
-        for pin, side, k in zip(pins, sides, link, strict=True):
-            near = range(max(k - 3, 0), min(k + 3, count))
-            normal = [np.array([-math.sin(x[i]), math.cos(x[i])]) for i in near]
-            middles = [0.5 * (at[i] + at[i + 1]) for i in near]
-            i = int(np.argmin([np.linalg.norm(pin - m) for m in middles]))
-            best.append(side * float((pin - middles[i]) @ normal[i]) - radius)
-        return 1e3 * np.array(best)
+        away = pins[:, None] - 0.5 * (at[near] + at[near + 1])
+        best = np.argmin((away**2).sum(2), axis=1)
+        away, angle = away[np.arange(len(pins)), best], x[near[np.arange(len(pins)), best]]
+        return 1e3 * (sides * (away[:, 1] * np.cos(angle) - away[:, 0] * np.sin(angle)) - radius)
 
     found = scipy.optimize.minimize(
         energy,

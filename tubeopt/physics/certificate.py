@@ -163,10 +163,12 @@ def certificate_function(pattern: Pattern) -> Any:
     Newton step on D makes mu exact to round-off, and its derivatives those of the implicit function.
     """
     eigenvalue, symbols, determinant = _posed(pattern)
-    margin = 1 - (eigenvalue - determinant / ca.jacobian(determinant, eigenvalue))
+    inputs, n = [eigenvalue, *symbols.values()], len(pattern[1][0])
+    ends = [0, *(1 + n * k for k in range(len(symbols) + 1))]
+    rate, *slopes = ca.vertsplit(ca.gradient(determinant, ca.vertcat(*inputs)), ends)
+    margin = 1 - (eigenvalue - determinant / rate)
     # The Newton step has the right derivatives only where D = 0; written out, they hold at any lambda close by.
-    gradient = [ca.gradient(determinant, s) / ca.jacobian(determinant, eigenvalue) for s in symbols.values()]
-    inputs = [eigenvalue, *symbols.values()]
+    gradient = [slope / rate for slope in slopes]
     return ca.Function(
         "certificate", inputs, [margin, *gradient], ["lambda", *symbols], ["margin", *(f"d_{s}" for s in symbols)]
     )

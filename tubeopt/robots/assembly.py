@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -95,7 +96,7 @@ class Assembly:
         """Arc length of the tip, m."""
         return max(0.0, float(self.end.max()))
 
-    @property
+    @cached_property
     def eccentric(self) -> bool:
         """Whether any tube runs off the centreline."""
         return bool(self.offset.any())
