@@ -46,12 +46,21 @@ def local(along: Any, torsional_stiffness: Any, detail: int, x: Any) -> Local:
         along: column, tube by tube: `detail` coefficients of each channel, then low and high.
         torsional_stiffness: (n,) kt, to which the ease refers.
     """
+    n = along.numel() // (CHANNELS * detail + 2)
+    return Local(*_local_function(n, detail).call([along, torsional_stiffness, x]))
+
+
+@lru_cache(maxsize=32)
+def _local_function(n: int, detail: int) -> ca.Function:
+    """Written out once, for expressions of symbols that have many points."""
+    along, torsional_stiffness, x = ca.SX.sym("along", width(n, detail)), ca.SX.sym("kt", n), ca.SX.sym("x")
     table = ca.reshape(along, CHANNELS * detail + 2, -1)
     low, high = table[-2, :], table[-1, :]
     basis = chebyshev(low + x * (high - low), detail)
     kb, kt, a, b, wound = (sum(table[c * detail + k, :] * basis[k] for k in range(detail)).T for c in range(CHANNELS))
     natural = ca.horzcat(a, b)
-    return Local(kb, ca.horzcat(kb, kb) * natural, wound, torsional_stiffness / kt, natural)
+    outputs = [kb, ca.horzcat(kb, kb) * natural, wound, torsional_stiffness / kt, natural]
+    return ca.Function("local", [along, torsional_stiffness, x], outputs)
 
 
 def chebyshev(x: Any, count: int) -> list[Any]:
