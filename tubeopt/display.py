@@ -35,13 +35,18 @@ class Displayed:
     def __repr__(self) -> str:
         return in_a_line(self)
 
+    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, Any]:
+        """What a notebook shows, with the picture alone for a reader that takes no HTML: of one drawing."""
+        shown: dict[str, Any] = late("tubeopt.show.notebook.shown")(self)
+        return shown
+
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        page: str = late("tubeopt.show.notebook.html")(self)
+        """Table and picture."""
+        page: str = self._repr_mimebundle_()["text/html"]
         return page
 
     def _repr_png_(self) -> bytes | None:
-        """The picture alone, where the reader of a notebook takes no HTML; None for what has none."""
+        """The picture alone; None for what has none."""
         picture: bytes | None = late("tubeopt.show.notebook.png")(self)
         return picture
 

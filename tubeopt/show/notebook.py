@@ -29,13 +29,19 @@ PICTURE_WIDTH = 640
 """Pixels across which a picture is shown at most."""
 
 
-def html(answer: Any) -> str:
-    """The object as a piece of a page: its table, and its picture below."""
+def shown(answer: Any) -> dict[str, Any]:
+    """All that a notebook may show of an object, by its kind, of one drawing."""
+    picture = png(answer)
+    page = {"text/html": html(answer, picture)}
+    return page if picture is None else {**page, "image/png": picture}
+
+
+def html(answer: Any, picture: bytes | None) -> str:
+    """The object as a piece of a page: its table, and its picture below where there is one."""
     console = Console(record=True, file=io.StringIO(), width=WIDTH, force_jupyter=False)
     console.print(_table(answer), crop=False)
     frame = '<pre style="line-height:1.25;overflow-x:auto">{code}</pre>'
     table = console.export_html(inline_styles=True, code_format=frame).strip()
-    picture = png(answer)
     if picture is None:
         return table
     style = f'alt="{type(answer).__name__}" style="max-width:{PICTURE_WIDTH}px;width:100%"'

@@ -59,8 +59,7 @@ def animate_arms(
         InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
     """
     film_ending(path)
-    figure = new_figure(5.0, 5.6)
-    figure.set_layout_engine("none")
+    figure = new_figure(5.0, 5.6, layout=None)
     scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
     stage, times = _stage(plan, view), np.linspace(0.0, plan.duration, frames)
 

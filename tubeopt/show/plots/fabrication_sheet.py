@@ -37,8 +37,7 @@ def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
         title: what it is for.
     """
     plan = made.heating
-    figure = new_figure(A4[0] / INCH, A4[1] / INCH)
-    figure.set_layout_engine("none")
+    figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]
     over_time = figure.add_axes((left, 0.66, wide, 0.23))
     duty = figure.add_axes((left, 0.53, wide, 0.11), sharex=over_time)

@@ -6,6 +6,8 @@ The one module that loads Matplotlib when it is imported: `new_figure` imports i
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -30,8 +32,20 @@ class NotebookFigure(Figure):
 
     def _repr_png_(self) -> bytes:
         out = io.BytesIO()
-        self.savefig(out, format="png", dpi=SCREEN_DPI, metadata={"Software": None})
+        with nullcontext() if self.stale else as_it_stands(self):
+            self.savefig(out, format="png", dpi=SCREEN_DPI, metadata={"Software": None})
         return out.getvalue()
+
+
+@contextmanager
+def as_it_stands(figure: Figure) -> Iterator[None]:
+    """A figure that is laid out already: with a layout engine, even an idle one, it would be drawn twice."""
+    engine = figure.get_layout_engine()
+    figure.set_layout_engine(None)
+    try:
+        yield
+    finally:
+        figure.set_layout_engine(engine)
 
 
 TALL = 0.85

@@ -24,8 +24,7 @@ def plot_mandrel_sheet(mandrel: Mandrel, *, title: str = "") -> Figure:
         mandrel: what to make, and to set a tube on.
         title: what it is for.
     """
-    figure = new_figure(A4[0] / INCH, A4[1] / INCH)
-    figure.set_layout_engine("none")
+    figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
     draw_space(figure.add_axes((0.03, 0.5, 0.42, 0.42), projection="3d"), mandrel)
     draw_plan(figure.add_axes((0.55, 0.56, 0.4, 0.34)), mandrel)
     name = title or f"mandrel of tube {mandrel.number}"

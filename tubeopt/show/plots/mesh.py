@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...bodies.frames import Frame
-from ...typing import Array
+from ...typing import Array, Mask
 from ..arm_surfaces import Part
 from ..surfaces import Surface
 
@@ -34,6 +34,15 @@ class Mesh:
     def placed(self, frame: Frame) -> Mesh:
         """The same facets, which stand in a frame, as that has them in which it is given."""
         return Mesh(frame.placed(self.corners), self.normals @ frame.axes.T, self.colours, self.lift)
+
+    def only(self, kept: Mask) -> Mesh:
+        """Some of the facets: `kept` (k,), bool."""
+        return Mesh(self.corners[kept], self.normals[kept], self.colours[kept], self.lift[kept])
+
+    def in_sight(self, towards_viewer: Array) -> Mesh:
+        """The facets of surfaces that enclose something, without those that its other side hides: opaque ones that turn
+        away from who looks from `towards_viewer` (3,)."""
+        return self.only((self.colours[:, 3] < 1) | (self.normals @ towards_viewer >= 0))
 
     @staticmethod
     def join(parts: list[Mesh]) -> Mesh:

@@ -173,8 +173,7 @@ def plot_setup_sheet(mold: Mold, *, title: str = "") -> Figure:
         mold: what to set up.
         title: what the mold is for.
     """
-    figure = new_figure(A4[0] / INCH, A4[1] / INCH)
-    figure.set_layout_engine("none")
+    figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
     low, high = _extent(mold)
     room = np.array([A4[0] - 2 * EDGE, 0.47 * A4[1] - EDGE])
     fitting = [scale for scale in SCALES if (high - low <= room * scale).all()]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
-from ...typing import Array
+from ...typing import Array, Mask
 from ..arm_surfaces import Bundle, Centreline, Detail, bundles, exposed, plate_part, plate_radius, robot_parts
 from ..colours import tube_colour
 from .kinds import Axes, Figure
@@ -136,7 +136,7 @@ def draw_scenes(
     for scene, equilibrium, some, mesh in zip(scenes, equilibria, ghosts, meshes, strict=True):
         draw_box(scene, box, seen)
         _draw_shadows(scene, [equilibrium, *some], box, seen)
-        scene.add_collection(facets(mesh, seen))
+        scene.add_collection(facets(mesh.in_sight(seen.towards_viewer), seen), autolim=False)
         if exposed(equilibrium):
             _name_tubes(scene, equilibrium, seen)
         _draw_forces(scene, equilibrium, seen)
@@ -262,10 +262,11 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
 
     radius, end = close_up_radius(equilibrium), bundle.end
     centre = Centreline(equilibrium).position([end])[0]
-    shown = facets(robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius), detail=CLOSE_UP), view, centre)
+    mesh = robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius), detail=CLOSE_UP)
+    shown = facets(mesh.only(_within(view.project(mesh.corners - centre), radius * TO_MM)), view, centre)
     rim = Circle((0, 0), radius * TO_MM, facecolor="white", edgecolor=FAINT, lw=0.8)
     axes.add_patch(rim)
-    axes.add_collection(shown)
+    axes.add_collection(shown, autolim=False)
     shown.set_clip_path(rim)
     limit = 1.04 * radius * TO_MM
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
@@ -292,6 +293,14 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
     )
     link.set_in_layout(False)
     axes.add_artist(link)
+
+
+def _within(corners: Array, radius: float) -> Mask:
+    """(k,) whether anything of facets, as seen (k, 4, 3), may show in a circle about the origin."""
+    middle = corners[..., :2].mean(1)
+    reach = np.linalg.norm(corners[..., :2] - middle[:, None], axis=2).max(1)
+    inside: Mask = np.linalg.norm(middle, axis=1) - reach < 1.05 * radius
+    return inside
 
 
 def _draw_scale_bar(axes: Axes) -> None:

@@ -220,4 +220,4 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
     # Opaque facets are drawn with a hair of their own colour around them, which closes the seams between neighbours.
     edges = np.where(colours[:, 3:] < 1, 0.0, colours)
     corners: Any = seen[order, :, :2]  # an array is drawn at once, a list facet by facet
-    return PolyCollection(corners, facecolors=colours, edgecolors=edges, linewidths=0.2, zorder=3)
+    return PolyCollection(corners, facecolors=colours, edgecolors=edges, linewidths=0.3, zorder=3)

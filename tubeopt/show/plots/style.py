@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import wraps
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -32,6 +32,8 @@ D = TypeVar("D", contravariant=True)
 INK = "#222222"
 FAINT = "#8A8A8A"
 DPI = 200
+PNG_LEVEL = 1
+"""How hard PNG is packed: harder takes half as long again for a sixth less."""
 LAYOUT_PASSES = 3
 """Most passes until axes of equal aspect, whose size follows from their place, leave room for all that stands above
 them; fewer where nothing moves any more by `STILL`, a part of the picture."""
@@ -121,8 +123,11 @@ def picture(draw: Callable[Concatenate[D, P], Figure]) -> Picture[D, P]:
     return wrapper
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of this size in inches that draws into memory: no window, no global state."""
+def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """An empty figure of this size in inches that draws into memory: no window, no global state.
+
+    layout: None where its axes are put where they belong.
+    """
     from .figure import NotebookFigure
 
     wanted = WIDTH.get()
@@ -132,7 +137,7 @@ def new_figure(width: float, height: float) -> Figure:
         figsize=(scale * width, scale**HEIGHT_SHARE * height),
         drawn_for=(width, height),
         dpi=DPI,
-        layout="constrained",
+        layout=layout,
         facecolor="white",
     )
 
@@ -168,8 +173,9 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     kind = picture_format(path)
     # A picture depends on its data alone, so that the same data give the same file.
     metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
+    packed: dict[str, Any] = {"pil_kwargs": {"compress_level": PNG_LEVEL}} if kind == "png" else {}
     with atomic_write(path) as temporary:
-        figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
+        figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata, **packed)
     return Path(path)
 
 
@@ -182,7 +188,7 @@ def angle_locator() -> MaxNLocator:
 
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     """Return `figure`, laid out, and saved under `path` if that is given."""
-    from .figure import NotebookFigure, stack
+    from .figure import NotebookFigure, as_it_stands, stack
 
     engine = figure.get_layout_engine()
     if WIDTH.get() is not None:
@@ -197,9 +203,9 @@ def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
             if np.abs(places - before).max(initial=0.0) < STILL:
                 break
     if path is not None:
-        figure.set_layout_engine("none")  # it would lay out anew what is laid out
-        save_figure(figure, path)
-        figure.set_layout_engine(engine)
+        with as_it_stands(figure):
+            save_figure(figure, path)
+    figure.stale = False  # until somebody changes it, it need not be laid out again
     return figure
 
 

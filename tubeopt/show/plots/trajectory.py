@@ -141,8 +141,7 @@ def animate_trajectory(
     t = trajectory
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
     arms = arms_at(t, rows)
-    figure = new_figure(5.0, 5.6)
-    figure.set_layout_engine("none")
+    figure = new_figure(5.0, 5.6, layout=None)
     scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
     stage = _stage(t.tip_position, arms, t.obstacles, view)
 
