@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from .model import Array, Robot, follow, integrate, margins
+from .model import Array, Robot, follow, integrate, margins, turned
 from .questions import CLEARANCE, KINDS, MARGIN, MM, Scene, questions, robots, scenes, withdrawn
 
 AT_TIP, POINTED, SAME, TURNED = 0.1 * MM, np.radians(1.0), 1e-4, np.radians(0.1)
@@ -262,7 +262,7 @@ def _turning(question: dict[str, Any], answer: dict[str, Any], robot: Robot, bef
     z = np.random.default_rng(1).uniform(-np.pi, np.pi, (SPREAD, robot.n))
     rows = np.broadcast_to(beta, z.shape)
     asked = question["margin"] - LOOSE_MARGIN
-    bad = int((~integrate(robot, z, rows, 1 / (1 - asked)).stable).sum())
+    bad = int((~turned(robot, z, rows, 1 / (1 - asked)).stable).sum())
     strain = float((robot.outer_diameter * robot.curvature / 2).max())
     broken = strain > question["strain_percent"] / 100 * (1 + 1e-6)
     why = _first(((broken, "strain"), (bad > 0, "a rotation with too small a margin")))
