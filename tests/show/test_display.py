@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import importlib
 import inspect
@@ -70,20 +71,20 @@ def test_objects_have_a_line_and_a_table(pose: tubeopt.Equilibrium, of: object) 
     thing = of(pose)
     assert repr(thing).startswith(f"{type(thing).__name__}(")
     assert len(repr(thing)) < LINE
-    page = thing._repr_html_()
+    shown = thing._repr_mimebundle_()
+    page = shown["text/html"]
     assert "<pre" in page
     assert "array(" not in page
-    picture = thing._repr_png_()
-    assert (picture is None) == ("<img" not in page)
+    assert ("image/png" in shown) == ("<img" in page)
 
 
 def test_a_table_has_the_numbers_of_the_command_line_and_the_picture(pose: tubeopt.Equilibrium) -> None:
-    page = pose._repr_html_()
+    page, picture = pose._repr_html_(), pose._repr_png_()
     for _, value in report(pose).rows()[:5]:
         assert value in page
-    picture = pose._repr_png_()
     assert picture is not None
     assert picture.startswith(PNG)
+    assert base64.b64encode(picture).decode() in page
 
 
 def test_a_figure_is_shown_without_pyplot(pose: tubeopt.Equilibrium) -> None:
