@@ -15,6 +15,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, vector
+from ..robots.assembly import Assembly
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Mask, Sentence
@@ -28,6 +29,9 @@ HALVINGS = 7
 APPROACH = np.array([0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025])
 """Turns (rad) ahead of the first snap at which the margin is told: it falls to 0 within less than two points of the
 map."""
+
+MIRRORED = np.append([-1.0, -1.0], np.ones(len(APPROACH)))
+"""Signs of what is found in a direction (2 + A,) in the opposite one, of a robot that is its own mirror image."""
 
 JUMP, EDGE_ON = 0.1, 3.0
 """Neighbouring directions see two pieces of the boundary if their distances from home differ by more than the first,
@@ -99,6 +103,9 @@ def stability_map(
 ) -> StabilityMap:
     """Margin and snaps over two rotations relative to the other tubes, +-180 deg each.
 
+    Where opposite rotations give mirror images, as of concentric tubes that are not made of pieces, the ways to one
+    half of the map tell of the other, if `directions` is even.
+
     Args:
         tubes: the tubes that turn, from 0.   samples: points per axis.
         directions: of the snap boundary, evenly around home. Where it ends between two of them, or goes on elsewhere,
@@ -122,18 +129,29 @@ def stability_map(
         raise InputError(f"tubes is {tubes}; they must be two different tubes from 0 to {robot.n_tubes - 1}")
     home = robot.home_translations if translations is None else translations
     shift = vector("translations", home, robot.n_tubes)
-    robot.assembly(shift)
+    mirrored = own_mirror_image(robot.assembly(shift)) and directions % 2 == 0
     origin = forward_kinematics(robot, np.zeros(robot.n_tubes), shift)
     angles = np.linspace(-np.pi, np.pi, samples)
-    rows = [np.column_stack([np.full(samples, angle), angles]) for angle in angles]
-    around = np.arange(directions) * TURN / directions
-    parts = np.array_split(around, max(1, directions // 15))
+    rows = [
+        np.column_stack([np.full(samples, angle), angles]) for angle in angles[: samples - mirrored * (samples // 2)]
+    ]
+    period = np.pi if mirrored else TURN
+    around = np.arange(directions // (1 + mirrored)) * TURN / directions
+    parts = np.array_split(around, max(1, len(around) // 15))
     jobs = [(origin, tubes, row, False) for row in rows] + [(origin, tubes, rim(part), True) for part in parts]
     results = _done(jobs, workers, progress)
-    table, found = np.array(results[:samples]), np.concatenate(results[samples:])
-    around, found = _closed_in(around, found, lambda ends: _job((origin, tubes, ends, True)))
+    table, found = np.array(results[: len(rows)]), np.concatenate(results[len(rows) :])
+    around, found = _closed_in(around, period, found, lambda ends: _job((origin, tubes, ends, True)))
+    if mirrored:
+        table = np.concatenate([table, table[: samples // 2][::-1, ::-1]])
+        around, found = np.concatenate([around, around + np.pi]), np.vstack([found, found * MIRRORED])
     whole = table[:, :, 0], table[:, :, 1].astype(int)
     return StabilityMap(tubes, angles, *whole, around, found[:, :2], found[:, 2:])
+
+
+def own_mirror_image(assembly: Assembly) -> bool:
+    """Whether opposite rotations give mirror images: concentric tubes, each of them curved in one plane."""
+    return not (assembly.eccentric or assembly.general)
 
 
 def rim(directions: Array) -> Array:
@@ -172,32 +190,38 @@ def _job(job: Job) -> Array:
         if not rays:
             row[:] = found.pose.margin, found.snaps
         elif found.first is not None:
-            row[:2], row[2:] = found.first[list(tubes)], _margins_ahead(origin, found.first)
+            row[:2], row[2:] = found.first[list(tubes)], _margins_ahead(found.before, found.first)
     return out
 
 
-def _margins_ahead(origin: Equilibrium, snap: Array) -> Array:
-    """(A,) margins on the way to joint rotations (n,) at the first snap, APPROACH before these."""
-    here, whole, margins = origin, float(np.linalg.norm(snap)), []
-    for ahead in APPROACH:
-        here = straight_way(here, snap * max(0.0, 1 - ahead / whole)).pose
+def _margins_ahead(before: Sequence[Equilibrium], snap: Array) -> Array:
+    """(A,) margins on the way to joint rotations (n,) at the first snap, APPROACH before these; `before`: equilibria on
+    that way, from home on."""
+    whole, margins = float(np.linalg.norm(snap)), []
+    places = np.maximum(0.0, whole - APPROACH)
+    here = [each for each in before if np.linalg.norm(each.rotations) <= places[0]][-1]
+    for place in places:
+        here = straight_way(here, snap * (place / whole)).pose
         margins.append(here.margin)
     return np.array(margins)
 
 
-def _closed_in(directions: Array, found: Array, first_snaps: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Directions, and what is found in them, with more where two neighbours do not see one piece of boundary."""
-    if len(directions) < 3:
+def _closed_in(
+    directions: Array, period: float, found: Array, first_snaps: Callable[[Array], Array]
+) -> tuple[Array, Array]:
+    """Directions, and what is found in them, with more where two neighbours do not see one piece of boundary; after a
+    `period`, rad, all is as it was."""
+    if len(directions) * TURN / period < 3:
         return directions, found
-    closest = TURN / len(directions) / 2**HALVINGS
+    closest = period / len(directions) / 2**HALVINGS
     while True:
-        after = np.append(directions[1:], directions[0] + TURN)
+        after = np.append(directions[1:], directions[0] + period)
         apart = _torn(directions, after, found[:, :2]) & (after - directions > 1.5 * closest)
         if not apart.any():
             return directions, found
         between = ((directions + after) / 2)[apart]
-        order = np.argsort(np.append(directions, between % TURN), kind="stable")
-        directions = np.append(directions, between % TURN)[order]
+        order = np.argsort(np.append(directions, between % period), kind="stable")
+        directions = np.append(directions, between % period)[order]
         found = np.vstack([found, first_snaps(rim(between))])[order]
 
 

@@ -6,6 +6,7 @@ follower takes over, until the branch has ended in a snap or is at ease again.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +20,9 @@ from ..solvers.settings import LARGEST_TURN
 from ..typing import Array
 from .following import Event, beyond, fold_ahead, motion_along
 
-STEP = LARGEST_TURN
-"""Turn (rad) of a step of the kernel: most that it takes; of those that it declines half, down to SHORTEST_STEP."""
+STEP = (1 - 1e-9) * LARGEST_TURN
+"""Turn (rad) of a step of the kernel: the most that it takes, less a round-off that would make it more; of those that
+it declines half, down to SHORTEST_STEP."""
 
 SHORTEST_STEP = STEP / 2**7
 
@@ -32,11 +34,12 @@ declines a fold lies that is the reason."""
 @dataclass(frozen=True, eq=False)
 class End:
     """Where a way ends: in which equilibrium, after how many snaps, and the joint rotations (n,), rad, at the first of
-    them, None without."""
+    them, None without; `before`: equilibria that the kernel found on the way to it, from the origin on."""
 
     pose: Equilibrium
     snaps: int
     first: Array | None
+    before: Sequence[Equilibrium]
 
 
 def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> End:
@@ -47,18 +50,21 @@ def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool =
     Raises:
         SolveError: descent from a fold found no stable equilibrium.
     """
-    here, snaps, first = origin, 0, None
+    here, snaps, first, before = origin, 0, None, [origin]
     while True:
-        here = _by_kernel(here, rotations)
+        passed = _by_kernel(here, rotations)
+        here = passed[-1] if passed else here
+        if first is None:
+            before += passed
         left = float(np.abs(rotations - here.rotations).max())
         if not left:
-            return End(here, snaps, first)
+            return End(here, snaps, first, before)
         path = JointPath(here.robot, _joints(here, here.rotations), _joints(here, rotations))
         here, folds = _taken_over(path, here, left)
         if folds and first is None:
             first = path.at(folds[0])[0]
             if to_first_snap:
-                return End(here, 1, first)
+                return End(here, 1, first, before)
         snaps += len(folds)
 
 
@@ -66,18 +72,19 @@ def _joints(at: Equilibrium, rotations: Array) -> Array:
     return np.concatenate([rotations, at.translations])
 
 
-def _by_kernel(here: Equilibrium, goal: Array) -> Equilibrium:
-    """As far as the kernel comes."""
-    step = STEP
+def _by_kernel(here: Equilibrium, goal: Array) -> list[Equilibrium]:
+    """The equilibria on the way that the kernel comes to, step by step."""
+    step, passed = STEP, []
     while (left := float(np.abs(goal - here.rotations).max())) > 0:
         there = nearby(here, goal if left <= step else here.rotations + (goal - here.rotations) * (step / left))
         if there is not None and there.margin > 0:
             here, step = there, min(2 * step, STEP)
+            passed.append(there)
         else:
             step /= 2
             if step < SHORTEST_STEP:
                 break
-    return here
+    return passed
 
 
 def _taken_over(path: JointPath, here: Equilibrium, left: float) -> tuple[Equilibrium, list[float]]:

@@ -11,6 +11,7 @@ import scipy
 
 from ...errors import InputError
 from ...files.units import TO_MILLI
+from ...solvers.parallel.blas import small
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
 from .kinds import Axes, Figure
@@ -212,16 +213,20 @@ def _filled(stability_map: StabilityMap, fine: Array, mine: Mask, curves: Sequen
     if not len(known):
         return np.full((len(fine), len(fine)), np.nan)
     places = np.stack(np.meshgrid(fine, fine), axis=-1).reshape(-1, 2)
-    return np.sqrt(np.clip(_interpolated(known, square, places), 0, 1)).reshape(len(fine), len(fine))
+    found = _interpolated(known, square, places)
+    return np.asarray(np.sqrt(np.clip(found, 0, 1)).reshape(len(fine), len(fine)))
 
 
+@small
 def _interpolated(known: Array, values: Array, places: Array) -> Array:
     """Smoothly between known points, and as the nearest of them beyond."""
-    nearest: Array = scipy.interpolate.NearestNDInterpolator(known, values)(places)
+    nearest = scipy.interpolate.NearestNDInterpolator(known, values)
     if len(known) < 4:
-        return nearest
-    inside: Array = scipy.interpolate.CloughTocher2DInterpolator(known, values)(places)
-    return np.where(np.isfinite(inside), inside, nearest)
+        return np.asarray(nearest(places))
+    out: Array = scipy.interpolate.CloughTocher2DInterpolator(known, values)(places)
+    beyond = ~np.isfinite(out)
+    out[beyond] = nearest(places[beyond])
+    return out
 
 
 def _cut_out(axes: Axes, behind: Artist, curves: Sequence[Curve]) -> Artist:
