@@ -85,6 +85,14 @@ class Tab:
         """The text of a part of the readout."""
         return str(self.page.locator(f"[data-testid={name}]").first.inner_text())
 
+    def sees(self, name: str) -> bool:
+        """Whether a part of the readout is what stands where it is, within the window."""
+        seen = """name => {
+            const part = document.querySelector(`[data-testid=${name}]`), box = part.getBoundingClientRect();
+            return part.contains(document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2));
+        }"""
+        return bool(self.page.evaluate(seen, name))
+
     @property
     def tip(self) -> Array:
         """(3,) m as it is read."""

@@ -95,6 +95,8 @@ def test_exact_values_and_what_is_refused(tab: Tab) -> None:
     tab.type("rotation 1 (deg)", 999)
     tab.press("Move there")
     assert tab.wait_for("message", "must be") == "rotation of tube 1 is 999 deg; it must be from -360 to 360 deg"
+    assert tab.sees("message")
+    assert not tab.sees("readout")  # it was scrolled out of the window on the way to the button
     assert np.abs(tab.tip - tip(0, 0, 0)).max() < 1e-6
     for k, degrees in enumerate(("0", "57.29578", "114.591559"), start=1):
         tab.type(f"rotation {k} (deg)", degrees)
@@ -210,10 +212,20 @@ def test_a_change_is_taken_back_and_the_target_begins_at_the_tip(tab: Tab) -> No
     assert tab.wait_for("message", "nothing") == "nothing was changed"
 
 
-def test_a_number_may_have_an_exponent_in_a_small_window_too(tab: Tab) -> None:
+def test_a_small_window_keeps_the_arm_and_what_is_refused_in_sight(tab: Tab) -> None:
+    """The panel stands below the scene and gives it its room when it is closed; a number may have an exponent."""
     tab.page.set_viewport_size({"width": 420, "height": 760})
     tab.page.get_by_text("Exact values").click()
     tab.type("rotation 1 (deg)", "0.6e2")
     tab.press("Move there")
     tab.wait_for_tip(tip(60, 0, 0))
+    tab.type("rotation 1 (deg)", "1e3")
+    tab.press("Move there")
+    tab.wait_for("message", "must be")
+    assert tab.sees("message")
     assert tab.page.evaluate("document.documentElement.scrollWidth") == 420
+    higher = "least => document.querySelector('[data-dock-root]').getBoundingClientRect().height > least"
+    assert tab.page.evaluate(higher, 0.4 * 760)
+    assert not tab.page.evaluate(higher, 0.6 * 760)
+    tab.page.get_by_text(THESIS.name).first.click()
+    tab.page.wait_for_function(higher, arg=0.9 * 760, polling=100)

@@ -12,7 +12,6 @@ import json
 import secrets
 import time
 from collections.abc import AsyncIterable, Callable
-from importlib import resources
 
 import numpy as np
 
@@ -38,11 +37,6 @@ LEAST_MARGIN = 0.01
 KEYS = "J L, K I, O U: along x, y, z; Shift: slower. Or the sticks of a gamepad, or a 3-D mouse."
 
 Drive = Callable[[Array], None]
-
-
-def script() -> str:
-    """What the page runs."""
-    return resources.files(__package__).joinpath("hand.js").read_text(encoding="utf-8")
 
 
 class Hands:

@@ -21,9 +21,10 @@ LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True)
 class Beside:
-    """What a server does beside viser: a script in its page, and a socket at a path, whose messages are attended to."""
+    """What a server does beside viser: what goes into the head of its page, and a socket at a path, whose messages are
+    attended to."""
 
-    script: str
+    head: str
     path: str
     attend: Callable[[Any], Awaitable[None]]
 
@@ -100,7 +101,7 @@ def _own_page_alone(host: str, title: str, beside: Beside | None) -> Iterator[No
             if request.path.split("?")[0] in ("/", "/index.html"):
                 with suppress(KeyError):  # not every client sends it
                     del request.headers["Accept-Encoding"]
-                return titled(process_request(connection, request), title, "" if beside is None else beside.script)
+                return titled(process_request(connection, request), title, "" if beside is None else beside.head)
             return process_request(connection, request)
 
         async def handle(connection: Any) -> None:
@@ -119,12 +120,12 @@ def _own_page_alone(host: str, title: str, beside: Beside | None) -> Iterator[No
         library.serve = make  # type: ignore[misc]
 
 
-def titled(response: Any, title: str, script: str = "") -> Any:
-    """A response of the server with the page's title in place of viser's, and a script of its own; None, for a
-    websocket, stays None."""
+def titled(response: Any, title: str, head: str = "") -> Any:
+    """A response of the server with the page's title in place of viser's, and more in its head; None, for a websocket,
+    stays None."""
     if response is not None and UNTITLED in response.body:
         page = titled_page(response.body.decode(), title)
-        response.body = (page.replace("</head>", f"<script>{script}</script></head>", 1) if script else page).encode()
+        response.body = page.replace("</head>", f"{head}</head>", 1).encode()
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
     return response

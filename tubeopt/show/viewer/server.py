@@ -6,11 +6,12 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import resources
 from types import FrameType
 from typing import Any
 
 from .export import page_title
-from .hand import PATH, Hands, script
+from .hand import PATH, Hands
 from .host import LOCAL, Beside, address_of, quiet_server
 from .scene import camera
 from .session import Session
@@ -44,7 +45,7 @@ def serve(
     tabs: dict[int, Tab] = {}
     lock = threading.Lock()
     hands = Hands()
-    beside = Beside(script(), PATH, hands.attend)
+    beside = Beside(head(), PATH, hands.attend)
     with _signals(over), quiet_server(host, port, page_title(first), beside) as server:
         _frame_camera(server, first)
 
@@ -72,6 +73,13 @@ def serve(
             with lock:
                 for tab in tabs.values():
                     tab.close()
+
+
+def head() -> str:
+    """What the page looks like and runs beside viser."""
+    files = resources.files(__package__)
+    style, script = (files.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "hand.js"))
+    return f"<style>{style}</style><script>{script}</script>"
 
 
 def _frame_camera(server: Any, session: Session) -> None:

@@ -82,12 +82,12 @@ def log_words(log: Sequence[Event]) -> str:
 
 
 def message_words(text: str, *, bad: bool = False) -> str:
-    """Sentences to the user, each on a line of its own; none takes no room."""
+    """Sentences to the user, each on a line of its own; none takes no room, `bad` ones stay in sight (`page.css`)."""
     if not text:
         return '<div data-testid="message"></div>'
-    colour = "#c81e1e" if bad else "#3b6fb5"
+    role, colour = ("alert", "#c81e1e") if bad else ("status", "#3b6fb5")
     return (
-        f'<div data-testid="message" role="status" style="{BOX};border-left:4px solid {colour};margin:2px 8px 8px">'
+        f'<div data-testid="message" role="{role}" style="{BOX};border-left:4px solid {colour};margin:2px 8px 8px">'
         f"{'<br>'.join(escape(line) for line in text.splitlines())}</div>"
     )
 
