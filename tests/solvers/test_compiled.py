@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.examples import CRL, THESIS
+from tests.examples import CONFIGS, CRL, THESIS
 from tests.stability.robots import random_robot
 from tubeopt import (
     ConcentricRobot,
@@ -26,10 +26,12 @@ from tubeopt import (
     Tube,
     forward_kinematics,
     forward_kinematics_batch,
+    load_robot,
 )
 from tubeopt.equilibrium import kinematics, loaded
+from tubeopt.equilibrium.arm_change import PARAMETERS
 from tubeopt.equilibrium.jacobian import compiled_slopes, derivatives_of
-from tubeopt.robots.robot import Robot
+from tubeopt.robots.robot import Robot, is_general
 from tubeopt.solvers.compiled import binding, remembered
 from tubeopt.solvers.compiled import library as building
 from tubeopt.solvers.compiled.binding import kernel_of
@@ -398,25 +400,35 @@ def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pyt
 
 
 @compiler
-def test_jacobian_is_that_of_the_general_derivatives() -> None:
-    for robot, shift in (
-        (THESIS, np.zeros(3)),
-        (THESIS, np.array([-0.05, -0.03, -0.02])),
-        (CRL, np.zeros(CRL.n_tubes)),
-    ):
-        at = forward_kinematics(robot, np.array([-1.0, 0.8, 2.0])[: robot.n_tubes], shift)
-        for side in (1, -1):
-            told, of = at.jacobian(side=side), derivatives_of(at, side=side)
+def test_derivatives_are_the_general_ones_of_every_robot() -> None:
+    """By joint values and dimensions, to both sides: at home, where breakpoints coincide, and behind it."""
+    for robot in (load_robot(path) for path in sorted(CONFIGS.glob("*.yaml"))):
+        if not isinstance(robot, ConcentricRobot) or is_general(robot):
+            continue
+        n, home = robot.n_tubes, robot.home_translations
+        back = 0.2 * robot.tubes[0].curved_length / np.arange(1, n + 1)
+        for shift, side in ((home, 1), (home, -1), (home - back, 1)):
+            at = forward_kinematics(robot, np.linspace(-1.0, 2.0, n), shift)
+            told = compiled_slopes(at, (side,) * n, either=False, dimensions=True)
+            of = derivatives_of(at, PARAMETERS, side=side)
+            assert told is not None
             for mine, other in (
                 (told.position, of.tip_position),
-                (told.rotation, of.tip_rotation),
+                (told.turn, of.tip_rotation),
                 (told.tip_rotations, of.tip_rotations),
                 (told.energy, of.energy),
                 (told.margin, of.margin),
             ):
-                assert mine == pytest.approx(other, rel=0, abs=1e-8 * np.abs(other).max())
-        turned = at.jacobian(wrt=("translations", "rotations"))
-        assert np.array_equal(turned.energy, np.roll(at.jacobian().energy, robot.n_tubes))
+                for a, b in zip(np.split(mine, 7, axis=-1), np.split(other, 7, axis=-1), strict=True):
+                    assert a == pytest.approx(b, rel=0, abs=1e-10 * np.abs(b).max() + 1e-14)
+
+
+@compiler
+def test_columns_of_a_jacobian_are_those_asked_for() -> None:
+    at = forward_kinematics(THESIS, [-1.0, 0.8, 2.0])
+    every, some = at.jacobian(wrt=PARAMETERS), at.jacobian(wrt=("torsional_stiffness", "translations"))
+    assert some.margin == pytest.approx(np.concatenate([every.margin[18:], every.margin[3:6]]), rel=1e-11)
+    assert at.jacobian().position == pytest.approx(every.position[:, :6], rel=1e-11)
 
 
 @compiler

@@ -12,6 +12,7 @@ from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
+from .arm_change import PARAMETERS
 from .derivatives import Derivatives
 from .general_derivatives import general_columns
 from .loaded_jacobian import loaded_columns
@@ -46,27 +47,25 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
     )
 
 
-def compiled_slopes(
-    at: Equilibrium, sides: tuple[int, ...] | None = None, *, compliance: bool = False, either: bool = True
-) -> Slopes | None:
+def compiled_slopes(at: Equilibrium, sides: tuple[int, ...] | None = None, **asked: bool) -> Slopes | None:
     """The derivatives of an equilibrium by the compiled kernel, of translations that move towards `sides` (n,), 1 where
-    not given; None where it has none. Of a margin that two modes share, those of `either` of them, or NaN."""
+    not given; None where it has none. What is `asked` are flags of `slopes_compiled`."""
     still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
     start = Start(*arm, still, at.translations)
-    return slopes_compiled(at.robot, at.rotations, at.translations, start, sides, compliance=compliance, either=either)
+    return slopes_compiled(at.robot, at.rotations, at.translations, start, sides, **asked)
 
 
-def _by_joints(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | None:
-    """The Jacobian by joint values of a stable equilibrium of concentric tubes, from the compiled kernel; None where
-    that is not what is asked, or what the kernel finds from here is not this equilibrium to the last digits."""
-    if not set(wrt) <= set(JOINTS) or side not in (1, -1) or len(equilibrium.arc_length) < 2:
+def _by_kernel(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | None:
+    """The Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel; None where that has none, or
+    what it finds from here is not this equilibrium to the last digits."""
+    if not set(wrt) <= set(PARAMETERS) or side not in (1, -1) or len(equilibrium.arc_length) < 2:
         return None
     n = equilibrium.robot.n_tubes
-    found = compiled_slopes(equilibrium, (side,) * n, either=False)
+    found = compiled_slopes(equilibrium, (side,) * n, either=False, dimensions=not set(wrt) <= set(JOINTS))
     if found is None or found.off > SAME_ARM:
         return None
-    columns = [JOINTS.index(name) * n + i for name in wrt for i in range(n)]
+    columns = [PARAMETERS.index(name) * n + i for name in wrt for i in range(n)]
     tables = found.position, found.turn, found.tip_rotations, found.margin, found.energy
     return Jacobian(tuple(wrt), *(table[..., columns] for table in tables))
 
@@ -100,8 +99,8 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         return Jacobian(tuple(wrt), *loaded_columns(equilibrium, wrt, side))
     if is_general(equilibrium.robot):
         return Jacobian(tuple(wrt), *general_columns(equilibrium, wrt, side))
-    by_joints = _by_joints(equilibrium, wrt, side)
-    if by_joints is not None:
-        return by_joints
+    by_kernel = _by_kernel(equilibrium, wrt, side)
+    if by_kernel is not None:
+        return by_kernel
     of = derivatives_of(equilibrium, wrt, side=side)
     return Jacobian(of.wrt, of.tip_position, of.tip_rotation, of.tip_rotations, of.margin, of.energy)

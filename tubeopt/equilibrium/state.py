@@ -74,6 +74,9 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
     index = shape_points(len(start))
     theta, slope = equilibrium.rotation.T[index], equilibrium.torsion.T[index[:, 1:-1]]
     inner = _hermite(how.family, how.degree) @ np.concatenate([theta, length[:, None, None] * slope], axis=1)
+    # Where there are collocation points the equations hold for what was solved there, not for polynomials between.
+    solved = np.searchsorted(start, equilibrium.point[:: t.degree]) - 1
+    inner[solved] = equilibrium.point_rotation.reshape(-1, t.degree, n)
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     twist = equilibrium.torsion.T[index[:, 0]]
     if place:

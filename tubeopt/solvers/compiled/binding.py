@@ -231,11 +231,11 @@ def solve_compiled(
 
 
 class Slopes(NamedTuple):
-    """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
-    2n), tip rotations (n, 2n), margin and energy (2n,); the compliance (6, 6) of the tip at no load, None where not
-    asked for; and derivatives of the shape points (m, 3, 2n) at fixed arc lengths, the last of which is the tip; None
-    of an arm with another mesh. `off` is by how much the rotations of the arm differ from those of the start, rad;
-    infinite with another mesh."""
+    """Derivatives of a solved arm by Q parameters, its 2n rotations and translations, and then, where asked for, the 5n
+    DIMENSIONS: of its tip (3, Q), the turn vector of its tip (3, Q), tip rotations (n, Q), margin and energy (Q,); the
+    compliance (6, 6) of the tip at no load, None where not asked for; and derivatives of the shape points (m, 3, 2n) at
+    fixed arc lengths by joint values, the last of which is the tip; None of an arm with another mesh. `off` is by how
+    much the rotations of the arm differ from those of the start, rad; infinite with another mesh."""
 
     position: Array
     turn: Array
@@ -256,10 +256,12 @@ def slopes_compiled(
     *,
     compliance: bool = False,
     either: bool = True,
+    dimensions: bool = False,
 ) -> Slopes | None:
     """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, where breakpoints
-    coincide those of translations that move towards their `sides` (n,), 1 or -1; of a margin that two modes share, by
-    `either` of these, or NaN. None where the kernel declines or has none.
+    coincide those of translations that move towards their `sides` (n,), 1 or -1, and of ends of tubes that move towards
+    the first of these; of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines
+    or has none.
     """
     prepared = with_kernel(robot, 0)
     if prepared is None or prepared[0].differentiate is None:
@@ -270,23 +272,27 @@ def slopes_compiled(
     if not kept and solve_compiled(robot, rotations, translations, start) is None:
         return None
     points = int(room.fields["pieces"]) * STEPS + 1
-    places = room.fields["arc_length"][:points]
-    same = kept or (points == len(start.arc_length) and bool(np.abs(places - start.arc_length).max() <= ROUND_OFF))
+    s = room.fields["arc_length"][:points]
+    same = kept or (points == len(start.arc_length) and bool(np.abs(s - start.arc_length).max() <= ROUND_OFF))
     off = 0.0 if kept else float(np.abs(room.fields["rotation"][:points].T - start.rotation).max()) if same else np.inf
-    whole = 16 * n + 2 * n * n + 36
-    out = np.empty(whole + points * 6 * n)
+    whole = 2 * n * (8 + n) + 36
+    more = whole + points * 6 * n
+    out = np.empty(more + 5 * n * (8 + n) * dimensions)
     at = _place(out)
-    if not kernel.differentiate(_asked(robot, sides, compliance, either)[1], *room.at, at, at + 8 * whole):
+    places = at, at + 8 * whole, at + 8 * more if dimensions else None
+    if not kernel.differentiate(_asked(robot, sides, compliance, either)[1], *room.at, *places):
         return None
-    by_joint = out[: whole - 36].reshape(8 + n, 2 * n)
+    table = out[: whole - 36].reshape(8 + n, 2 * n)
+    if dimensions:
+        table = np.concatenate([table, out[more:].reshape(5 * n, 8 + n).T], axis=1)
     return Slopes(
-        position=by_joint[:3],
-        turn=by_joint[3:6],
-        tip_rotations=by_joint[6:-2],
-        margin=by_joint[-2],
-        energy=by_joint[-1],
+        position=table[:3],
+        turn=table[3:6],
+        tip_rotations=table[6:-2],
+        margin=table[-2],
+        energy=table[-1],
         compliance=out[whole - 36 : whole].reshape(6, 6) if compliance else None,
-        along=out[whole:].reshape(points, 3, 2 * n) if same else None,
+        along=out[whole:more].reshape(points, 3, 2 * n) if same else None,
         off=off,
     )
 

@@ -67,12 +67,12 @@ def _defined(numbers: Mapping[str, float]) -> str:
 
 
 def slope_constants() -> str:
-    """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes; at
-    the shape points, the basis integrated once."""
+    """Tables of `change.c`: at the points, the collocated equations integrated twice, and shape points with their
+    slopes; at the shape points, the Lagrange basis integrated once."""
     fine = tableau("gauss", DEGREE)
     return c_tables(
         {
-            "TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2),
+            "TWICE_INSIDE": fine.matrix @ fine.adjoint,
             "POSE_INSIDE": hermite(fine.family, fine.degree),
             "ONCE_UP_TO": fine.lagrange(ENDS, integrals=1),
         }

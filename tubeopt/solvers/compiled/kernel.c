@@ -26,7 +26,11 @@
 #include "stretch.c"
 #endif
 #if SLOPES
+#include "change.c"
 #include "slopes.c"
+#endif
+#if DIMENSIONS
+#include "dimensions.c"
 #endif
 
 typedef struct {
@@ -41,6 +45,9 @@ typedef struct {
     double matrix[MOST_UNKNOWNS * STRIDE], mode[MOST_UNKNOWNS];
 #if SLOPES
     Around around;
+#endif
+#if DIMENSIONS
+    Sections sections;
 #endif
 } Workspace;
 

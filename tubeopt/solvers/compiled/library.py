@@ -112,11 +112,15 @@ def cache_directory() -> Path:
 
 def source(n: int, eccentric: bool, general: bool = False) -> str:
     """The C text of the kernel for n tubes: concentric, off the centreline, or `general`, with tubes made of pieces."""
-    return kernel_text(n, eccentric, general) + (HERE / "entries.c").read_text()
+    dimensions = not general and not eccentric
+    return kernel_text(n, eccentric, general, dimensions=dimensions) + (HERE / "entries.c").read_text()
 
 
-def kernel_text(n: int, eccentric: bool = False, general: bool = False, room: Room = ROOM) -> str:
-    """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside."""
+def kernel_text(
+    n: int, eccentric: bool = False, general: bool = False, room: Room = ROOM, *, dimensions: bool = False
+) -> str:
+    """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside. With
+    derivatives by `dimensions` of concentric tubes, or by joint values alone."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
     generator.add(coupling_rate_function(n))
@@ -131,7 +135,7 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False, room: Ro
     else:
         generator.add(piece_function(n, eccentric, "gauss", DEGREE))
     if not general and not eccentric:
-        for name in ("curvature", "curvature_slope", "variation"):
+        for name in ("curvature", "curvature_slope", "variation", *["linear"] * dimensions):
             generator.add(section_functions(n, False)[name])
     if eccentric:
         balance = section_functions(n, True)["balance"]
@@ -141,6 +145,7 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False, room: Ro
         "ECCENTRIC": int(eccentric),
         "GENERAL": int(general),
         "SLOPES": int(not general and not eccentric),
+        "DIMENSIONS": int(dimensions),
         "MOST_SECTIONS": room.pieces if general else most_sections(n, general),
         "MOST_CUTS": MOST_CUTS if general else 2 * n + 1,
         "N": n,
@@ -368,5 +373,5 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size(), loaded.constrained
     if eccentric or general:
         return Library(n, path, *parts)
-    loaded.differentiate.argtypes = [pointer] * 5
+    loaded.differentiate.argtypes = [pointer] * 6
     return Library(n, path, *parts, loaded.differentiate)
