@@ -68,7 +68,7 @@ class Crowd:
     def nearest(self, points: Array, least: Array) -> Array:
         """(N,) distance of points (N, 3) from the nearest body where it is less than `least` (N,), else `least`."""
         if len(self.bodies) <= HANDFUL:
-            return np.minimum(least, self.kind.distances(points, self.table[:, None]).min(0))
+            return np.asarray(np.minimum(least, self.kind.distances(points, self.table[:, None]).min(0)))
         out = least.copy()
         for layer in self.layers:
             reach = np.maximum(out + layer.largest, 0.0)

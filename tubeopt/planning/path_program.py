@@ -12,8 +12,8 @@ Between knots q is cubic, so q'' is linear and q' is quadratic, and the bounds
 hold everywhere, and are convex in the square of the duration, S = T^2. Length, int |q'|^2, and effort, int |q''|^2, are
 quadratic in q and q'. Joint values alone could jump between knots to another branch with the same joint values: the tip
 rotations change by a bounded amount per interval, and their motion counts as well. The Hessian that IPOPT is given is
-exact but for the curvature of the equilibrium, of active margins and of obstacles. Blocks are mapped over the knots, and
-so are their derivatives: CasADi by itself would pass through all knots once for every unknown that an equation has.
+exact but for the curvature of the equilibrium, of active margins and of obstacles. Blocks are mapped over the knots,
+and so are their derivatives: CasADi by itself would pass through all knots once for every unknown that an equation has.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class PathQuestion:
 
 @dataclass(frozen=True, eq=False)
 class PathProgram:
-    """The program, its Hessian, and its constraints with their Jacobian. Unknowns, in units of the scale and by columns:
+    """The program, its Hessian, and its constraints with their Jacobian. Unknowns, in units of the scale, by columns:
     joint values (m, K), rates (m, K), tip rotations (n, K), square of the duration, margin.
 
     `rows`: number of constraints of each kind, in order.
