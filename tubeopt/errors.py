@@ -6,11 +6,13 @@ import difflib
 import importlib
 import math
 from collections.abc import Iterable
-from dataclasses import fields
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from .display import Displayed
 
 
 class InputError(ValueError):
@@ -66,15 +68,27 @@ def whole(name: str, value: Any, least: int | None = None) -> int:
     return int(value)
 
 
-def check_settings(settings: Any, none: tuple[str, ...] = ()) -> None:
-    """Raise InputError where a field of a dataclass that counts is no whole number of at least 1, of at least 0 by the
-    names `none`, or another one is no positive number."""
-    for each in fields(settings):
-        value = getattr(settings, each.name)
-        if isinstance(each.default, float):
-            positive(each.name, value)
-        else:
-            whole(each.name, value, int(each.name not in none))
+@dataclass(frozen=True)
+class Settings(Displayed):
+    """What a user may want to change of how something is solved: the numbers that a class derived from this has.
+
+    Raises:
+        InputError: a field whose default is a whole number is none of at least 1, or of at least 0 by the names
+            `_none`; another one is no positive number, or holds one that is none.
+    """
+
+    _none: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(each.default, int):
+                whole(each.name, value, int(each.name not in self._none))
+            elif isinstance(each.default, tuple):
+                for number in numbers(each.name, value):
+                    positive(each.name, number)
+            else:
+                positive(each.name, value)
 
 
 def instance(name: str, value: Any, wanted: type) -> None:

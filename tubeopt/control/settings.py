@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..display import Displayed
-from ..errors import check_settings
+from ..errors import Settings
 
 
 @dataclass(frozen=True)
-class HorizonSolver(Displayed):
+class HorizonSolver(Settings):
     """How the way ahead is found and kept; of `PredictiveServo`.
 
     Args:
@@ -52,9 +51,6 @@ class HorizonSolver(Displayed):
     body_reach: float = 0.05
     contacts: int = 3
     splits: int = 4
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 DEFAULT_HORIZON = HorizonSolver()

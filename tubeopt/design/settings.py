@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from ..display import Displayed
-from ..errors import check_settings
+from ..errors import Settings
 
 
 @dataclass(frozen=True)
-class DesignSolver(Displayed):
+class DesignSolver(Settings):
     """How hard a design is searched for, and its promises are checked; a field of a `DesignTask`.
 
     Args:
@@ -81,8 +81,7 @@ class DesignSolver(Displayed):
     searched_translations: int = 3
     perturbed_robots: int = 12
 
-    def __post_init__(self) -> None:
-        check_settings(self, ("joint_restarts",))
+    _none: ClassVar[tuple[str, ...]] = ("joint_restarts",)
 
 
 DEFAULT_SOLVER = DesignSolver()

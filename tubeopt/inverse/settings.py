@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from ..display import Displayed
-from ..errors import check_settings
+from ..errors import Settings
 
 
 @dataclass(frozen=True)
-class InverseSolver(Displayed):
+class InverseSolver(Settings):
     """How inverse kinematics searches; a field of `InverseOptions`.
 
     Args:
@@ -159,15 +159,14 @@ class InverseSolver(Displayed):
     leap_least_aside: float = 1e-5
     leap_sampled: float = 0.1
 
-    def __post_init__(self) -> None:
-        check_settings(self, ("program_starts", "program_orders", "clear_starts", "closest_orders"))
+    _none: ClassVar[tuple[str, ...]] = ("program_starts", "program_orders", "clear_starts", "closest_orders")
 
 
 DEFAULT_SOLVER = InverseSolver()
 
 
 @dataclass(frozen=True)
-class WaySearch(Displayed):
+class WaySearch(Settings):
     """How hard a way between joint values is searched for, smoothed, timed and proved; a field of `PlanOptions`.
 
     Args:
@@ -320,8 +319,7 @@ class WaySearch(Displayed):
     share_ways: int = 4
     share_steps: int = 15
 
-    def __post_init__(self) -> None:
-        check_settings(self, ("step_halvings", "smoothing_refinements", "proof_halvings"))
+    _none: ClassVar[tuple[str, ...]] = ("step_halvings", "smoothing_refinements", "proof_halvings")
 
 
 DEFAULT_WAY = WaySearch()

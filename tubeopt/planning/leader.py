@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
-from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, check_settings, finite, instance
+from ..errors import InputError, Settings, SolveError, finite, instance
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
@@ -36,7 +35,7 @@ from .trajectory import PlanStatistics, Trajectory
 
 
 @dataclass(frozen=True)
-class LeaderSolver(Displayed):
+class LeaderSolver(Settings):
     """How a deployment behind the tip is looked for.
 
     Args:
@@ -58,9 +57,6 @@ class LeaderSolver(Displayed):
     damping: float = 2e-3
     longest_step: float = 0.15
     last_step: float = 1e-3
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 DEFAULT_SOLVER = LeaderSolver()

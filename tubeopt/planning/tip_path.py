@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
-from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, check_settings, instance, positive
+from ..errors import InputError, Settings, SolveError, instance, positive
 from ..inverse import IkSession, InverseOptions, inverse_kinematics
 from ..inverse.clock import Clock
 from ..inverse.task import Task
@@ -39,7 +38,7 @@ DENSE = 40
 
 
 @dataclass(frozen=True)
-class TipPathSolver(Displayed):
+class TipPathSolver(Settings):
     """How a motion of the tip along a curve is looked for.
 
     Args:
@@ -58,8 +57,7 @@ class TipPathSolver(Displayed):
     starts: int = 8
     starts_share: float = 0.3
 
-    def __post_init__(self) -> None:
-        check_settings(self, ("refinements",))
+    _none: ClassVar[tuple[str, ...]] = ("refinements",)
 
 
 DEFAULT_SOLVER = TipPathSolver()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from ..display import Displayed
-from ..errors import InputError, choice, positive, whole
+from ..errors import InputError, Settings, choice, positive, whole
 
 
 @dataclass(frozen=True)
-class Newton(Displayed):
+class Newton(Settings):
     """How Newton's method, and the descent in energy before it, solve for an equilibrium.
 
     Args:
@@ -29,6 +29,8 @@ class Newton(Displayed):
         InputError: a field out of its range.
     """
 
+    _none: ClassVar[tuple[str, ...]] = ("refinements", "loaded_refinements")
+
     last_step: float = 1e-6
     round_off: float = 1e-12
     longest_step: float = 1.0
@@ -37,17 +39,6 @@ class Newton(Displayed):
     refinements: int = 6
     loaded_refinements: int = 4
     margin_tolerance: float = 1e-8
-
-    def __post_init__(self) -> None:
-        for name in ("last_step", "round_off", "longest_step", "margin_tolerance"):
-            positive(name, getattr(self, name))
-        for name, least in (
-            ("iterations", 1),
-            ("descent_iterations", 1),
-            ("refinements", 0),
-            ("loaded_refinements", 0),
-        ):
-            whole(name, getattr(self, name), least)
 
 
 NEWTON = Newton()

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..display import Displayed
-from ..errors import check_settings
+from ..errors import Settings
 
 
 @dataclass(frozen=True)
-class SnapSearch(Displayed):
+class SnapSearch(Settings):
     """How hard snaps and worst cases are searched for, where no proof decides; of `judge`, `worst_margin` and
     `worst_certificate`.
 
@@ -33,9 +32,6 @@ class SnapSearch(Displayed):
     folds: int = 12
     overshoot: float = 0.3
     random_ways: int = 32
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 DEFAULT_SEARCH = SnapSearch()

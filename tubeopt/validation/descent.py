@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..display import Displayed
-from ..errors import InputError, SolveError, check_settings
+from ..errors import InputError, Settings, SolveError
 from ..typing import Array
 from .model import ArmModel, State
 
@@ -22,7 +21,7 @@ LOSSES = ("linear", "huber", "soft_l1")
 
 
 @dataclass(frozen=True)
-class FitSolver(Displayed):
+class FitSolver(Settings):
     """How a fit descends; a field of `FitOptions`.
 
     Args:
@@ -67,9 +66,6 @@ class FitSolver(Displayed):
     strong: float = 10.0
     crooked: float = 30.0
     robust_from: float = 3.0
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     @property
     def by_chords(self) -> FitSolver:

@@ -14,7 +14,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, check_settings, instance, positive, vector
+from ..errors import InputError, Settings, SolveError, instance, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -26,7 +26,7 @@ UNSEEN = 1e-8
 
 
 @dataclass(frozen=True)
-class ForceSolver(Displayed):
+class ForceSolver(Settings):
     """How the fit of a force descends; of `estimate_force` and `estimate_forces`.
 
     Args:
@@ -44,9 +44,6 @@ class ForceSolver(Displayed):
     longest_move: float = 0.1
     first_damping: float = 1e-8
     settled: float = 1e-4
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 DEFAULT_FORCE = ForceSolver()

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
-from ..errors import InputError, SolveError, check_settings, instance, positive
+from ..errors import InputError, Settings, SolveError, instance, positive
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -30,7 +30,7 @@ from .poses import Poses, solve_poses
 
 
 @dataclass(frozen=True)
-class PlacementSearch(Displayed):
+class PlacementSearch(Settings):
     """How hard it is searched where to measure; of `where_to_measure`.
 
     Args:
@@ -47,9 +47,6 @@ class PlacementSearch(Displayed):
     draws: int = 60
     rounds: int = 8
     compared: int = 20
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 DEFAULT_PLACEMENT = PlacementSearch()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from ...display import Displayed
-from ...errors import check_settings
+from ...errors import Settings
 
 
 @dataclass(frozen=True)
-class HeatingSolver(Displayed):
+class HeatingSolver(Settings):
     """How a heating schedule is searched for, corrected and led; a field of `HeatingSpec`.
 
     Args:
@@ -102,15 +102,14 @@ class HeatingSolver(Displayed):
     replanned_rough: float = 2.0
     replanned_probe: float = 0.05
 
-    def __post_init__(self) -> None:
-        check_settings(self, ("trims", "cures"))
+    _none: ClassVar[tuple[str, ...]] = ("trims", "cures")
 
 
 DEFAULT_HEATING = HeatingSolver()
 
 
 @dataclass(frozen=True)
-class RigSolver(Displayed):
+class RigSolver(Settings):
     """How a rig is calibrated to a log, or to trials; of `calibrate` and `calibrate_from_trials`.
 
     Args:
@@ -142,9 +141,6 @@ class RigSolver(Displayed):
     trial_spread: float = 15.0
     trial_prior: float = 0.3
     trial_slots: int = 120
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 DEFAULT_RIG_SOLVER = RigSolver()

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ...display import Displayed
-from ...errors import check_settings
+from ...errors import Settings
 
 
 @dataclass(frozen=True)
-class MoldSolver(Displayed):
+class MoldSolver(Settings):
     """How plates, mandrels and boards of pegs are searched for, and how finely they are drawn; a field of `MoldSpec`.
 
     Args:
@@ -58,9 +57,6 @@ class MoldSolver(Displayed):
     peg_reach: float = 0.97
     peg_sampled: float = 0.1e-3
     peg_element: float = 1.5e-3
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 DEFAULT_MOLD = MoldSolver()
