@@ -20,7 +20,7 @@ from tubeopt.bodies.frames import Frame, base_frame, roll_of
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.placed import seen_from
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.inverse.settings import DEFAULT_WAY, WaySearch
+from tubeopt.inverse.way_settings import DEFAULT_WAY, WaySearch
 from tubeopt.planning import arms_plan
 from tubeopt.planning.arms import at_rest
 from tubeopt.typing import Array

@@ -16,7 +16,7 @@ from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
-from tubeopt.inverse.settings import WaySearch
+from tubeopt.inverse.way_settings import WaySearch
 from tubeopt.planning.branch import branch
 from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.sections import Arms, Intervals

@@ -2,8 +2,9 @@
 
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .session import IkSession
-from .settings import InverseSolver, WaySearch
+from .settings import InverseSolver
 from .solving import inverse_kinematics
+from .way_settings import WaySearch
 
 __all__ = [
     "IkSession",

@@ -15,7 +15,7 @@ from ..bodies.scene import Scene, scene_of
 from ..typing import Array, Mask
 from .chart import BATCH, Arms, Chart
 from .clock import Clock, LateError
-from .settings import DEFAULT_WAY, WaySearch
+from .way_settings import DEFAULT_WAY, WaySearch
 
 SAME = 1e-9
 """Distance (joints' scales) of points that are one."""

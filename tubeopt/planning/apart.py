@@ -27,12 +27,6 @@ from .clearing import SHARE, Wanted
 from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
 from .sections import Intervals
 
-MOST_CELLS = 4_000_000
-"""Cells that are looked at; where they do not suffice the bound is less sharp, and holds."""
-
-ROUNDS = 12
-"""Times that intervals in which nothing sharp is shown are halved."""
-
 SHORT = 1e-12
 """Length (m) of a section that is none."""
 
@@ -209,7 +203,7 @@ class Apart:
 def apart(one: Track, other: Track, wanted: Wanted) -> Apart:
     """Bound of the distance between the surfaces of two arms, as sharp as is wanted where it is the least."""
     measured, when = np.inf, 0.0
-    for _ in range(ROUNDS):
+    for _ in range(one.follower.effort.proof_arms_rounds):
         times = np.union1d(one.times, other.times)
         bound, sides, closest, then = _bounds((one, other), times, wanted, measured)
         if closest < measured:
@@ -262,7 +256,7 @@ def _bounds(
         low = np.sqrt(np.maximum(least**2 - spread.sum(0) / 4, 0.0)) - bend.sum(0) - thick
         line = wanted.line(closest)
         sharp = surface - low <= SHARE * max(closest - line, 0.0)
-        over = (low - off >= line) | sharp | (total > MOST_CELLS)
+        over = (low - off >= line) | sharp | (total > wanted.cells)
         np.minimum.at(bound, cells.which[over], (low - off)[over])
         taken = spread / (8 * np.maximum(least, 1e-6)) + np.concatenate([bend, np.zeros((1, len(cells)))])
         cells = cells.chosen(~over).halved(tracks, taken[:, ~over].argmax(0))

@@ -22,7 +22,7 @@ from ..errors import InputError, vector
 from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
-from ..inverse.settings import DEFAULT_WAY, WaySearch
+from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.robot import Robot
 from ..typing import Array
 from .apart import Apart, Track, apart, tracked
@@ -34,9 +34,6 @@ from .proof import Proof, ProofStatus, verify_trajectory
 
 CLOSE = "come as close as about"
 """How a fault of two arms begins that is one, not only nothing that is shown."""
-
-CHORD = 2e-3
-"""Longest piece (m) of an arm at rest that is taken as straight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +255,7 @@ def verify_arms(  # noqa: PLR0913
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
-        found = apart(tracks[i], tracks[j], Wanted(clearance, effort.proof_arms_accuracy))
+        found = apart(tracks[i], tracks[j], Wanted(clearance, effort.proof_arms_accuracy, effort.proof_arms_cells))
         plates_apart = between_plates(known[i], known[j])
         least, measured = min(found.least, plates_apart), min(found.measured, plates_apart)
         found = Apart(least, measured, found.when, found.times, np.minimum(found.bounds, plates_apart))
@@ -279,7 +276,8 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
 
 
 def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None, effort: WaySearch) -> Track:
-    wanted, longest = Wanted(0.0, effort.proof_arms_accuracy), max(tube.length for tube in arm.robot.tubes)
+    wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
+    longest = max(tube.length for tube in arm.robot.tubes)
     until = math.inf if clock is None else clock.began + clock.limit
     follower = Follower(arm.robot, scene_of(()), wanted, longest, until, Constants.of(arm.robot), effort)
     joints = np.concatenate([motion.rotations, motion.translations], axis=1)
@@ -302,11 +300,12 @@ def _between(arms: Sequence[PlacedRobot], pair: tuple[int, int], found: Apart, c
     return []
 
 
-def at_rest(equilibrium: Equilibrium, base: Frame) -> tuple[Capsule, ...]:
-    """Capsules that hold all of an arm, in the frame that arms share: what others keep away from while it rests."""
+def at_rest(equilibrium: Equilibrium, base: Frame, chord: float = DEFAULT_WAY.rest_chord) -> tuple[Capsule, ...]:
+    """Capsules that hold all of an arm, in the frame that arms share: what others keep away from while it rests.
+    Pieces as long as `chord`, m, are taken as straight."""
     ends = equilibrium.tube_end
     length = float(equilibrium.arc_length[-1])
-    s = np.union1d(np.linspace(0.0, length, 2 + int(length / CHORD)), ends[(ends > 0) & (ends < length)])
+    s = np.union1d(np.linspace(0.0, length, 2 + int(length / chord)), ends[(ends > 0) & (ends < length)])
     outline = Outline(equilibrium)
     points, _ = outline.at(s)
     bend = float(np.linalg.norm(equilibrium.curvature, axis=1).max(initial=0.0))

@@ -10,50 +10,45 @@ import numpy as np
 
 from ..equilibrium.result import Equilibrium
 from ..inverse.outline import Outline
+from ..inverse.way_settings import WaySearch
 from ..typing import Array, Index
 from .arms import PlacedRobot
 from .trajectory import Trajectory
-
-DELAYS = 41
-"""Delays that are tried for a robot, from none to when all before it have come to rest."""
-
-INSTANTS, ALONG = 80, 64
-"""Instants of a motion, and points along an arm, by which delays are told."""
-
-ROOM = 3e-4
-"""Distance (m) to spare between arms that move at a time, for what lies between instants and points; more is asked
-where the proof finds a fault."""
 
 Move = tuple[int, Trajectory]
 """Of an arm, from time 0."""
 
 
 def sooner(
-    arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], moves: Sequence[Move], clearance: float
+    arms: Sequence[PlacedRobot],
+    first: Sequence[Equilibrium],
+    moves: Sequence[Move],
+    clearance: float,
+    effort: WaySearch,
 ) -> Iterator[tuple[Trajectory, ...]]:
     """Motions on one clock, each move begun as early as those before it leave room; then with more room; at last one
     after the other."""
-    lines = [Lines.of(arms[k], motion) for k, motion in moves]
-    for room in (ROOM, 4 * ROOM, np.inf):
-        whole = [Lines.at(arm, [e]) for arm, e in zip(arms, first, strict=True)]
+    lines = [Lines.of(arms[k], motion, effort.delay_points) for k, motion in moves]
+    for room in (effort.delay_room, 4 * effort.delay_room, np.inf):
+        whole = [Lines.at(arm, [e], effort.delay_points) for arm, e in zip(arms, first, strict=True)]
         parts: list[list[Trajectory]] = [[] for _ in arms]
         for (k, motion), line in zip(moves, lines, strict=True):
             earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
-            delays = np.linspace(earliest, latest, DELAYS)[:-1].tolist() if np.isfinite(room) else []
+            delays = np.linspace(earliest, latest, effort.delays)[:-1].tolist() if np.isfinite(room) else []
             others = [each for j, each in enumerate(whole) if j != k]
-            moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room))
+            moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room, effort))
             at = next(moved, latest)
             whole[k] = whole[k].then(line.later(at))
             parts[k].append(replace(motion, time=motion.time + at))
         yield tuple(_joined(each) for each in parts)
 
 
-def _clear(line: Lines, others: Sequence[Lines], since: float, room: float) -> bool:
+def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effort: WaySearch) -> bool:
     """Whether an arm that begins to move at a time keeps its distance from the others until they rest, as they did when
     it was planned for."""
     for other in others:
         if other.time[-1] > since:
-            times = np.linspace(since, other.time[-1], INSTANTS)
+            times = np.linspace(since, other.time[-1], effort.delay_instants)
             every = np.arange(len(times))
             if line.at_times(times).gaps(other.at_times(times), every, every).min() < room:
                 return False
@@ -91,19 +86,19 @@ class Lines:
     radius: Array
 
     @staticmethod
-    def at(arm: PlacedRobot, equilibria: Sequence[Equilibrium], time: Array | None = None) -> Lines:
-        """Those of equilibria."""
+    def at(arm: PlacedRobot, equilibria: Sequence[Equilibrium], points: int, time: Array | None = None) -> Lines:
+        """Those of equilibria, with so many points along each."""
         told = []
         for e in equilibria:
             outline = Outline(e)
-            told.append(outline.at(np.linspace(0.0, e.arc_length[-1], ALONG)))
-        points = arm.base.placed(np.array([each for each, _ in told]))
-        return Lines(np.zeros(len(told)) if time is None else time, points, np.array([r for _, r in told]))
+            told.append(outline.at(np.linspace(0.0, e.arc_length[-1], points)))
+        lines = arm.base.placed(np.array([each for each, _ in told]))
+        return Lines(np.zeros(len(told)) if time is None else time, lines, np.array([r for _, r in told]))
 
     @staticmethod
-    def of(arm: PlacedRobot, motion: Trajectory) -> Lines:
+    def of(arm: PlacedRobot, motion: Trajectory, points: int) -> Lines:
         """Those of a motion, at all of its samples."""
-        return Lines.at(arm, motion.arms, motion.time)
+        return Lines.at(arm, motion.arms, points, motion.time)
 
     def later(self, delay: float) -> Lines:
         """The same, so many s later."""

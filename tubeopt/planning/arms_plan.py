@@ -26,6 +26,7 @@ from ..errors import InputError, SolveError, vector
 from ..inverse.arguments import checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.question import prepared
+from ..inverse.way_settings import DEFAULT_WAY
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .arms import (
@@ -99,10 +100,13 @@ class ArmsPlan(Displayed):
         return tuple(int(np.abs(each.time - t).argmin()) for each in self.trajectories)
 
     def clearance(self, times: ArrayLike) -> Array:
-        """(T, pairs) distances between arms at times (T,), s, of ALONG points of either, m: the proof bounds what lies
+        """(T, pairs) distances between arms at times (T,), s, of points of either, m: the proof bounds what lies
         between them."""
         t = np.asarray(times, dtype=float)
-        lines = [Lines.of(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
+        lines = [
+            Lines.of(arm, each, DEFAULT_WAY.delay_points).at_times(t)
+            for arm, each in zip(self.arms, self.trajectories, strict=True)
+        ]
         every, pairs = np.arange(len(t)), combinations(range(len(self.arms)), 2)
         return np.stack([lines[i].gaps(lines[j], every, every) for i, j in pairs], axis=1)
 
@@ -153,7 +157,7 @@ def plan_arms(
     for k, start in enumerate(starts):
         with of_arm(known, k):
             first.append(_start(known[k], start))
-    _check_starts(known, first, options.clearance)
+    _check_starts(known, first, options.clearance, options.effort.delay_points)
     goals = [_in_frame(arm, goal) for arm, goal in zip(known, goals, strict=True)]
 
     def planned(k: int, ends: Sequence[Equilibrium], limit: float, withdrawn: bool) -> Trajectory:
@@ -161,7 +165,7 @@ def plan_arms(
         others: list[Obstacle] = []
         for j, end in enumerate(ends):
             if j != k:
-                others += [plate_of(known[j]), *at_rest(end, known[j].base)]
+                others += [plate_of(known[j]), *at_rest(end, known[j].base, options.effort.rest_chord)]
         asked: dict[str, Any] = {
             "obstacles": seen_from(arm.base, [*bodies, *others]),
             "min_margin": min_margin,
@@ -174,7 +178,7 @@ def plan_arms(
 
     order, moves = _one_by_one(known, first, planned, clock)
     proof = None
-    for moved in sooner(known, first, moves, options.clearance):
+    for moved in sooner(known, first, moves, options.clearance, options.effort):
         motions = moved
         proof = verify_arms(
             known,
@@ -222,9 +226,9 @@ def _in_frame(arm: PlacedRobot, goal: Any) -> Any:
     return arm.base.seen(vector("goal", goal, 3, "x, y, z"))
 
 
-def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float) -> None:
+def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float, points: int) -> None:
     """Raise SolveError where two arms are too close before they move."""
-    lines = [Lines.at(arm, [e]) for arm, e in zip(arms, first, strict=True)]
+    lines = [Lines.at(arm, [e], points) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
         gap = min(float(lines[i].gaps(lines[j], np.array([0]), np.array([0]))[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:

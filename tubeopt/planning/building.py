@@ -17,12 +17,6 @@ from .timing import Limits
 from .tracking import Tracked, track
 from .trajectory import PlanStatistics, Trajectory
 
-MOST_HURRY = 1.05
-"""Share of its limit by which the tip may be too fast between samples of a motion that is then slowed down for it."""
-
-LATE = 0.25
-"""Most seconds beyond the time limit in which what a proof did not come to is followed, so that it can be returned."""
-
 Faults = tuple[str, ...]
 
 
@@ -87,7 +81,7 @@ def build(
 ) -> Built | Faults:
     """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these."""
     space = task.chart.space
-    t, q = motion.sampled(task.scale)
+    t, q = motion.sampled(task.scale, task.effort)
     begin = space.join(first.rotations, first.translations)
     last = q[-1] if end is None else end.joints
     x = (t / t[-1] if t[-1] > 0 else np.ones(len(t)))[:, None]
@@ -115,11 +109,11 @@ def build(
     )
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
-        if 1 < hurry < MOST_HURRY and len(proof.faults) == 1:
+        if 1 < hurry < task.effort.tip_hurry and len(proof.faults) == 1:
             return build(task, first, end, motion.slower(hurry), rates, clock)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
-    rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(LATE))
+    rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.late_seconds))
     if rest.lost:
         return (no_time(clock),)
     known = Tracked((*proof.samples, *rest.equilibria), lost=False)

@@ -17,15 +17,8 @@ from .options import PlanOptions
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
 
-SHORT, SAME = 1e-9, 2e-3
-"""Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
-count as the same."""
-
-WORTH = 0.02, 0.1
-"""Share of its length by which a way must exceed the straight line to be smoothed for length: free, among bodies."""
-
-ROUNDINGS = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
-"""Distances (joints' scales) of the points of a polyline whose corners are rounded."""
+SHORT = 1e-9
+"""Length of a way (joints' scales) on which nothing is smoothed."""
 
 
 def motions_near(
@@ -50,7 +43,7 @@ def motions_near(
         best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
         if best is not None:
             exact = name == "margin" or extra is not None
-            way = best.motion.sampled(task.scale)[1], best.points[-1]
+            way = best.motion.sampled(task.scale, effort)[1], best.points[-1]
             rounder = None if exact else _rounded(task, first, way, limits, own)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             found.append((motion, name, best.iterations, len(best.points)))
@@ -63,8 +56,9 @@ def motions_near(
             found = [each for each in found if each[0].duration <= resting.duration]
             found.sort(key=lambda each: each[0].duration)
         else:
-            longest, slowest = resting.length(task.scale) * (1 + SAME), resting.duration * (1 + SAME)
-            short = [(each[0].length(task.scale), each) for each in found if each[0].duration <= slowest]
+            same = 1 + effort.same_length
+            longest, slowest = resting.length(task.scale, effort) * same, resting.duration * same
+            short = [(each[0].length(task.scale, effort), each) for each in found if each[0].duration <= slowest]
             found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
     return [*found, (resting, "", 0, len(points))]
 
@@ -78,7 +72,7 @@ def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) 
     if length < SHORT or options.objective != "length" or options.extra_cost is not None:
         return length >= SHORT
     straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
-    return 1 - straight / length > WORTH[bool(task.obstacles)]
+    return 1 - straight / length > (task.effort.worth_among_bodies if task.obstacles else task.effort.worth_smoothing)
 
 
 def _scanned(task: Task) -> bool:
@@ -89,7 +83,7 @@ def _rounded(task: Task, first: Equilibrium, way: tuple[Array, Array], limits: L
     """The fastest motion close to a way, its bends as round as they may be; None where even slight rounding leads where
     the robot may not be, or time is over. `way`: joint values (k, m), and the point of the chart (m,) at its end."""
     q, end = way
-    for spacing in ROUNDINGS:
+    for spacing in task.effort.roundings:
         if clock.over:
             return None
         motion = through(q, task.scale, limits, spacing)

@@ -28,16 +28,15 @@ SHARE = 1 / 3
 DEEP = 0.05
 """Share of the depth of an arm inside a body that the bound may give away: what it says then is that it is inside."""
 
-MOST_CELLS = 3_000_000
-"""Cells that are looked at; where they do not suffice the bound is less sharp, and holds."""
-
 
 @dataclass(frozen=True)
 class Wanted:
-    """Clearance that is to be shown, m; and how far the bound may lie below the least distance that was measured."""
+    """Clearance that is to be shown, m; how far the bound may lie below the least distance that was measured; and cells
+    that are looked at for it: where they do not suffice the bound is less sharp, and holds."""
 
     clearance: float
     tolerance: float
+    cells: int
 
     def line(self, closest: float) -> float:
         """What bounds should reach where `closest` was measured: what is wanted, if it can be had and is more."""
@@ -146,7 +145,7 @@ def cleared(intervals: Intervals, off: Array, scene: Scene, wanted: Wanted, clos
         low = sizes.bound(least)
         gap = least - sizes.radius - low
         small = gap <= SHARE * max(closest - line, 0.0)
-        over = (low - sizes.off >= line) | small | (total > MOST_CELLS)
+        over = (low - sizes.off >= line) | small | (total > wanted.cells)
         np.minimum.at(bound, cells.which[over], (low - sizes.off)[over])
         within = max(sizes.chosen(~over).needed(closest), 0.0)
         cells = _halved(cells.chosen(~over), intervals, sizes.longer(least)[~over], scene, within)

@@ -35,17 +35,8 @@ from .question import asked
 from .reach_share import checked_places
 from .trajectory import Entry, Trajectory
 
-ARMS = 1024
-"""Random arms by which places of the plate are compared."""
-
 MOST = 16384
 """Places of the plate that can be looked at."""
-
-NEAREST, ALONG = 12, 48
-"""Of these, those that are looked at for each place of the goal, and points along each."""
-
-SHARE = 4
-"""Part of the time that is left which each place gets to which more than so many others follow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +160,7 @@ def plan_from_region(
         if clock.over:
             break
         frame, tried = frames[k], tried + 1
-        limit = max(clock.left / min(len(order) - tried + 1, SHARE), 1e-3)
+        limit = max(clock.left / min(len(order) - tried + 1, options.effort.entry_share), 1e-3)
         try:
             plan = plan_trajectory(
                 robot,
@@ -208,8 +199,9 @@ def _goal_seen(goal: Any, frame: Frame) -> Any:
 def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], clock: Clock) -> Array:
     """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
     infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
-    at_start, of_tip = _Line.of([first]), of_the_tip(goal)
-    arms = _Line.random(task) if of_tip else _Line.of([start_equilibrium(task.chart.space, goal, name="goal")])
+    points, of_tip = task.effort.entry_points, of_the_tip(goal)
+    at_start = _Line.of([first], points)
+    arms = _Line.random(task) if of_tip else _Line.of([start_equilibrium(task.chart.space, goal, name="goal")], points)
     half, found = clock.part(0.5), list[float]()
     for frame in frames:
         if found and half.over:
@@ -225,23 +217,23 @@ def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """Points (N, ALONG, 3) along N arms, and their radii there (N, ALONG), m."""
+    """Points (N, P, 3) along N arms, and their radii there (N, P), m."""
 
     points: Array
     radius: Array
 
     @classmethod
-    def of(cls, arms: Sequence[Equilibrium]) -> _Line:
-        found = [Outline(e).at(np.linspace(0.0, e.arc_length[-1], ALONG)) for e in arms]
+    def of(cls, arms: Sequence[Equilibrium], points: int) -> _Line:
+        found = [Outline(e).at(np.linspace(0.0, e.arc_length[-1], points)) for e in arms]
         return cls(np.array([line for line, _ in found]), np.array([radius for _, radius in found]))
 
     @classmethod
     def random(cls, task: Task) -> _Line:
         """Stable arms of random joint values."""
         chart = task.chart
-        arms = chart.arms(chart.space.sample(ARMS), task.min_margin)
+        arms = chart.arms(chart.space.sample(task.effort.entry_arms), task.min_margin)
         kept = np.flatnonzero(arms.stable)
-        s = np.linspace(0.0, 1.0, ALONG) * arms.arc_length[kept, -1:]
+        s = np.linspace(0.0, 1.0, task.effort.entry_points) * arms.arc_length[kept, -1:]
         shown = s[:, :, None] <= arms.tube_end[kept][:, None, :] + 1e-12
         return cls(arms.at(s, kept), np.where(shown, chart.radius, 0.0).max(2))
 
@@ -262,7 +254,7 @@ def _missed(task: Task, arms: _Line, goal: TipGoal, frame: Frame) -> float:
     for place in goal.places():
         x, y, z = np.asarray(place.position, dtype=float)
         miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
-        near = np.argsort(miss)[:NEAREST]
+        near = np.argsort(miss)[: task.effort.entry_nearest]
         turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
         turned = _Line(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])

@@ -13,17 +13,8 @@ from ..display import Displayed
 from ..errors import InputError, positive
 from ..files.marks import POSITIVE, key
 from ..inverse.joints import JointSpace
+from ..inverse.way_settings import WaySearch
 from ..typing import Array
-
-MOST_SAMPLES = 4000
-"""Samples of a trajectory at most."""
-
-LEAST_SAMPLES, SAMPLES_OF_TIP = 100, 300
-"""Samples of a trajectory at least, and where the speed of the tip is limited, which changes on the way from one to the
-next."""
-
-SAMPLE_STEP = 0.04
-"""Largest change of a joint between samples, in units of its scale."""
 
 INSTANT = 1e-9
 """Duration (s) of a motion that goes nowhere."""
@@ -91,14 +82,15 @@ DEFAULT_RATES = RateLimits()
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Knots: time (K,) s from 0, joint values (K, m); in between polynomials of the time since the knot before, with
-    coefficients (d, K - 1, m), that of the highest power first and without the constant one. `samples`: at least."""
+    coefficients (d, K - 1, m), that of the highest power first and without the constant one. `tip_limited`: whether the
+    speed of the tip is."""
 
     time: Array
     joints: Array
     """(K, m) at the knots."""
     powers: Array
     """(d, K - 1, m) coefficients in between."""
-    samples: int = LEAST_SAMPLES
+    tip_limited: bool = False
 
     @property
     def duration(self) -> float:
@@ -115,9 +107,9 @@ class Motion:
         order = np.arange(len(self.powers), 0, -1)[:, None, None]
         return replace(self, time=self.time * factor, powers=self.powers / factor**order)
 
-    def length(self, scale: Array) -> float:
+    def length(self, scale: Array, effort: WaySearch) -> float:
         """Of the path in joint space, in units of the joints' scales."""
-        return float(np.linalg.norm(np.diff(self.sampled(scale)[1] / scale, axis=0), axis=1).sum())
+        return float(np.linalg.norm(np.diff(self.sampled(scale, effort)[1] / scale, axis=0), axis=1).sum())
 
     def at(self, time: ArrayLike) -> Array:
         """(T, m) joint values at times (T,)."""
@@ -126,13 +118,14 @@ class Motion:
         values: Array = self.curve(np.asarray(time))
         return values
 
-    def sampled(self, scale: Array) -> tuple[Array, Array]:
+    def sampled(self, scale: Array, effort: WaySearch) -> tuple[Array, Array]:
         """Evenly spaced times (T,) and joint values (T, m), close enough that straight lines between them will do."""
         if self.duration < INSTANT:  # from joint values to the same, but for round-off
             return np.zeros(1), self.joints[:1]
         coarse = self.at(np.linspace(0, self.duration, 40 * len(self.time)))
         change = np.abs(np.diff(coarse / scale, axis=0)).max() * len(coarse)
-        count = int(np.clip(np.ceil(change / SAMPLE_STEP), self.samples, MOST_SAMPLES))
+        least = effort.samples_of_tip if self.tip_limited else effort.samples
+        count = int(np.clip(np.ceil(change / effort.sample_step), least, effort.most_samples))
         time = np.linspace(0, self.duration, count + 1)
         return time, self.at(time)
 

@@ -11,8 +11,8 @@ from ..display import Displayed
 from ..errors import InputError, choice, instance, positive, whole
 from ..inverse.clock import Clock
 from ..inverse.search import SEARCHES, Way
-from ..inverse.settings import DEFAULT_WAY, WaySearch
 from ..inverse.task import Task
+from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..typing import Array
 from .smooth import OBJECTIVES
 

@@ -22,10 +22,7 @@ from .arms import PlacedRobot
 from .arms_plan import plan_arms
 from .options import DEFAULT_PLAN, PlanOptions
 from .reach_share import ReachShare, checked_places
-from .region import CLOSE, RegionReach
-
-FINE = 100
-"""Points along an arm between which its distance from another is bounded."""
+from .region import RegionReach
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +127,7 @@ class PairReach(Displayed):
         numbers = np.split(np.asarray(own, dtype=float), 2)
         sides = [side.evaluate(robot, x) for side, robot, x in zip(self.sides, (one, other), numbers, strict=True)]
         arms = [
-            _at_rest(robot, found, base)
+            _at_rest(robot, found, base, self.options.effort.rest_points)
             for robot, found, base in zip((one, other), sides, self.plates(own), strict=True)
         ]
         apart = np.full((len(self.targets),) * 2, np.nan)
@@ -142,7 +139,8 @@ class PairReach(Displayed):
     def __call__(self, one: Robot, other: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all pairs are held to 1, and the share; places that are missed count by how far."""
         found = self.evaluate(one, other, own)
-        missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / CLOSE, 1.0) for each in found.reached]
+        close = self.options.effort.region_close
+        missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / close, 1.0) for each in found.reached]
         return float(np.mean(missed) + 1 - found.share) / 2, found.share
 
     def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
@@ -170,18 +168,18 @@ class PairReach(Displayed):
 
 
 _Arm = tuple[Array, Array, float, float]
-"""Centreline (FINE, 3) in the frame of the bases and radii (FINE,) of an arm at rest; square of the length of its
+"""Centreline (P, 3) in the frame of the bases and radii (P,) of an arm at rest; square of the length of its
 pieces, and how far it bends off them, m."""
 
 
-def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
+def _at_rest(robot: Robot, found: ReachShare, base: Frame, points: int) -> dict[int, _Arm]:
     """Arms at the places that are reached."""
     arms: dict[int, _Arm] = {}
     for k in np.flatnonzero(found.reached).tolist():
         e = found.arm(robot, k)
         if e is None:
             continue
-        s = np.linspace(0.0, e.arc_length[-1], FINE)
+        s = np.linspace(0.0, e.arc_length[-1], points)
         line, radius = Outline(e).at(s)
         # The arm is as thick up to the next point as it is at the one before: it grows thinner towards its tip.
         thick = np.maximum.accumulate(radius[::-1])[::-1]

@@ -20,7 +20,7 @@ from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
-from ..inverse.settings import WaySearch
+from ..inverse.way_settings import WaySearch
 from ..robots.robot import Robot
 from ..stability.following import Event, motion_along
 from ..typing import Array, Index

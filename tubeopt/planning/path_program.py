@@ -31,13 +31,8 @@ from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..bodies.corridors import MeshObstacle
 from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
+from ..inverse.way_settings import WaySearch
 from ..typing import Array
-
-SHARPNESS = 400.0
-"""Sharpness of the smooth least distance over the length of the robot: at most log(points) / 400 too small."""
-
-SPLITS = 4
-"""Points per step of the arm at which its distance from obstacles is measured."""
 
 MOST_NODES = 1_000_000
 """Of a table of distances: its splines and their derivatives take 32 bytes for each."""
@@ -47,9 +42,6 @@ BLUR = 1.5
 
 TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
-
-TIPS = 0.05
-"""Weight of the motion of the tip rotations beside that of the joints, in the length."""
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,
@@ -88,8 +80,8 @@ class PathQuestion:
     """What makes two programs the same but for numbers.
 
     kind of the arm; carriages (groups of tubes, from 0); intervals between knots; rows of the order of the joints;
-    obstacles; length (m) of the robot; an own cost: its expression of the quantities of one pose, and its weight, which
-    is negative where more of it is better.
+    obstacles; length (m) of the robot; effort, its fields `smoothing_…`; an own cost: its expression of the quantities
+    of one pose, and its weight, which is negative where more of it is better.
     """
 
     kind: Kind
@@ -98,6 +90,7 @@ class PathQuestion:
     rows: int
     obstacles: tuple[Obstacle, ...]
     length: float
+    effort: WaySearch
     extra: tuple[Expression, float] | None = None
 
 
@@ -176,7 +169,7 @@ def _program(question: PathQuestion) -> PathProgram:
     delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
     moved = h * (36 * delta**2 - 6 * delta * (a + b) + 4 * a**2 + 4 * b**2 - 2 * a * b) / 30
     effort = h * (early**2 + early * late + late**2) / 3
-    w, along = p["weights"], TIPS * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
+    w, along = p["weights"], question.effort.smoothing_tips * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
     objective = (
         w[0] * (ca.sum1(ca.sum2(moved)) + along) + w[1] * square + w[2] * ca.sum1(ca.sum2(effort)) - w[3] * margin
     )
@@ -279,16 +272,16 @@ def _distance(question: PathQuestion) -> ca.Function:
     """(rows,) smooth least distances of one arm, never larger than they are but by what a table blurs: one from every
     body with a formula, one in every step of the arm from a table, which as a rule is all around."""
     n = question.kind.n
-    count = explicit_arm(question.kind).size2_out(2)
+    count, splits = explicit_arm(question.kind).size2_out(2), question.effort.smoothing_splits
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
     inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", question.kind.size), ca.MX.sym("r", n)]
-    places, thick = _places(question.kind, count)(*inputs)
-    sharp = SHARPNESS / question.length
+    places, thick = _places(question.kind, count, splits)(*inputs)
+    sharp = question.effort.smoothing_sharpness / question.length
     x, y, z = (ca.SX.sym(axis) for axis in "xyz")
     least = []
     for k, obstacle in enumerate(question.obstacles):
         if isinstance(obstacle, TABLES):
-            room = ca.reshape(_tabulated(obstacle, places) - thick, SPLITS, count - 1)
+            room = ca.reshape(_tabulated(obstacle, places) - thick, splits, count - 1)
         else:
             body = ca.Function(f"body_{k}", [x, y, z], [obstacle.distance(x, y, z)]).map(places.shape[1])
             room = (body(places[0, :], places[1, :], places[2, :]) - thick).T
@@ -332,15 +325,15 @@ def table_function(body: MeshObstacle | DistanceField) -> ca.Function:
     return ca.Function.bspline("table", knots, values.ravel(order="F"), [3, 3, 3], 1)
 
 
-def _places(kind: Kind, count: int) -> ca.Function:
-    """Points along an arm (3, a), and its radius there (1, a)."""
+def _places(kind: Kind, count: int, splits: int) -> ca.Function:
+    """Points along an arm (3, a), `splits` per step, and its radius there (1, a)."""
     points, tangents, s = ca.SX.sym("p", 3, count), ca.SX.sym("t", 3, count), ca.SX.sym("s", count)
     shift, robot, radius = ca.SX.sym("d", kind.n), ca.SX.sym("robot", kind.size), ca.SX.sym("r", kind.n)
     end = shift + kind.reach(robot)
     places, thick = [], []
     for k in range(count - 1):
         h = s[k + 1] - s[k]
-        for x in np.arange(1, SPLITS + 1) / SPLITS:
+        for x in np.arange(1, splits + 1) / splits:
             ends = points[:, k] * (1 + 2 * x) * (1 - x) ** 2 + points[:, k + 1] * x**2 * (3 - 2 * x)
             places.append(ends + h * (tangents[:, k] * x * (1 - x) ** 2 - tangents[:, k + 1] * x**2 * (1 - x)))
             # A tube shows on all of a section: steps do not reach across its end.

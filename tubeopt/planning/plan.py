@@ -233,7 +233,9 @@ def _affordable(task: Task, points: Array, limits: Limits, left: float) -> tuple
     """The longest beginning of a way whose proof should take no longer than `left` seconds, as a motion with rests."""
     while len(points) > 1:
         motion = stopping_at(joint_curves(task, points), limits)
-        needed = task.effort.proof_seconds + task.effort.proof_sample_seconds * len(motion.sampled(task.scale)[0])
+        needed = task.effort.proof_seconds + task.effort.proof_sample_seconds * len(
+            motion.sampled(task.scale, task.effort)[0]
+        )
         if needed <= left:
             return points, motion
         points = points[: min(len(points) - 1, int(len(points) * left / needed))]

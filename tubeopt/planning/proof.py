@@ -28,7 +28,7 @@ from ..errors import InputError, finite, positive
 from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
-from ..inverse.settings import DEFAULT_WAY, WaySearch
+from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -42,12 +42,6 @@ from .faults import joint_range, out_of_range, rates_of, too_fast
 from .loaded_passage import LoadedFollower
 from .motion import RateLimits
 from .passage import SHORTEST, Follower, Passage, Step, follow
-
-SAMPLES = 5
-"""Equilibria that are integrated once more."""
-
-AGREEMENT = 1e-6
-"""Largest difference of a tip from its re-integration, over the length of the robot."""
 
 
 class ProofStatus(Sentence):
@@ -203,7 +197,7 @@ def verify_trajectory(  # noqa: PLR0913
     longest = max(tube.length for tube in robot.tubes)
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     until = math.inf if clock is None else time_now() + clock.left
-    wanted = Wanted(clearance + moved, effort.proof_accuracy)
+    wanted = Wanted(clearance + moved, effort.proof_accuracy, effort.proof_cells)
     what = robot, scene_of(bodies), wanted, longest, until, Constants.of(robot), effort
     follower = Follower(*what) if load is None else LoadedFollower(*what, load=load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
@@ -328,10 +322,10 @@ def _judge(
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     passed = np.diff([step.at for step in passage.steps]) * (t[-1] - t[0])
     tip_rate = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0))
-    picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, SAMPLES).astype(int))]
+    picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.proof_verified).astype(int))]
     again = max(_again(e) for e in picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
-    if again > AGREEMENT * follower.length:
+    if again > follower.effort.proof_agreement * follower.length:
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
     faults += out_of_range(space, alpha, shift)
     if rate_limits is not None:

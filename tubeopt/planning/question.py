@@ -83,10 +83,6 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     return LoadedChart(space, load)
 
 
-FARTHER = 1.05
-"""What is kept for how far a force moves the arm, over what is known of the ends of a motion."""
-
-
 def bearing(task: Task, *translations: Array) -> Task:
     """The task with room for what a force on the tip moves the arm by at translations (n,) each, and between them.
 
@@ -107,5 +103,5 @@ def bearing(task: Task, *translations: Array) -> Task:
             )
         alone.append(bound.deflection)
     between = under_any_force(robot, np.array(translations), task.max_force).deflection
-    reserve = FARTHER * (between if np.isfinite(between) else max(alone))
+    reserve = task.effort.force_room * (between if np.isfinite(between) else max(alone))
     return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)

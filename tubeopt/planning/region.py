@@ -20,9 +20,6 @@ from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
 from .reach_share import ReachShare, checked_places, evaluate_reach
 
-CLOSE = 0.01
-"""Distance (m) from which on a place that is missed counts nothing."""
-
 
 @dataclass(frozen=True, eq=False)
 class RegionReach(Displayed):
@@ -95,7 +92,7 @@ class RegionReach(Displayed):
     def __call__(self, robot: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all places are reached to 1, and the share."""
         found = self.evaluate(robot, own)
-        missed = np.minimum(np.maximum(found.miss - found.tolerance, 0.0) / CLOSE, 1.0)
+        missed = np.minimum(np.maximum(found.miss - found.tolerance, 0.0) / self.options.effort.region_close, 1.0)
         return float(missed.mean() + 1 - found.share) / 2, found.share
 
     def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:

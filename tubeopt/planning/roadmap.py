@@ -30,12 +30,6 @@ from .motion import DEFAULT_RATES
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked
 
-NEIGHBOURS = 10
-"""Nearest points that each is joined with."""
-
-AT_ONCE = 512
-"""Points that are drawn at once."""
-
 
 @dataclass(eq=False)
 class Roadmap(Displayed):
@@ -65,7 +59,9 @@ class Roadmap(Displayed):
         self._remember(task)
         count, ends = len(self.points), np.stack([start, *goals])
         places = np.concatenate([self.points, ends]) / task.scale
-        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)[:, : 2 * NEIGHBOURS]
+        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)[
+            :, : 2 * task.effort.roadmap_neighbours
+        ]
         to_ends = np.column_stack([np.repeat(np.arange(count, len(places)), near.shape[1]), near.ravel()])
         straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
         edges = np.concatenate([self.edges, to_ends, straight])
@@ -168,9 +164,10 @@ def build_roadmap(
     task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options)
     random, n = np.random.default_rng(options.seed), robot.n_tubes
     space, found, total = task.chart.space, [], 0
-    shifts = space.sample(16 * AT_ONCE)[:, n:]
+    drawn = task.effort.roadmap_drawn
+    shifts = space.sample(16 * drawn)[:, n:]
     while total < count and not clock.over:
-        z = np.column_stack([random.uniform(-np.pi, np.pi, (AT_ONCE, n)), random.choice(shifts, AT_ONCE)])
+        z = np.column_stack([random.uniform(-np.pi, np.pi, (drawn, n)), random.choice(shifts, drawn)])
         try:
             kept = z[task.holds(z)]
         except LateError:
@@ -181,7 +178,7 @@ def build_roadmap(
     if len(points) < 2:
         raise SolveError(f"no roadmap was found within {options.time_limit:g} s: {len(points)} places are free")
     places = points / task.scale
-    _, near = scipy.spatial.cKDTree(places).query(places, k=min(NEIGHBOURS + 1, len(points)))
+    _, near = scipy.spatial.cKDTree(places).query(places, k=min(task.effort.roadmap_neighbours + 1, len(points)))
     edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
     return Roadmap(points, task.chart.parameters, np.unique(np.sort(edges, axis=1), axis=0))
 

@@ -37,28 +37,10 @@ WEIGHTS = {
     "margin": (0.02, 0.05, 0.0, 1.0),
 }
 
-LARGEST = 150_000
-"""Operations of one equilibrium beyond which its derivatives take too long: robots of about six tubes."""
-
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
-
-BEND, HALVINGS = 0.02, 4
-"""Second difference of joint values, in units of their scales, of points of a motion up to which curves keep close to
-them; times that points are set twice as close at most."""
-
-APART = 0.1
-"""Distance from a point of the chart, in units of the scales, beyond which an equilibrium is on another branch."""
 
 ROUND_OFF = 1e-9
 """Excess over ranges that is none, in units of the scales."""
-
-ROOM = 1e-3
-"""Least determinant of the Jacobi fields, which begin as 1."""
-
-
-BUILDING, PER_BODY, PER_NODE = 5e-5, 5e-2, 1e-6
-"""Seconds that it takes at most on most machines to build the program, which nothing can cut short, and to begin to
-solve it: per operation of an equilibrium, per obstacle, and per node of a table of distances."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +55,8 @@ class Smoothed:
 def building(task: Task) -> float:
     """Seconds of work that it may take to build the program of a task and to begin to solve it."""
     nodes = sum(min(body.lattice.values.size, MOST_NODES) for body in task.obstacles if isinstance(body, TABLES))
-    return BUILDING * task.chart.size + PER_BODY * len(task.obstacles) + PER_NODE * nodes
+    own, bodies = task.effort.smoothing_build * task.chart.size, task.effort.smoothing_build_body * len(task.obstacles)
+    return own + bodies + task.effort.smoothing_build_node * nodes
 
 
 def densify(task: Task, points: Array) -> list[Array]:
@@ -89,10 +72,10 @@ def joint_curves(task: Task, points: Array) -> list[Array]:
     out = []
     for line in densify(task, points):
         pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
-        for halvings in range(HALVINGS + 1):
+        for halvings in range(task.effort.smoothing_halvings + 1):
             fine = line[0] + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (line[-1] - line[0])
             q = task.chart.joints(fine)
-            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= BEND:
+            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= task.effort.smoothing_bend:
                 break
         out.append(q)
     return out
@@ -132,7 +115,7 @@ def smooth(
     room = np.array([task.margin_room + task.effort.smoothing_margin, task.clearance_room])
     for _ in range(task.effort.smoothing_refinements + 1):
         near = _near(task, z)
-        if task.chart.size > LARGEST or clock.left < clock.crowding * building(near):
+        if task.chart.size > task.effort.smoothing_operations or clock.left < clock.crowding * building(near):
             return None
         solved = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
         if solved is None:
@@ -194,7 +177,7 @@ def _solve(
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, (rate, acceleration) = task.scale, limits
     question = PathQuestion(
-        task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, extra
+        task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, task.effort, extra
     )
     program = path_program(question)
     q = task.chart.joints(z)
@@ -294,7 +277,7 @@ def _bounds(
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
     upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + ROUND_OFF, 2 * (knots - 1))
-    limits: dict[str, float | Array] = {"fields": ROOM, "clearance": least / space.length}
+    limits: dict[str, float | Array] = {"fields": task.effort.smoothing_fields, "clearance": least / space.length}
     for name, value in limits.items():
         if rows.get(name):
             lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()
@@ -315,7 +298,7 @@ def violated(
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
     and clearance (m) fall short. `places`: times (P,) at which it has to be at points (P, m) of the chart: the same
     joint values may be led to on several branches, by ways around a fold on one side and on the other."""
-    time, q = motion.sampled(task.scale)
+    time, q = motion.sampled(task.scale, task.effort)
     tracked = track(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
     short = tracked.short(task)
@@ -334,7 +317,7 @@ def _apart(task: Task, time: Array, tracked: Tracked, places: tuple[Array, Array
     """(P,) at which of some places a motion that was followed at times (T,) is on another branch."""
     points = np.array([task.chart.of(each) for each in tracked.equilibria])
     found = np.column_stack([np.interp(places[0], time, column) for column in points.T])
-    return np.asarray((np.abs(found - places[1]) / task.scale).max(1) > APART)
+    return np.asarray((np.abs(found - places[1]) / task.scale).max(1) > task.effort.smoothing_apart)
 
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:

@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..inverse.settings import DEFAULT_WAY, WaySearch
+from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..typing import Array, Index, Mask
-from .motion import SAMPLES_OF_TIP, Motion
+from .motion import Motion
 
 SAME = 1e-9
 """Share of a curve below which two points of the grid are one."""
@@ -60,7 +60,7 @@ def stopping_at(ways: Sequence[Array], limits: Limits) -> Motion:
     time = [parts[0].time, *(part.time[1:] + start for part, start in zip(parts[1:], began[1:-1], strict=True))]
     joints = [parts[0].joints, *(part.joints[1:] for part in parts[1:])]
     powers = np.concatenate([part.powers for part in parts], axis=1)
-    return Motion(np.concatenate(time), np.concatenate(joints), powers, parts[0].samples)
+    return Motion(np.concatenate(time), np.concatenate(joints), powers, parts[0].tip_limited)
 
 
 def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None) -> Motion:
@@ -99,7 +99,7 @@ def _along(curves: Sequence[scipy.interpolate.PPoly], limits: Limits) -> list[Mo
         grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], limits.effort.timing_fine_cells), time, s))
     found = zip(curves, grids, _largest(curves, grids, limits), strict=True)
     motions = [_motion(curve, s, b) for curve, s, b in found]
-    return motions if limits.tip is None else [replace(each, samples=SAMPLES_OF_TIP) for each in motions]
+    return motions if limits.tip is None else [replace(each, tip_limited=True) for each in motions]
 
 
 def _grid(curve: scipy.interpolate.PPoly, places: Array) -> Array:
@@ -165,7 +165,7 @@ class _Program:
         if limits.tip is not None and tip is not None:
             speed = scipy.interpolate.CubicSpline(s, tip)(np.stack([s[:-1], (s[:-1] + s[1:]) / 2, s[1:]]), 1)
             # Samples are joined by straight lines: what the joints do at one time they do at those beside it.
-            beside = 1 + 2 * math.ceil(len(h) / SAMPLES_OF_TIP)
+            beside = 1 + 2 * math.ceil(len(h) / limits.effort.samples_of_tip)
             fastest = scipy.ndimage.maximum_filter1d(np.linalg.norm(speed, axis=2).max(0), beside)
             pace = np.maximum(pace, fastest / (limits.effort.timing_prudence * limits.tip[0]))
         most = 1 / np.maximum(np.append(pace, 0.0), np.append(0.0, pace)).clip(TINY) ** 2

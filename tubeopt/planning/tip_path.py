@@ -33,9 +33,6 @@ from .trajectory import PlanStatistics, Trajectory
 LONGEST = 1000
 """Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
 
-DENSE = 40
-"""Points per piece at which a curve is sampled."""
-
 
 @dataclass(frozen=True)
 class TipPathSolver(Settings):
@@ -44,6 +41,7 @@ class TipPathSolver(Settings):
     Args:
         spacing: of the points at which the tip is solved for, at first, as a share of the robot's length.
         refinements: times that the spacing is halved where the tip leaves the curve in between.
+        dense: points per piece of a spline at which it is sampled.
         starts: most configurations from which the curve is tried.
         starts_share: of the time limit in which these are looked for.
 
@@ -54,6 +52,7 @@ class TipPathSolver(Settings):
 
     spacing: float = 0.008
     refinements: int = 3
+    dense: int = 40
     starts: int = 8
     starts_share: float = 0.3
 
@@ -107,7 +106,7 @@ def follow_tip_path(  # noqa: PLR0913
     positive("tolerance", tolerance)
     instance("solver", solver, TipPathSolver)
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
-    curve = _curve(path, spline)
+    curve = _curve(path, spline, solver.dense)
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
     longest = LONGEST * max(tube.length for tube in robot.tubes)
     if length > longest:
@@ -146,7 +145,7 @@ class _StuckError(Exception):
         self.share = share
 
 
-def _curve(path: ArrayLike, spline: bool) -> Array:
+def _curve(path: ArrayLike, spline: bool, dense: int) -> Array:
     """(k, 3) dense points of the curve."""
     try:
         points = np.array(path, dtype=float)
@@ -162,9 +161,9 @@ def _curve(path: ArrayLike, spline: bool) -> Array:
     if not spline or len(points) < 3:
         return points
     along = np.concatenate([[0.0], np.cumsum(step)])
-    fine = np.interp(np.linspace(0, len(points) - 1, DENSE * (len(points) - 1) + 1), np.arange(len(points)), along)
-    dense: Array = scipy.interpolate.CubicSpline(along, points)(fine)
-    return dense
+    fine = np.interp(np.linspace(0, len(points) - 1, dense * (len(points) - 1) + 1), np.arange(len(points)), along)
+    fine_points: Array = scipy.interpolate.CubicSpline(along, points)(fine)
+    return fine_points
 
 
 def _spaced(curve: Array, spacing: float) -> Array:

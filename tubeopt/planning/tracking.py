@@ -13,11 +13,6 @@ from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..inverse.task import Task
 from ..typing import Array
-from .motion import SAMPLE_STEP
-
-LEFT = 1e-5
-"""What must be left of margin (and, m, of clearance) where samples are as far apart as they may be: more than what
-lies between them can be off. It falls with the square of their distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +38,9 @@ class Tracked:
         joints = [task.chart.space.join(e.rotations, e.translations) for e in self.equilibria]
         q = np.reshape(joints, (-1, len(task.scale))) / task.scale
         step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
-        left = LEFT * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / SAMPLE_STEP) ** 2
-        clear = [clearance_of(task, e, task.clearance + LEFT) for e in self.equilibria]
+        most = task.effort.smoothing_left
+        left = most * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / task.effort.sample_step) ** 2
+        clear = [clearance_of(task, e, task.clearance + most) for e in self.equilibria]
         out = np.array([task.min_margin + left - self.margin, task.clearance + left - np.array(clear)])
         for end in {0, len(q) - 1} if len(q) else ():
             out[:, end] = np.minimum(out[:, end], 0.0)
