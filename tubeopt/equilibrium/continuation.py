@@ -111,7 +111,7 @@ def _twist(point: Point, arc_length: Array) -> Array:
     """theta - alpha (len(arc_length), n); at its own points, of the coupled tubes only."""
     solution = point.solution
     if arc_length is solution.problem.arc_length:
-        return solution.result.state.theta - solution.rotations
+        return np.asarray(solution.result.state.theta - solution.rotations)
     return arms.interpolate(solution.problem, solution.arm, arc_length) - solution.rotations
 
 

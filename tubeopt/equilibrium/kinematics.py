@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription import arm as arms
-from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, to_unknowns, worst_equation
+from ..block.transcription.reduced import (
+    Evaluation,
+    ReducedProblem,
+    evaluate,
+    on_centreline,
+    to_unknowns,
+    worst_equation,
+)
 from ..block.transcription.second_variation import margin
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.limits import check_reach, check_turn
@@ -272,7 +279,9 @@ def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, met
     return Solution(problem, rotations, result, margin(problem, result.state))
 
 
-def _by_centreline(problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON) -> NewtonResult:
+def _by_centreline(
+    problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON
+) -> NewtonResult[Evaluation]:
     """Newton for tubes off the centreline from where the energy of the same tubes on it leads."""
     concentric = on_centreline(problem)
     theta = evaluate(problem, rotations, z).theta

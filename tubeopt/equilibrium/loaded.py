@@ -8,15 +8,16 @@ import numpy as np
 
 from ..block.transcription.arm import arc_lengths
 from ..block.transcription.collocated import STEPS
-from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
+from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, compliance, unknowns
 from ..block.transcription.loaded_arm import compliance_along
 from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
-from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
+from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_newton, turn_of
 from ..solvers.loaded_ipopt import solve_loaded_ipopt
+from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
@@ -70,7 +71,7 @@ def unloaded_point(problem: LoadedProblem, unloaded: Equilibrium) -> LoadedPoint
     return solved(Member(problem, rotations, tuple(unloaded.translations.tolist()), 0.0), result)
 
 
-def solved(member: Member, result: LoadedResult, t: float | None = None) -> LoadedPoint:
+def solved(member: Member, result: NewtonResult[LoadedState], t: float | None = None) -> LoadedPoint:
     """A result as the point of a family, at t, by default the factor."""
     margin = loaded_margin(member.problem, result.state)
     return LoadedPoint(member.factor if t is None else t, member, result.state, margin, result.iterations)

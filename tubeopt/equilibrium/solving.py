@@ -12,7 +12,7 @@ import numpy as np
 from ..block.transcription import arm as arms
 from ..block.transcription.collocated import ENDS, STEPS
 from ..block.transcription.mesh import make_mesh, piece_counts
-from ..block.transcription.reduced import ReducedProblem, pull_rate, reduce, residual, to_unknowns
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, pull_rate, reduce, residual, to_unknowns
 from ..block.transcription.second_variation import margin, unstable_directions
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
@@ -44,9 +44,15 @@ class Solution:
 
     problem: ReducedProblem
     rotations: Array
-    result: NewtonResult
+    result: NewtonResult[Evaluation]
     margin: float
     rubbed: tuple[arms.Profile, float] | None = None
+
+    @staticmethod
+    def at(problem: ReducedProblem, rotations: Array, z: Array) -> Solution:
+        """That of unknowns z (U,), which are solved."""
+        state = evaluate(problem, rotations, z)
+        return Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state))
 
     @property
     def arm(self) -> arms.Profile:

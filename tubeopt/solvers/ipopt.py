@@ -20,7 +20,7 @@ from ..block.transcription.program import (
     torsion_guess,
     torsion_numbers,
 )
-from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, to_unknowns
 from ..errors import SolveError
 from ..typing import Array
 from .newton import NewtonResult
@@ -81,7 +81,7 @@ def solve_ipopt(
     guess: Profile,
     formulation: str = "equations",
     settings: Ipopt | None = None,
-) -> NewtonResult:
+) -> NewtonResult[Evaluation]:
     """Solve the collocated problem from the torsion `guess`.
 
     Args:

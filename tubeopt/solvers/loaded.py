@@ -10,17 +10,8 @@ import scipy
 from ..block.transcription.arm import ArmShape
 from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate
 from ..typing import Array
+from .newton import NewtonResult, full_steps, newton_step
 from .settings import NEWTON
-
-
-@dataclass(frozen=True, eq=False)
-class LoadedResult:
-    """Last state, whether it converged, iterations done, and the largest ratio of successive steps."""
-
-    state: LoadedState
-    converged: bool
-    iterations: int
-    contraction: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,22 +40,22 @@ class LoadedAnswer:
 
 def loaded_newton(
     problem: LoadedProblem, rotations: Array, x: Array, factor: float = 1.0, *, iterations: int = 20
-) -> LoadedResult:
-    """Full Newton steps from x (U + 2 N,); stops early where they grow instead of shrinking."""
-    state = evaluate(problem, rotations, x, factor)
-    last, contraction, close = np.inf, 0.0, NEWTON.round_off
-    for iteration in range(1, iterations + 1):
-        _, _, step, singular = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
-        size = turn_of(problem, state, step)
-        if singular or not np.isfinite(size) or (size > 2 * last and size > np.pi) or size > 1e3:
-            return LoadedResult(state, False, iteration, np.inf)
-        state = evaluate(problem, rotations, state.x + step, factor)
-        if size <= NEWTON.last_step and (size <= close or loaded_residual(problem, state) <= close):
-            return LoadedResult(state, True, iteration, contraction)
-        if size > NEWTON.last_step:
-            contraction = max(contraction, size / last)
-        last = size
-    return LoadedResult(state, False, iterations, contraction)
+) -> NewtonResult[LoadedState]:
+    """Full Newton steps from x (U + 2 N,)."""
+
+    def step(state: LoadedState) -> tuple[Array, float]:
+        change, singular = newton_step(state)
+        size = turn_of(problem, state, change)
+        return change, np.inf if singular or size > 1e3 else size
+
+    return full_steps(
+        evaluate(problem, rotations, x, factor),
+        step,
+        lambda state, change: evaluate(problem, rotations, state.x + change, factor),
+        lambda state: loaded_residual(problem, state),
+        iterations,
+        NEWTON,
+    )
 
 
 def turn_of(problem: LoadedProblem, state: LoadedState, step: Array) -> float:

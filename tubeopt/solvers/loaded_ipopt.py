@@ -13,7 +13,7 @@ from ..physics.shape import quaternion_rates, tangent_forms
 from ..physics.torsion import section_functions
 from ..typing import Array
 from .ipopt import EQUILIBRIUM
-from .loaded import LoadedResult
+from .newton import NewtonResult
 from .problem import Problem
 from .problem_solution import ProblemStatus
 from .settings import Ipopt
@@ -21,7 +21,7 @@ from .settings import Ipopt
 
 def solve_loaded_ipopt(
     problem: LoadedProblem, rotations: Array, guess: LoadedState, settings: Ipopt | None = None
-) -> LoadedResult:
+) -> NewtonResult[LoadedState]:
     """The equilibrium under a load with an energy, from a state close by: the equations of `block.transcription.loaded`
     in another writing, in which the quaternions are unknowns, tied to the curvature by constraints.
 
@@ -53,7 +53,7 @@ def solve_loaded_ipopt(
     if found.status is not ProblemStatus.SOLVED:
         raise SolveError(program.failure(found))
     x = np.concatenate([found.values["twist"], found.values["bending"]])
-    return LoadedResult(evaluate(problem, rotations, x), True, found.statistics.iterations, 0.0)
+    return NewtonResult(evaluate(problem, rotations, x), True, found.statistics.iterations, 0.0)
 
 
 def _section(problem: LoadedProblem, rotations: Array, z: Any, q: Any) -> tuple[Any, list[Any]]:

@@ -6,7 +6,9 @@ that it ends in a minimum, or in a saddle if symmetry holds it there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import scipy
@@ -15,33 +17,41 @@ from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, 
 from ..typing import Array
 from .settings import NEWTON, Newton
 
+S = TypeVar("S")
+
 
 @dataclass(frozen=True, eq=False)
-class NewtonResult:
+class NewtonResult(Generic[S]):
     """Last state, whether it converged, iterations done, and the largest ratio of successive steps."""
 
-    state: Evaluation
+    state: S
     converged: bool
     iterations: int
     contraction: float
 
 
-def newton(
-    problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
-) -> NewtonResult:
-    """Full Newton steps from z (U,), by default as many as in `settings`; stops early where they grow instead of
-    shrinking."""
-    iterations = settings.iterations if iterations is None else iterations
-    state = evaluate(problem, rotations, z)
+def full_steps(
+    state: S,
+    step: Callable[[S], tuple[Array, float]],
+    moved: Callable[[S, Array], S],
+    residual: Callable[[S], float],
+    iterations: int,
+    settings: Newton,
+) -> NewtonResult[S]:
+    """Newton's method: full steps, which stop early where they grow instead of shrinking.
+
+    Args:
+        step: from a state, with its largest turn (rad), which is infinite or NaN where there is none.
+        moved: a state after a step.   residual: of a state, rad.
+    """
     last, contraction = np.inf, 0.0
     for iteration in range(1, iterations + 1):
-        step, singular = _solve(state)
-        size = _turn(problem, step)
-        if singular or not np.isfinite(size) or (size > 2 * last and size > np.pi):
+        change, size = step(state)
+        if not np.isfinite(size) or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
-        state = evaluate(problem, rotations, state.z + step)
+        state = moved(state, change)
         close = settings.round_off
-        if size <= settings.last_step and (size <= close or residual(problem, state) <= close):
+        if size <= settings.last_step and (size <= close or residual(state) <= close):
             return NewtonResult(state, True, iteration, contraction)
         if size > settings.last_step:
             contraction = max(contraction, size / last)
@@ -49,9 +59,28 @@ def newton(
     return NewtonResult(state, False, iterations, contraction)
 
 
+def newton(
+    problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
+) -> NewtonResult[Evaluation]:
+    """Full Newton steps from z (U,), by default as many as in `settings`."""
+
+    def step(state: Evaluation) -> tuple[Array, float]:
+        change, singular = newton_step(state)
+        return change, np.inf if singular else _turn(problem, change)
+
+    return full_steps(
+        evaluate(problem, rotations, z),
+        step,
+        lambda state, change: evaluate(problem, rotations, state.z + change),
+        lambda state: residual(problem, state),
+        settings.iterations if iterations is None else iterations,
+        settings,
+    )
+
+
 def descend(
     problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
-) -> NewtonResult:
+) -> NewtonResult[Evaluation]:
     """Newton on the energy with the Hessian made positive and steps shortened until the energy falls.
 
     For tubes off the centreline, which have no such energy, call it on the concentric problem.
@@ -106,9 +135,9 @@ def _downhill(state: Evaluation) -> Array:
     return np.zeros_like(state.z)
 
 
-def _solve(state: Evaluation) -> tuple[Array, bool]:
+def newton_step(state: Any) -> tuple[Array, bool]:
     """Newton step, and whether the Jacobian is singular; LAPACK itself, whose NumPy wrapper costs more than it."""
-    if not len(state.z):
-        return state.z, False
+    if not len(state.gradient):
+        return state.gradient, False
     _, _, step, failed = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
     return step, failed != 0

@@ -17,7 +17,8 @@ import scipy
 
 from ..block.transcription.contact import Contact, Rubbing, evaluate_contact
 from ..typing import Array
-from .settings import NEWTON
+from .flow import grown, shortened
+from .settings import CONTINUATION, NEWTON
 from .sticking import Signs, stick_or_slip
 
 ITERATIONS = 15
@@ -230,11 +231,6 @@ def least(matrix: Array) -> float:
     return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
 
 
-STRIDE = 0.1
-"""Largest turn (rad) of a point in one step downhill."""
-
-MOST_STEPS = 2000
-
 SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
 """A step (rad) of a flow that may be at rest; steps between two looks whether it is; how far from there rest may be."""
 
@@ -265,7 +261,7 @@ def slide(
     state, heat = sides[lower], taken[lower] if push is not None else 0.0
     before = state.turned if push is not None else before
     delay, turn, signs = 1.0, np.inf, None
-    for count in range(MOST_STEPS):
+    for count in range(CONTINUATION.flow_steps):
         # At rest the flow is left to Newton's method, which also finds what friction alone holds; where the flow only
         # creeps past a state that was lost, that finds nothing near, and the flow goes on.
         if turn < SLOW and (delay > 1e6 or count % PATIENT == 0):
@@ -283,8 +279,8 @@ def slide(
             continue
         move = model.step - model.response @ found[0]
         turn = turn_of(contact, move)
-        if turn > STRIDE:
-            delay *= max(0.1, 0.8 * STRIDE / turn)
+        if turn > CONTINUATION.stride:
+            delay *= shortened(turn)
             continue
         trial = evaluate_contact(contact, rotations, state.x + move)
         spent, owed = (float(contact.capacity @ np.abs(at.turned - before)) for at in (trial, state))
@@ -292,7 +288,7 @@ def slide(
             delay *= 0.25
             continue
         state, before, heat, signs = trial, trial.turned, heat + spent, found[1]
-        delay = min(delay * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)
+        delay = grown(delay, turn)
     return None
 
 

@@ -46,21 +46,53 @@ NEWTON = Newton()
 
 
 @dataclass(frozen=True)
-class Continuation:
-    """How a branch of equilibria is followed.
+class Continuation(Settings):
+    """How a branch of equilibria is followed, and where a robot goes that has lost its own.
 
-    largest_ratio: Newton must shrink its steps at least so much: beyond that it may be on its way to another branch.
-    largest_twist: largest change (rad) of the twist theta - alpha at a point in one step.
-    soft_twist: the same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther
-        apart.
-    shortest_step, shortest_load_step: fraction of a way, and of one with a load, below which a step that fails means
-        that the branch has ended.
-    towards_end: part of the way to where the margin seems to vanish that is stepped at once.
-    symmetric: a growing load whose part along the softest direction is smaller than this meets a bifurcation there.
-    compiled_step: fraction of a load below which the compiled kernel leaves a step that fails to the general solver.
-    compiled_part: the same of a way in joint values and load.
-    least_stiffness: margin below which errors no longer grow in the estimate.
-    hardly_softened: margins above need the check of their accuracy; the others are surer than the shape.
+    Args:
+        largest_ratio: Newton must shrink its steps at least so much: beyond that it may be on its way to another
+            branch.
+        largest_twist: largest change (rad) of the twist theta - alpha at a point in one step.
+        soft_twist: the same (rad) where the margin is 0. The two stable branches beside a narrow fold are little
+            farther apart.
+        shortest_step, shortest_load_step: fraction of a way, and of one with a load, below which a step that fails
+            means that the branch has ended.
+        towards_end: part of the way to where the margin seems to vanish that is stepped at once.
+        symmetric: a growing load whose part along the softest direction is smaller than this meets a bifurcation there.
+        compiled_step: fraction of a load below which the compiled kernel leaves a step that fails to the general
+            solver.
+        compiled_part: the same of a way in joint values and load.
+        least_stiffness: margin below which errors no longer grow in the estimate.
+        hardly_softened: margins above need the check of their accuracy; the others are surer than the shape.
+        fold_steps, loaded_fold_steps: of Newton's method to a fold at most, without load and with one.
+        fold_difference: step of the differences along the softest direction, as a turn (rad) of a tube or of the arm.
+        widest: largest part of the way between the last stable point that was found and the one where stability is
+            lost.
+        branch_points: of a branch that is traced through its folds, at most.
+        nudge: push (rad) along the softest direction that starts a fall.
+        stride: largest turn (rad) of a point in one step downhill: short, so that the steps stay in the valley that
+            they are in.
+        flow_steps: of a fall at most.
+        smooth_turn: a loss of stability after which no point turns by more than this (rad) is a bifurcation into a
+            neighbouring branch, not a snap.
+        least_turn: that (rad) tells where the robot lands from where it was.
+        past: fraction of a way, or part of a load, by which a smooth change of branch is left behind, where both
+            branches are one.
+        load_stage: every stage of a growing load ends with so many times the load of the one before, on a mesh of its
+            own.
+        load_starts, most_load_starts: of the search for all equilibria under a load, in its first and in its last
+            round; every round has twice those of the one before.
+        towards_rubbing_fold: part of the way to a fold with friction in one step. The state moves as the square root of
+            the way that is left, on which Newton's method shrinks its steps enough (`largest_ratio`) up to 0.75 of it.
+        rubbing_past: shortest steps by which the joints are past the last state that was found when a robot with
+            friction flows from it.
+        landed_step: part of the longest step with which a motion with friction goes on from where it landed, and which
+            no path is too short for.
+        hop: part of the longest step below which a state that only friction holds may hop.
+        rubbing_waypoints: that are handed to the compiled kernel at once.
+
+    Raises:
+        InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     largest_ratio: float = 0.3
@@ -74,6 +106,25 @@ class Continuation:
     compiled_part: float = 1e-2
     least_stiffness: float = 1e-6
     hardly_softened: float = 0.99
+    fold_steps: int = 25
+    loaded_fold_steps: int = 20
+    fold_difference: float = 1e-4
+    widest: float = 1e-3
+    branch_points: int = 4000
+    nudge: float = 1e-2
+    stride: float = 0.1
+    flow_steps: int = 2000
+    smooth_turn: float = 0.05
+    least_turn: float = 1e-3
+    past: float = 1e-4
+    load_stage: float = 4.0
+    load_starts: int = 128
+    most_load_starts: int = 512
+    towards_rubbing_fold: float = 0.72
+    rubbing_past: float = 1e4
+    landed_step: float = 1e-3
+    hop: float = 0.1
+    rubbing_waypoints: int = 256
 
 
 CONTINUATION = Continuation()

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription.reduced import ReducedProblem, evaluate
-from ..block.transcription.second_variation import margin
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics
@@ -16,12 +15,11 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.robot import Robot
-from ..solvers.newton import NewtonResult, newton
+from ..solvers.newton import newton
 from ..solvers.parallel.blas import small
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .folds import Fold, polish_fold
-
-MOST_POINTS = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +78,8 @@ def trace_branch(
     solution = polish(first)
     problem = solution.problem
     points, folds = _continue(path, problem, solution.result.state.z, positive("step", step))
-    equilibria = [
-        to_equilibrium(robot, _solution(path, problem, t, z), tuple(shift.tolist()), ("newton", "arclength", 0.0))
-        for t, z in points
-    ]
+    how, solutions = ("newton", "arclength", 0.0), [Solution.at(problem, path.at(t)[0], z) for t, z in points]
+    equilibria = [to_equilibrium(robot, each, tuple(shift.tolist()), how) for each in solutions]
     return Branch(
         fraction=np.array([t for t, _ in points]),
         rotations=np.array([e.rotations for e in equilibria]),
@@ -93,12 +89,6 @@ def trace_branch(
             to_equilibrium(robot, fold.solution, tuple(shift.tolist()), ("newton", "fold", 0.0)) for fold in folds
         ),
     )
-
-
-def _solution(path: JointPath, problem: ReducedProblem, t: float, z: Array) -> Solution:
-    rotations = path.at(t)[0]
-    state = evaluate(problem, rotations, z)
-    return Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state))
 
 
 def _system(path: JointPath, problem: ReducedProblem, t: float, z: Array) -> tuple[Array, Array, Array]:
@@ -119,7 +109,7 @@ def _continue(
     _, hessian, slope = _system(path, problem, t, z)
     tangent = _tangent(hessian, slope / scale, np.append(np.zeros(len(z)), 1.0))
     points, folds = [(t, z)], []
-    while len(points) < MOST_POINTS:
+    while len(points) < CONTINUATION.branch_points:
         turn = max(float(np.abs(problem.factor @ tangent[:-1]).max(initial=0.0)), abs(float(tangent[-1])))
         trial = _correct(path, problem, t, z, tangent * (step / turn), scale)
         if trial is None:
@@ -131,7 +121,7 @@ def _continue(
         _, hessian, slope = _system(path, problem, t_new, z_new)
         following = _tangent(hessian, slope / scale, tangent)
         if following[-1] * tangent[-1] < 0:
-            fold = polish_fold(path, Point(t_new, _solution(path, problem, t_new, z_new)))
+            fold = polish_fold(path, Point(t_new, Solution.at(problem, path.at(t_new)[0], z_new)))
             if fold is not None:
                 folds.append(fold)
                 points.append((fold.t, fold.solution.result.state.z))

@@ -9,13 +9,11 @@ import numpy as np
 from ..block.transcription.buffered import section_function
 from ..block.transcription.mesh import make_mesh
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce
-from ..block.transcription.second_variation import margin, softest
+from ..block.transcription.second_variation import softest
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import Solution
-from ..solvers.newton import NewtonResult
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
-
-FOLD_ITERATIONS = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
     z, t = near.solution.result.state.z, near.t
     v = softest(known, near.solution.result.state)
     size = len(z)
-    for _ in range(FOLD_ITERATIONS):
+    for _ in range(CONTINUATION.fold_steps):
         problem = _problem_like(path, t, known)
         if problem is None or problem.size != size:
             return None
@@ -65,17 +63,8 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
     else:
         if turn > 1e-7:
             return None
-    return _fold(path, t, known, z, v)
-
-
-def _fold(path: JointPath, t: float, known: ReducedProblem, z: Array, v: Array) -> Fold | None:
     problem = _problem_like(path, t, known)
-    if problem is None:
-        return None
-    rotations = path.at(t)[0]
-    state = evaluate(problem, rotations, z)
-    solution = Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state))
-    return Fold(t, solution, v)
+    return None if problem is None else Fold(t, Solution.at(problem, path.at(t)[0], z), v)
 
 
 def _problem_like(path: JointPath, t: float, known: ReducedProblem) -> ReducedProblem | None:

@@ -22,21 +22,12 @@ from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.settings import CONTINUATION
 from ..typing import Array, Sentence
 from .folds import Fold, polish_fold
 from .landing import distance, land
 from .loaded_following import LoadedSnap, loaded_legs
 from .rubbing_following import rubbing_legs
-
-SMOOTH_TURN = 0.05
-"""A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
-not a snap."""
-
-LEAST_TURN = 1e-3
-"""A turn (rad) of this size tells where the robot lands from where it was."""
-
-PAST = 1e-4
-"""Fraction of a segment by which a smooth change of branch is left behind, where both branches are one."""
 
 
 class SnapStatus(Sentence):
@@ -329,10 +320,10 @@ def beyond(path: JointPath, here: Point, goal: float, fold: Fold) -> Event | Poi
     """What happens at a fold ahead of a point: a snap, or a smooth change to a neighbouring branch."""
     landed = land(fold.solution, fold.direction)
     turn = 0.0 if landed is None else distance(landed, fold.solution)
-    t = min(goal, fold.t + PAST)
-    unstable = solve_at(path, t, here) if turn <= SMOOTH_TURN else None
+    t = min(goal, fold.t + CONTINUATION.past)
+    unstable = solve_at(path, t, here) if turn <= CONTINUATION.smooth_turn else None
     # Without equilibria beyond the fold even a small turn is a snap.
-    if landed is not None and unstable is None and turn > LEAST_TURN:
+    if landed is not None and unstable is None and turn > CONTINUATION.least_turn:
         return Event(fold, Point(fold.t, landed))
     # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
     landed = None if unstable is None else land(unstable.solution, _softest(unstable.solution))

@@ -8,16 +8,10 @@ import scipy
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin
 from ..equilibrium.solving import Solution
+from ..solvers.flow import flow
 from ..solvers.newton import NewtonResult, newton
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
-
-NUDGE = 1e-2
-"""Push (rad) along the direction without stiffness."""
-
-STRIDE = 0.1
-"""Largest turn (rad) of a point in one step downhill: short, so that the steps stay in the valley that they are in."""
-
-MOST_STEPS = 2000
 
 
 def land(solution: Solution, direction: Array) -> Solution | None:
@@ -44,37 +38,34 @@ def land(solution: Solution, direction: Array) -> Solution | None:
 
 def _sides(problem: ReducedProblem, rotations: Array, z: Array, direction: Array) -> list[Array]:
     """Starting points (U,) beside z along `direction`, on the sides that lead down; on both if none does."""
-    push = NUDGE / float(np.abs(problem.factor @ direction).max()) * direction
+    push = CONTINUATION.nudge / float(np.abs(problem.factor @ direction).max()) * direction
     down = [side for side in (push, -push) if float(evaluate(problem, rotations, z + side).gradient @ side) < 0]
     return [z + side for side in down or (push, -push)]
 
 
-def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
+def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult[Evaluation]:
     """The gradient flow of the energy from z (U,) to the minimum where it ends.
 
     Tubes off the centreline flow down what stands for the gradient, their residual: at their fold the same tubes on the
     centreline may still have a minimum close by, in which a descent of that energy would be caught.
-
-    Linearly implicit Euler steps of at most STRIDE, which grow into those of Newton where the flow comes to rest. Time
-    steps may be as long as the softest direction allows, so that a flat valley costs no more steps than a steep one.
     """
-    state, time, eccentric = evaluate(problem, rotations, z), 1.0, problem.assembly.eccentric
-    identity = np.eye(len(z))
-    for count in range(1, MOST_STEPS + 1):
-        step, not_convex = _step(problem, state, identity / time)
-        turn = float(np.abs(problem.factor @ step).max(initial=0.0))
-        if not_convex or turn > STRIDE:
-            time *= 0.25 if not_convex else max(0.1, 0.8 * STRIDE / turn)
-            continue
-        trial = evaluate(problem, rotations, state.z + step)
-        if not eccentric and trial.energy > state.energy + 1e-13 * (problem.energy_parts + abs(state.energy)):
-            time *= 0.25
-            continue
-        state, time = trial, min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)
-        if turn < 1e-6 and time > 1e6:
-            last = newton(problem, rotations, state.z, iterations=4)
-            return NewtonResult(last.state, last.converged, count, 0.0)
-    return NewtonResult(state, False, MOST_STEPS, 0.0)
+    eccentric = problem.assembly.eccentric
+
+    def step(state: Evaluation, time: float) -> tuple[Array, float, bool]:
+        change, not_convex = _step(problem, state, np.eye(len(z)) / time)
+        return change, float(np.abs(problem.factor @ change).max(initial=0.0)), not_convex
+
+    def moved(state: Evaluation, change: Array) -> Evaluation | None:
+        there = evaluate(problem, rotations, state.z + change)
+        rises = there.energy > state.energy + 1e-13 * (problem.energy_parts + abs(state.energy))
+        return None if rises and not eccentric else there
+
+    begin = evaluate(problem, rotations, z)
+    rest = flow(begin, step, moved)
+    if rest is None:
+        return NewtonResult(begin, False, CONTINUATION.flow_steps, 0.0)
+    last = newton(problem, rotations, rest[0].z, iterations=4)
+    return NewtonResult(last.state, last.converged, rest[1], 0.0)
 
 
 def _step(problem: ReducedProblem, state: Evaluation, shift: Array) -> tuple[Array, bool]:

@@ -20,14 +20,9 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
 from ..solvers.parallel.blas import small
+from ..solvers.settings import CONTINUATION
 from ..typing import Sentence
 from .loaded_events import Loss, branch_end, fall
-
-PAST = 1e-4
-"""Part of the factor by which a bifurcation is left behind: at the limit itself the robot has not yet moved."""
-
-STAGE = 4.0
-"""Every stage of a growing load ends with so many times the load of the one before, on a mesh of its own."""
 
 
 class LoadLimitStatus(Sentence):
@@ -46,8 +41,8 @@ class LoadLimit(Displayed):
         kind: "fold": the equilibrium vanishes, and the robot snaps.  "bifurcation": it goes on, but unstable, and the
             robot leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses.
         before: the equilibrium at the limit (margin 0).
-        after: where the robot goes: at a fold at the same load, at a bifurcation at a load larger by PAST, where the
-            side is as likely as the other. None where descent finds no equilibrium.
+        after: where the robot goes: at a fold at the same load, at a bifurcation at a load larger by `past` of
+            `Continuation`, where the side is as likely as the other. None where descent finds no equilibrium.
         tip_jump: m.   energy_released: of tubes and load together, J; both at the load of `after`, from the equilibrium
             that the robot leaves, and NaN without an `after`.
     """
@@ -135,7 +130,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily,
     robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
     point, reached = None, 0.0
     while reached < up_to:
-        goal = min(up_to, STAGE * reached if reached else 1.0)
+        goal = min(up_to, CONTINUATION.load_stage * reached if reached else 1.0)
         grown = load.scaled(goal)
         problem = loaded_problem(robot, shift, grown)
         point = (
@@ -168,7 +163,7 @@ def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
 def _described(robot: Robot, family: LoadFamily, loss: Loss, scale: float) -> LoadLimit:
     load = family.problem.load
     before = to_loaded(robot, loss.point, load.scaled(loss.t), LOADED_DISCRETISATION)
-    left = loss.point if loss.kind == "fold" else _restart(loss.point, family.member(loss.t * (1 + PAST)))
+    left = loss.point if loss.kind == "fold" else _restart(loss.point, family.member(loss.t * (1 + CONTINUATION.past)))
     landed = fall(left.member, left.state.x, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))

@@ -22,19 +22,17 @@ from ..errors import InputError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.loaded import loaded_newton, turn_of
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .certificate import worst_case
 from .loaded_certificate import loaded_worst_case
-from .loaded_events import NUDGE, slide
+from .loaded_events import slide
 
 SAME = 1e-5
 """Equilibria that differ by less (rad) everywhere are one."""
 
 CONVEX = 1e-6
 """Certificate above which there is one equilibrium."""
-
-FIRST_ROUND, LAST_ROUND = 128, 512
-"""Starting points of the search in its first and in its last round; every round has twice those of the one before."""
 
 LARGEST_TWIST = 2 * np.pi
 """Twist of a tube at the tip (rad) up to which starting points reach."""
@@ -64,8 +62,8 @@ def loaded_equilibria(
     for equilibrium in plain:
         theta = sample_rotation(equilibrium, member.problem.torsion.arc_length)
         _add(found, member, unknowns(member.problem, rotations, theta))
-    sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), FIRST_ROUND
-    while count <= LAST_ROUND:
+    sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), CONTINUATION.load_starts
+    while count <= CONTINUATION.most_load_starts:
         new = sum(_add(found, member, x) for x in _starts(member, sequence.random(count)))
         new += _descend(found, member, explored)
         # There is a least energy, so a set without a stable equilibrium is not all.
@@ -126,7 +124,7 @@ def _descend(found: list[LoadedPoint], member: Member, explored: set[int]) -> in
         explored.add(k)
         values, vectors = np.linalg.eigh(point.state.hessian)
         for direction in vectors.T[values < 0]:
-            push = NUDGE / turn_of(member.problem, point.state, direction) * direction
+            push = CONTINUATION.nudge / turn_of(member.problem, point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
                 new += landed.converged and _add(found, member, landed.state.x)

@@ -11,27 +11,14 @@ import scipy
 from ..block.transcription.loaded import LoadedState, evaluate
 from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
 from ..equilibrium.loaded import bifurcates, solved
-from ..solvers.loaded import LoadedResult, loaded_margin, loaded_newton, turn_of
+from ..solvers.flow import flow
+from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
+from ..solvers.newton import NewtonResult
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
-
-FOLD_ITERATIONS = 20
-
-DIFFERENCE = 1e-4
-"""Step of the differences along the softest direction, as a turn of a tube or of the arm, rad."""
-
-NUDGE = 1e-2
-"""Push (rad) along the softest direction that starts a fall."""
-
-STRIDE = 0.1
-"""Largest turn (rad) in one step of a fall."""
-
-MOST_STEPS = 2000
 
 NEUTRAL = 1e-9
 """A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
-
-WIDEST = 1e-3
-"""Largest part of the way between the last stable point that was found and the one where stability is lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +49,7 @@ def fold(family: Family, near: LoadedPoint) -> Loss | None:
     t, x = near.t, near.state.x
     border = np.linalg.eigh(near.state.hessian)[1][:, 0]
     size = len(x)
-    for iteration in range(FOLD_ITERATIONS):
+    for iteration in range(CONTINUATION.loaded_fold_steps):
         here = family.member(t)
         if here.problem.size != size:
             return None
@@ -87,7 +74,7 @@ def fold(family: Family, near: LoadedPoint) -> Loss | None:
             break
     else:
         return None
-    if abs(t - near.t) > WIDEST * max(1.0, abs(t)):
+    if abs(t - near.t) > CONTINUATION.widest * max(1.0, abs(t)):
         return None
     there = family.member(t)
     state = evaluate(there.problem, there.rotations, x, there.factor)
@@ -110,7 +97,7 @@ def _slope(family: Family, t: float, x: Array) -> Array | None:
 def _sigma_slopes(family: Family, t: float, x: Array, v: Array, state: LoadedState) -> tuple[Array, float]:
     """Derivatives of sigma = -v'Hv by x and by t."""
     here = family.member(t)
-    push = DIFFERENCE / turn_of(here.problem, state, v)
+    push = CONTINUATION.fold_difference / turn_of(here.problem, state, v)
     sides = [evaluate(here.problem, here.rotations, x + sign * push * v, here.factor) for sign in (1, -1)]
     by_x = -(sides[0].gradient - 2 * state.gradient + sides[1].gradient) / push**2
     slopes = [_slope(family, t, x + sign * push * v) for sign in (1, -1)]
@@ -128,7 +115,7 @@ def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
         return solved(there, result, t) if result.converged else None
 
     ahead = 1e-7
-    while ahead < WIDEST:
+    while ahead < CONTINUATION.widest:
         t = min(goal, near.t + ahead * max(1.0, abs(goal)))
         beyond = at(t)
         if beyond is None:
@@ -162,7 +149,7 @@ def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     """The minimum to which potential energy falls from x (U + 2 N,) after a push along `direction`, to the side that
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
     state = evaluate(member.problem, member.rotations, x, member.factor)
-    push = NUDGE / turn_of(member.problem, state, direction) * direction
+    push = CONTINUATION.nudge / turn_of(member.problem, state, direction) * direction
     sides = [side for side in (push, -push) if _gradient(member, x + side) @ side < 0] or [push, -push]
     best: LoadedPoint | None = None
     for side in sides:
@@ -179,25 +166,23 @@ def _gradient(member: Member, x: Array) -> Array:
     return evaluate(member.problem, member.rotations, x, member.factor).gradient
 
 
-def slide(member: Member, x: Array) -> LoadedResult:
-    """The gradient flow of the potential energy from x to the minimum where it ends: linearly implicit Euler steps of
-    at most STRIDE, which grow into those of Newton where the flow comes to rest."""
+def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
+    """The gradient flow of the potential energy from x to the minimum where it ends."""
     problem, rotations, factor = member.problem, member.rotations, member.factor
-    state, time = evaluate(problem, rotations, x, factor), 1.0
-    scale = state.energy + abs(state.work)
-    for count in range(1, MOST_STEPS + 1):
+    begin = evaluate(problem, rotations, x, factor)
+    scale = begin.energy + abs(begin.work)
+
+    def step(state: LoadedState, time: float) -> tuple[Array, float, bool]:
         matrix = state.hessian + np.eye(problem.size) / time
-        _, step, not_convex = scipy.linalg.lapack.dposv(matrix, -state.gradient)
-        turn = turn_of(problem, state, step)
-        if not_convex or turn > STRIDE:
-            time *= 0.25 if not_convex else max(0.1, 0.8 * STRIDE / turn)
-            continue
-        trial = evaluate(problem, rotations, state.x + step, factor)
-        if trial.potential > state.potential + 1e-13 * scale:
-            time *= 0.25
-            continue
-        state, time = trial, min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)
-        if turn < 1e-6 and time > 1e6:
-            last = loaded_newton(problem, rotations, state.x, factor, iterations=4)
-            return LoadedResult(last.state, last.converged, count, 0.0)
-    return LoadedResult(state, False, MOST_STEPS, 0.0)
+        _, change, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
+        return change, turn_of(problem, state, change), failed != 0
+
+    def moved(state: LoadedState, change: Array) -> LoadedState | None:
+        there = evaluate(problem, rotations, state.x + change, factor)
+        return None if there.potential > state.potential + 1e-13 * scale else there
+
+    rest = flow(begin, step, moved)
+    if rest is None:
+        return NewtonResult(begin, False, CONTINUATION.flow_steps, 0.0)
+    last = loaded_newton(problem, rotations, rest[0].x, factor, iterations=4)
+    return NewtonResult(last.state, last.converged, rest[1], 0.0)

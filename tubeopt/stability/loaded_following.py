@@ -18,15 +18,9 @@ from ..errors import InputError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .loaded_events import Loss, branch_end, fall
-
-SMOOTH_TURN = 0.05
-"""A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
-not a snap."""
-
-PAST = 1e-4
-"""Fraction of a segment by which a smooth change of branch is left behind, where both branches are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +59,7 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
         loss = Loss(last.t, last, "fold", np.linalg.eigh(last.state.hessian)[1][:, 0])
     left, t = loss.point, loss.t
     if loss.kind == "bifurcation":
-        t = min(1.0, loss.t + PAST)
+        t = min(1.0, loss.t + CONTINUATION.past)
         there = family.member(t)
         result = loaded_newton(there.problem, there.rotations, carry(loss.point, there), there.factor)
         left = solved(there, result, t) if result.converged else loss.point
@@ -75,7 +69,7 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
     landed = replace(landed, t=left.t)
     turn = float(np.abs(landed.state.theta - left.state.theta).max(initial=0.0))
     bend = 2 * float(np.linalg.norm(landed.state.orientation.stage - left.state.orientation.stage, axis=1).max())
-    if loss.kind == "bifurcation" and max(turn, bend) <= SMOOTH_TURN:
+    if loss.kind == "bifurcation" and max(turn, bend) <= CONTINUATION.smooth_turn:
         return landed
     return LoadedEvent(replace(loss, point=left), landed)
 

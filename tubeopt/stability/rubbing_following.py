@@ -21,17 +21,11 @@ from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 
 SHORTEST = 1e-11
 """Turn of a base (rad), or shift over the longest tube, in a step that fails only where the state is lost."""
-
-SHORT = 1e-3
-"""Part of the longest step with which a motion goes on from where it landed, and which no path is too short for."""
-
-MOST_OF_THE_WAY = 0.72
-"""Part of the way to a fold in one step. The state moves as the square root of the way that is left, on which Newton's
-method shrinks its steps enough (`LARGEST_RATIO`) up to 0.75 of it."""
 
 UNTOLD = 1e-9
 """Margin whose square is round-off, which tells of no fold."""
@@ -45,7 +39,7 @@ class Stride:
 
     def __init__(self, path: JointPath) -> None:
         self.longest = path.largest_step()
-        self.shortest = min(SHORTEST / max(path.span(), SHORTEST), SHORT * self.longest)
+        self.shortest = min(SHORTEST / max(path.span(), SHORTEST), CONTINUATION.landed_step * self.longest)
         self.size, self._halted, self._wall = self.longest, False, 0.0
         self._before: tuple[float, Held] | None = None
 
@@ -65,7 +59,8 @@ class Stride:
 
     def landed(self) -> None:
         """After the state was another one at once."""
-        self.size, self._halted, self._wall, self._before = max(self.size, SHORT * self.longest), False, 0.0, None
+        self.size = max(self.size, CONTINUATION.landed_step * self.longest)
+        self._halted, self._wall, self._before = False, 0.0, None
 
     def _ahead(self, t: float, held: Held) -> float:
         """Most of the way from a state at t to the fold that it and the one before tell of; infinite without one."""
@@ -73,23 +68,8 @@ class Stride:
             return float("inf")
         s, earlier = self._before
         soft, softer = earlier.held_margin**2, held.held_margin**2
-        return MOST_OF_THE_WAY * (t - s) * softer / (soft - softer) if softer < soft else float("inf")
+        return CONTINUATION.towards_rubbing_fold * (t - s) * softer / (soft - softer) if softer < soft else float("inf")
 
-
-SMOOTH_TURN = 0.05
-"""A loss of stability after which no point turns by more than this (rad) is no snap."""
-
-PAST = 1e4
-"""Shortest steps by which the joints are past the last state that was found when the robot flows from it."""
-
-HOP = 0.1
-"""Part of the longest step below which a state that only friction holds may hop."""
-
-NUDGE = 1e-2
-"""Push (rad) in the softest direction, with which the flow begins."""
-
-AT_ONCE = 256
-"""Waypoints that are handed to the compiled kernel."""
 
 NOWHERE = np.zeros(0)
 """No stations behind the tip."""
@@ -119,7 +99,7 @@ def rubbing_legs(
     yield partial(_same, held), []
     k = 1
     while k < len(joints):
-        rows = joints[k - 1 : k + AT_ONCE]
+        rows = joints[k - 1 : k + CONTINUATION.rubbing_waypoints]
         many = sweep(robot, held, rows, NOWHERE, margins=False)
         count = 0 if many is None else len(many.margin)
         if many is not None and count:
@@ -169,15 +149,15 @@ def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
             shorter = stride.failed(t, held, at)
             # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
             # goes far, a snap lies before it.
-            if held.margin <= 0 and stride.size < HOP * stride.longest and t >= far:
+            if held.margin <= 0 and stride.size < CONTINUATION.hop * stride.longest and t >= far:
                 there = _hopped(path, held, at)
                 far = at if there is None else far
             if there is None and shorter:
                 continue
             if there is None:
-                at, far = min(goal, t + PAST * stride.shortest), -1.0
+                at, far = min(goal, t + CONTINUATION.rubbing_past * stride.shortest), -1.0
                 there = _landed(path, held, at)
-                if _distance(held, there) > SMOOTH_TURN:
+                if _distance(held, there) > CONTINUATION.smooth_turn:
                     yield RubbingSnap(t, held, there)
             t, held = at, there
             stride.landed()
@@ -207,17 +187,17 @@ def _hopped(path: JointPath, held: Held, t: float) -> Held | None:
     contact, before, x = carried(path.robot, held, rotations, translations)
     landed = slide(contact, rotations, x, before)
     there = None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])
-    return there if there is not None and _distance(held, there) <= SMOOTH_TURN else None
+    return there if there is not None and _distance(held, there) <= CONTINUATION.smooth_turn else None
 
 
 def _landed(path: JointPath, held: Held, t: float) -> Held:
     """Where the robot flows to from a state that is no equilibrium any more, with a push."""
     rotations, translations = path.at(t)
     contact, before, x = carried(path.robot, held, rotations, translations)
-    push = NUDGE * softest(held.contact, held.found.state, held.found.signs)
+    push = CONTINUATION.nudge * softest(held.contact, held.found.state, held.found.signs)
     if contact is not held.contact:  # on another mesh the softest direction is that of the state carried over
         state = evaluate_contact(contact, rotations, x)
-        push = NUDGE * softest(contact, state, np.ones(len(before), dtype=np.int8))
+        push = CONTINUATION.nudge * softest(contact, state, np.ones(len(before), dtype=np.int8))
     landed = slide(contact, rotations, x, before, push)
     if landed is None:
         raise SolveError(

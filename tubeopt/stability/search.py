@@ -9,13 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..block.transcription.reduced import ReducedProblem, evaluate
-from ..block.transcription.second_variation import margin
+from ..block.transcription.reduced import ReducedProblem
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
-from ..solvers.newton import NewtonResult
 from ..solvers.sampling import sobol
 from ..typing import Array, Index, Mask
 from .folds import Fold
@@ -153,8 +151,8 @@ def _absolute(search: Search, start: Array, joints: NDArray[np.float64]) -> Arra
 def _across_folds(search: Search, start: Array, unstable: Array, allowed: Callable[[Array], Mask]) -> Iterator[Array]:
     """(n,) rotations a little beyond folds at which the sheet ends; none where no equilibrium is known unstable."""
     if len(unstable):
-        sheet = stable_sheet(search.problem, search.coupled, start, unstable)
-        for fold in folds(sheet, allowed, search.effort.folds):
+        sheet = stable_sheet(search.problem, search.coupled, start, unstable, search.effort)
+        for fold in folds(sheet, allowed, search.effort):
             yield _absolute(search, start, fold * (1 + search.effort.overshoot / np.abs(fold).max()))
 
 
@@ -224,8 +222,7 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
     rotations = path.at(t)[0]
 
     def solution(z: Array) -> Solution:
-        state = evaluate(search.problem, rotations, z)
-        return Solution(search.problem, rotations, NewtonResult(state, True, 0, 0.0), margin(search.problem, state))
+        return Solution.at(search.problem, rotations, z)
 
     vanishing = Fold(t, solution(sign * fold.z), fold.direction)
     after = land(vanishing.solution, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)

@@ -18,11 +18,16 @@ class SnapSearch(Settings):
         local_searches: from the best samples.
         evaluations: of the certificate by the global search over translations.
         folds: at which the sheet of stable equilibria ends, to which ways are tried.
+        sheet_turns: of the tips around the relaxed pose in which folds are looked for, at most; a fold may belong to
+            joints that are turned further.
+        sheet_nodes: of all turns together.
+        sheet_apart: folds in whose directions from the relaxed pose a relative rotation differs by less than this part
+            are one try.
         overshoot: how far (rad) a way goes on beyond a fold.
         random_ways: directions in which a snap is looked for in the end.
 
     Raises:
-        InputError: a count that is no whole number of at least 1, an overshoot that is not positive.
+        InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     samples: int = 512
@@ -30,6 +35,9 @@ class SnapSearch(Settings):
     local_searches: int = 6
     evaluations: int = 1500
     folds: int = 12
+    sheet_turns: int = 3
+    sheet_nodes: int = 1_000_000
+    sheet_apart: float = 0.2
     overshoot: float = 0.3
     random_ways: int = 32
 

@@ -16,6 +16,7 @@ import scipy
 
 from ..block.transcription.reduced import ReducedProblem
 from ..typing import Array, Index, Mask
+from .settings import SnapSearch
 from .shooting import relative, relative_joints, relative_slope
 
 TURN = 2 * np.pi
@@ -24,15 +25,6 @@ GRID = {1: 256, 2: 64, 3: 16, 4: 8}
 """Points per turn, by the number of relative tip angles."""
 
 COARSEST_GRID = 5
-
-MOST_NODES = 1_000_000
-"""Nodes of all turns together."""
-
-FURTHEST = 3
-"""Turns of the tips around the relaxed pose at most; a fold may belong to joints that are turned further."""
-
-APART = 0.2
-"""Folds in whose directions from the relaxed pose a relative rotation differs by less than this part are one try."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +40,7 @@ class Sheet:
     centre: tuple[int, ...]
 
 
-def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable: Array) -> Sheet:
+def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable: Array, effort: SnapSearch) -> Sheet:
     """The grid around relaxed rotations `start` (n,), in which the tip angles `unstable` (B, n), each an unstable
     equilibrium, take the place of the nodes next to them: so an unstable region smaller than a cell is not missed."""
     d = len(coupled) - 1
@@ -65,7 +57,7 @@ def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable
     joints = relative_joints(problem, coupled, angles) - origin
     determinant = np.linalg.det(relative_slope(problem, coupled, angles))
     determinant[places] = np.minimum(determinant[places], 0.0)
-    turns = min(FURTHEST, int(((MOST_NODES / len(tips)) ** (1 / d) - 1) / 2))
+    turns = min(effort.sheet_turns, int(((effort.sheet_nodes / len(tips)) ** (1 / d) - 1) / 2))
     whole = (2 * turns + 1,) * d
     offset = np.stack(np.meshgrid(*[np.repeat(np.arange(-turns, turns + 1), size)] * d, indexing="ij"), axis=-1)
     return Sheet(
@@ -75,8 +67,8 @@ def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable
     )
 
 
-def folds(sheet: Sheet, allowed: Callable[[Array], Mask], most: int) -> Array:
-    """(E, d) about the relative joint rotations of up to `most` folds at which the sheet ends, from the relaxed pose.
+def folds(sheet: Sheet, allowed: Callable[[Array], Mask], effort: SnapSearch) -> Array:
+    """(E, d) about the relative joint rotations of folds at which the sheet ends, from the relaxed pose.
 
     The nearest come first, each in a direction of its own. `allowed`, (..., d) -> (...), admits the joint rotations of
     the fold and of a way to it on the sheet.
@@ -91,9 +83,9 @@ def folds(sheet: Sheet, allowed: Callable[[Array], Mask], most: int) -> Array:
     chosen: list[int] = []
     for k in np.argsort(size, kind="stable"):
         apart = np.abs(found[k] / size[k] - found[chosen] / size[chosen][:, None]).max(1)
-        if (apart > APART).all():
+        if (apart > effort.sheet_apart).all():
             chosen.append(int(k))
-        if len(chosen) == most:
+        if len(chosen) == effort.folds:
             break
     return np.asarray(found[chosen])
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription.program import Structure, add_torsion, structure_of, torsion_guess, torsion_numbers
-from ..block.transcription.reduced import evaluate, to_unknowns
-from ..block.transcription.second_variation import margin
+from ..block.transcription.reduced import to_unknowns
 from ..equilibrium.continuation import JointPath, Point, follow_to
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -19,7 +18,6 @@ from ..errors import InputError, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.ipopt import EQUILIBRIUM, inside_points
-from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemStatus
@@ -162,5 +160,4 @@ def _at_fold(path: JointPath, here: Point, t: float, theta: Array) -> Point:
     """The point of the program's solution, on the mesh of `here`, which may be a little off where lengths change."""
     problem = here.solution.problem
     rotations = path.at(t)[0]
-    state = evaluate(problem, rotations, to_unknowns(problem, rotations, theta))
-    return Point(t, Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state)))
+    return Point(t, Solution.at(problem, rotations, to_unknowns(problem, rotations, theta)))

@@ -1,0 +1,50 @@
+"""The gradient flow of an energy, down to where it comes to rest.
+
+Linearly implicit Euler steps, no longer than a stride, grow into those of Newton's method. Time steps may be as long as
+the softest direction allows, so that a flat valley costs no more steps than a steep one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from ..typing import Array
+from .settings import CONTINUATION
+
+S = TypeVar("S")
+
+
+def flow(
+    state: S, step: Callable[[S, float], tuple[Array, float, bool]], moved: Callable[[S, Array], S | None]
+) -> tuple[S, int] | None:
+    """The state where the flow from another comes to rest, and the steps that took; None where it does not.
+
+    Args:
+        step: from a state in a time: change, its largest turn (rad), and whether its matrix is not positive.
+        moved: a state after a change; None where its energy rises.
+    """
+    time = 1.0
+    for count in range(1, CONTINUATION.flow_steps + 1):
+        change, turn, not_convex = step(state, time)
+        if not_convex or turn > CONTINUATION.stride:
+            time *= 0.25 if not_convex else shortened(turn)
+            continue
+        there = moved(state, change)
+        if there is None:
+            time *= 0.25
+            continue
+        state, time = there, grown(time, turn)
+        if turn < 1e-6 and time > 1e6:
+            return state, count
+    return None
+
+
+def shortened(turn: float) -> float:
+    """By what a time is multiplied after a step with this turn (rad), which was too long."""
+    return max(0.1, 0.8 * CONTINUATION.stride / turn)
+
+
+def grown(time: float, turn: float) -> float:
+    """The time after one whose step had this turn (rad)."""
+    return min(time * min(3.0, max(1.0, 0.8 * CONTINUATION.stride / max(turn, 1e-12))), 1e12)
