@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription.buffered import section_function
-from ..errors import SolveError, vector
+from ..errors import SolveError
 from ..robots.assembly import ROUND_OFF
 from ..robots.eccentric import SegmentedEccentricRobot
+from ..robots.robot import joint_values
 from ..typing import Array
 from .kinematics import forward_kinematics
 from .result import Equilibrium
@@ -116,8 +117,7 @@ def chained_approximation(
         InputError: wrong number of joint values, or joint values that `robot` does not allow.
         SolveError: a segment has no stable equilibrium that could be found.
     """
-    alpha = vector("rotations", rotations, robot.n_tubes)
-    shift = vector("translations", robot.home_translations if translations is None else translations, robot.n_tubes)
+    alpha, shift = joint_values(robot, rotations, translations)
     bundle = robot.assembly(shift)
     transition, end = bundle.transition[::3], bundle.end[::3]
     segments, starts, lines, lengths = [], [], [np.zeros((1, 3))], [np.zeros(1)]

@@ -18,10 +18,10 @@ from ..block.transcription.reduced import (
     worst_equation,
 )
 from ..block.transcription.second_variation import margin
-from ..errors import InputError, SolveError, positive, vector
+from ..errors import InputError, SolveError, positive
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
-from ..robots.robot import Robot, check_robot, is_general
+from ..robots.robot import Robot, check_robot, is_general, joint_values
 from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
@@ -110,10 +110,9 @@ def forward_kinematics(  # noqa: PLR0913
     """
     began = time.perf_counter()
     check_robot(robot)
-    alpha = vector("rotations", rotations, robot.n_tubes)
+    alpha, place = joint_values(robot, rotations, translations)
     check_turn("rotations", alpha)
-    home = robot.home_translations if translations is None else translations
-    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    shift = tuple(place.tolist())
     check_reach(robot.tubes, shift)
     by = method_of(method)
     positive("tolerance", tolerance)
@@ -128,12 +127,9 @@ def forward_kinematics(  # noqa: PLR0913
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
-        for refinement in (0, 1):
-            quick = _compiled(robot, alpha, shift, guess, (began, refinement))
-            if quick is None:
-                break
-            if _error(quick) <= tolerance:
-                return verify_equilibrium(quick) if verify else quick
+        quick = _quick(robot, alpha, shift, guess, tolerance, began)
+        if quick is not None:
+            return verify_equilibrium(quick) if verify else quick
     if guess is None:
         solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, by)
     else:
@@ -142,6 +138,22 @@ def forward_kinematics(  # noqa: PLR0913
             solution = _resolve(solution.problem, alpha, solution.arm, by)
     equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (by, start, began))
     return verify_equilibrium(equilibrium) if verify else equilibrium
+
+
+def _quick(
+    robot: Robot,
+    alpha: Array,
+    shift: tuple[float, ...],
+    guess: Equilibrium | None,
+    tolerance: float,
+    began: float,
+) -> Equilibrium | None:
+    """By the compiled kernel, on its usual mesh or on one twice as fine; None where that does not do."""
+    for refinement in (0, 1):
+        found = _compiled(robot, alpha, shift, guess, (began, refinement))
+        if found is None or _error(found) <= tolerance:
+            return found
+    return None
 
 
 def _to_tolerance(

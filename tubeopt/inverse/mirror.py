@@ -20,6 +20,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, positive, vector
 from ..robots.eccentric import EccentricRobot
+from ..robots.robot import shifts
 from ..typing import Array
 
 ASSIGNMENTS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
@@ -196,7 +197,7 @@ class _Arm:
         self.most = abs(robot.tube.curvature)
         if self.most == 0 or robot.tube.curved_length == 0:
             raise InputError("the robot's tubes are straight; they cannot bend it")
-        shift = vector("translations", robot.home_translations if translations is None else translations, 3)
+        shift = shifts(robot, translations)
         assembly = robot.assembly(shift)
         self.plate = max(float(assembly.transition.min()), 0.0)
         self.length = assembly.total_length - self.plate

@@ -7,8 +7,10 @@ from functools import lru_cache
 from os import PathLike
 from typing import Any, Protocol, TypeVar
 
+from numpy.typing import ArrayLike
+
 from ..display import Displayed
-from ..errors import InputError
+from ..errors import InputError, vector
 from ..typing import Array, late
 from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
@@ -98,6 +100,16 @@ def check_robot(robot: object) -> None:
         raise InputError(
             f"robot is {reprlib.repr(robot)}; it must be a robot; tubeopt.load_robot reads one from a file"
         )
+
+
+def shifts(robot: Robot, translations: ArrayLike | None) -> Array:
+    """(n,) m: translations as they are given, None for home; raises InputError where they are not n finite numbers."""
+    return vector("translations", robot.home_translations if translations is None else translations, robot.n_tubes)
+
+
+def joint_values(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+    """Rotations (n,), rad, and translations (n,), m, None for home; raises InputError naming what is wrong."""
+    return vector("rotations", rotations, robot.n_tubes), shifts(robot, translations)
 
 
 def keeps_hash(cls: type[Kept]) -> type[Kept]:

@@ -14,7 +14,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError, positive, vector
-from ..robots.robot import Robot
+from ..robots.robot import Robot, shifts
 from ..solvers.newton import newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
@@ -68,8 +68,7 @@ def trace_branch(
         >>> len(branch.folds)
         2
     """
-    home = robot.home_translations if translations is None else translations
-    shift = vector("translations", home, robot.n_tubes)
+    shift = shifts(robot, translations)
     alpha, beta = vector("start", start, robot.n_tubes), vector("end", end, robot.n_tubes)
     if np.allclose(alpha, beta, rtol=0, atol=1e-12):
         raise InputError("start and end are the same rotations; a branch needs a way")

@@ -12,10 +12,10 @@ from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import ReducedProblem
 from ..display import Displayed
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
-from ..errors import InputError, positive, vector
+from ..errors import InputError, positive
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
 from .eccentric_certificate import proof, proof_gradient
@@ -177,7 +177,7 @@ def _finer(robot: Robot, shift: Array) -> ReducedProblem:
 
 
 def _shift(robot: Robot, translations: ArrayLike | None) -> Array:
-    return vector("translations", robot.home_translations if translations is None else translations, robot.n_tubes)
+    return shifts(robot, translations)
 
 
 def _problem(robot: Robot, shift: Array) -> ReducedProblem:

@@ -14,8 +14,8 @@ from ..block.transcription.reduced import ReducedProblem, evaluate, on_centrelin
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from ..errors import InputError, vector
-from ..robots.robot import Robot
+from ..errors import InputError
+from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .equilibria import find_equilibria
@@ -65,9 +65,7 @@ def energy_map(
         >>> tubeopt.energy_map(robot, [1.0, 0.0], samples=11).energy.shape
         (11, 11)
     """
-    alpha = vector("rotations", rotations, robot.n_tubes)
-    home = robot.home_translations if translations is None else translations
-    shift = vector("translations", home, robot.n_tubes)
+    alpha, shift = joint_values(robot, rotations, translations)
     problem = on_centreline(reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION))
     for tube in tubes:
         if tube not in problem.tube:

@@ -11,9 +11,9 @@ from ..block.transcription.reduced import ReducedProblem, to_unknowns
 from ..block.transcription.second_variation import margin
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
-from ..errors import SolveError, vector
+from ..errors import SolveError
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, joint_values
 from ..solvers.newton import descend, newton
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -64,9 +64,8 @@ def find_equilibria(
         >>> [e.stable for e in tubeopt.find_equilibria(robot, np.radians([190, 0]))]
         [True, True, False]
     """
-    alpha = vector("rotations", rotations, robot.n_tubes)
-    home = robot.home_translations if translations is None else translations
-    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    alpha, place = joint_values(robot, rotations, translations)
+    shift = tuple(place.tolist())
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     found = all_solutions(problem, alpha)
     equilibria = [to_equilibrium(robot, s, shift, ("newton", "search over tip angles", 0.0)) for s in found]

@@ -337,6 +337,7 @@ def _softest(solution: Solution) -> Array:
 
 
 def to_snap(path: JointPath, event: Event, index: int) -> Snap:
+    """An event on a path as a snap after the waypoint `index`."""
     rotations, translations = path.at(event.fold.t)
     joint = np.concatenate([rotations, translations])
     before = _finish(path.robot, event.fold.solution, joint, "fold")

@@ -15,9 +15,9 @@ from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, car
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
 from ..equilibrium.loaded import solved, unloaded_point
 from ..equilibrium.result import Equilibrium, Statistics
-from ..errors import InputError, SolveError, positive, vector
+from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, joint_values
 from ..solvers.loaded import loaded_newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
@@ -102,9 +102,8 @@ def find_load_limit(
         >>> tubeopt.find_load_limit(robot, [0.0, 0.0, 0.0], None, push, up_to=2.0) is None
         True
     """
-    alpha = vector("rotations", rotations, robot.n_tubes)
-    home = robot.home_translations if translations is None else translations
-    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    alpha, place = joint_values(robot, rotations, translations)
+    shift = tuple(place.tolist())
     check_load(robot, load, shift)
     positive("up_to", up_to)
     if not load.has_energy:

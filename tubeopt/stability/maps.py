@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, vector
+from ..errors import InputError
 from ..robots.assembly import Assembly
-from ..robots.robot import Robot
+from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..typing import Array, Mask, Sentence
 from .ways import straight_way
@@ -127,8 +127,7 @@ def stability_map(
         raise InputError(f"the robot has {robot.n_tubes} tubes; a map over two relative rotations needs at least 3")
     if len({*tubes} & {*range(robot.n_tubes)}) != 2:
         raise InputError(f"tubes is {tubes}; they must be two different tubes from 0 to {robot.n_tubes - 1}")
-    home = robot.home_translations if translations is None else translations
-    shift = vector("translations", home, robot.n_tubes)
+    shift = shifts(robot, translations)
     mirrored = own_mirror_image(robot.assembly(shift)) and directions % 2 == 0
     origin = forward_kinematics(robot, np.zeros(robot.n_tubes), shift)
     angles = np.linspace(-np.pi, np.pi, samples)

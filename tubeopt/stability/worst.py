@@ -14,7 +14,7 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, SolveError, vector
-from ..robots.robot import Robot
+from ..robots.robot import Robot, shifts
 from ..solvers.newton import newton
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
@@ -70,8 +70,7 @@ def worst_margin(
         >>> tubeopt.worst_margin(robot).margin < 0
         True
     """
-    home = robot.home_translations if translations is None else translations
-    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    shift = tuple(shifts(robot, translations).tolist())
     if robot.assembly(np.array(shift)).eccentric:
         worst, searches = least_margin(robot, shift, effort)
         return WorstMargin(worst.margin, worst, searches, np.empty((0, robot.n_tubes)))

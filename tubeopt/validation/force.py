@@ -16,7 +16,7 @@ from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, instance, positive, vector
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
 from .measurements import SAME_PLACE, Measurements
@@ -271,9 +271,7 @@ def estimate_force(  # noqa: PLR0913
         0.02
     """
     instance("solver", solver, ForceSolver)
-    alpha = vector("rotations", rotations, robot.n_tubes)
-    home = robot.home_translations if translations is None else translations
-    shift = vector("translations", home, robot.n_tubes)
+    alpha, shift = joint_values(robot, rotations, translations)
     base = known if known is not None else Load()
     if not base.has_energy:
         raise InputError("known has a moment or turns with the tip; it must be forces that keep their direction")
