@@ -59,20 +59,7 @@ class ComposedBlock(Outputs, Generic[N]):
         self._given = given_of(near, rotations, translations, tubes or {})
         self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
         self.dimensions = {key: part for key, part in self._given.values.items() if key not in JOINTS}
-        self._bundle = assembly_at(self.robot, self.robot.assembly(near.translations), self._given.start)
-        self.chain = chain = self._given.chain
-        self.load = near.load if load is None else load
-        push = push_of(near, self._bundle, self.load)
-        self._grid = Grid(
-            self.robot.n_tubes,
-            eccentric=self._bundle.eccentric,
-            detail=chain.detail if chain is not None else 0,
-            loaded=push is not None,
-        )
-        # What `model_of` needs beside joint values and dimensions.
-        self.fittings: dict[str, Any] = {"place": placed(self._bundle), "chain": chain, "push": push}
-        self._moving = self._given.free(*LENGTHS)
-        self._fixed = not self._given.free("translations", *self.dimensions)
+        self._set_up(near.load if load is None else load)
         self._side, self.layout = side, self._lay_out(side, refinement)
         # Length of the arm where the solve begins, m: what everything is scaled by.
         self.reach = max(float(self.layout.length.sum(0) @ where_of(self._bundle)), 1e-3)
@@ -90,6 +77,22 @@ class ComposedBlock(Outputs, Generic[N]):
         self.answers: list[tuple[Any, Any, dict[str, Any]]] = []
         self._add_unknowns()
         self._add_equations()
+
+    def _set_up(self, load: Load | None) -> None:
+        """What is known of the arm before its sections are."""
+        self._bundle = assembly_at(self.robot, self.robot.assembly(self.near.translations), self._given.start)
+        self.chain, self.load = self._given.chain, load
+        push = push_of(self.near, self._bundle, load)
+        self._grid = Grid(
+            self.robot.n_tubes,
+            eccentric=self._bundle.eccentric,
+            detail=self.chain.detail if self.chain is not None else 0,
+            loaded=push is not None,
+        )
+        # What `model_of` needs beside joint values and dimensions.
+        self.fittings: dict[str, Any] = {"place": placed(self._bundle), "chain": self.chain, "push": push}
+        self._moving = self._given.free(*LENGTHS)
+        self._fixed = not self._given.free("translations", *self.dimensions)
 
     def _lay_out(self, side: int, refinement: int | None) -> Layout:
         if side not in (-1, 1):

@@ -199,6 +199,11 @@ class Apart:
     times: Array
     bounds: Array
 
+    def within(self, most: float) -> Apart:
+        """The same of arms of which something that does not move is `most` apart, m."""
+        bounds = np.minimum(self.bounds, most)
+        return replace(self, least=min(self.least, most), measured=min(self.measured, most), bounds=bounds)
+
 
 def apart(one: Track, other: Track, wanted: Wanted) -> Apart:
     """Bound of the distance between the surfaces of two arms, as sharp as is wanted where it is the least."""

@@ -256,10 +256,8 @@ def verify_arms(  # noqa: PLR0913
     pairs = []
     for i, j in combinations(range(len(known)), 2):
         found = apart(tracks[i], tracks[j], Wanted(clearance, effort.proof_arms_accuracy, effort.proof_arms_cells))
-        plates_apart = between_plates(known[i], known[j])
-        least, measured = min(found.least, plates_apart), min(found.measured, plates_apart)
-        found = Apart(least, measured, found.when, found.times, np.minimum(found.bounds, plates_apart))
-        pairs.append(PairProof((i, j), least, measured, found.when, found.times, found.bounds))
+        found = found.within(between_plates(known[i], known[j]))
+        pairs.append(PairProof((i, j), found.least, found.measured, found.when, found.times, found.bounds))
         faults += _between(known, (i, j), found, clearance)
     return ArmsProof(tuple(proofs), tuple(pairs), tuple(faults))
 

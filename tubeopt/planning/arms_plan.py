@@ -177,11 +177,29 @@ def plan_arms(
             return plan_trajectory(arm.robot, ends[k], goal, **asked)
 
     order, moves = _one_by_one(known, first, planned, clock)
+    motions, proof = _proved(known, first, moves, bodies, min_margin, options, clock)
+    twice = tuple(k for k in order if sum(j == k for j, _ in moves) > 1)
+    for k in twice:
+        own = replace(motions[k], proof=proof.proofs[k], obstacles=seen_from(known[k].base, bodies))
+        motions = (*motions[:k], own, *motions[k + 1 :])
+    return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
+
+
+def _proved(
+    arms: tuple[PlacedRobot, ...],
+    first: Sequence[Equilibrium],
+    moves: Sequence[Move],
+    bodies: tuple[Obstacle, ...],
+    min_margin: float,
+    options: PlanOptions,
+    clock: Clock,
+) -> tuple[tuple[Trajectory, ...], ArmsProof]:
+    """Moves on one clock, as soon as their proof holds or time is over, with it."""
+    motions: tuple[Trajectory, ...] = ()
     proof = None
-    for moved in sooner(known, first, moves, options.clearance, options.effort):
-        motions = moved
+    for motions in sooner(arms, first, moves, options.clearance, options.effort):
         proof = verify_arms(
-            known,
+            arms,
             motions,
             starts=first,
             obstacles=bodies,
@@ -193,11 +211,7 @@ def plan_arms(
         if proof.holds or clock.over:
             break
     assert proof is not None
-    twice = tuple(k for k in order if sum(j == k for j, _ in moves) > 1)
-    for k in twice:
-        own = replace(motions[k], proof=proof.proofs[k], obstacles=seen_from(known[k].base, bodies))
-        motions = (*motions[:k], own, *motions[k + 1 :])
-    return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
+    return motions, proof
 
 
 def _start(arm: PlacedRobot, start: Any) -> Equilibrium:

@@ -155,21 +155,19 @@ def plan_from_region(
             f"no plan exists from the {len(score)} places of the plate that were looked at: in each the arm at the "
             f"start does not keep its clearance of {options.clearance * 1e3:g} mm"
         )
+
+    def planned(frame: Frame, left: int) -> Trajectory:
+        limit = max(clock.left / min(left, options.effort.entry_share), 1e-3)
+        bodies, own = seen_from(frame, obstacles), replace(options, time_limit=limit)
+        return plan_trajectory(robot, start, _goal_seen(goal, frame), obstacles=bodies, options=own, **given)
+
     why, unproved, tried = "", None, 0
     for k in order:
         if clock.over:
             break
         frame, tried = frames[k], tried + 1
-        limit = max(clock.left / min(len(order) - tried + 1, options.effort.entry_share), 1e-3)
         try:
-            plan = plan_trajectory(
-                robot,
-                start,
-                _goal_seen(goal, frame),
-                obstacles=seen_from(frame, obstacles),
-                options=replace(options, time_limit=limit),
-                **given,
-            )
+            plan = planned(frame, len(order) - tried + 1)
         except SolveError as error:
             why = why or str(error)
         else:

@@ -166,13 +166,9 @@ def _program(question: PathQuestion) -> PathProgram:
     if question.obstacles:
         parts["clearance"] = ca.vec(least) / question.length
     h = ca.repmat(p["step"].T, m, 1)
-    delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
-    moved = h * (36 * delta**2 - 6 * delta * (a + b) + 4 * a**2 + 4 * b**2 - 2 * a * b) / 30
-    effort = h * (early**2 + early * late + late**2) / 3
     w, along = p["weights"], question.effort.smoothing_tips * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
-    objective = (
-        w[0] * (ca.sum1(ca.sum2(moved)) + along) + w[1] * square + w[2] * ca.sum1(ca.sum2(effort)) - w[3] * margin
-    )
+    moved, effort = _squares(joints, rates, h), ca.sum1(ca.sum2(h * (early**2 + early * late + late**2) / 3))
+    objective = w[0] * (moved + along) + w[1] * square + w[2] * effort - w[3] * margin
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
     given = ca.vertcat(*p.values())
     problem = {"x": x, "f": objective, "p": given}
@@ -250,6 +246,12 @@ def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:
     """q'' at both ends of every interval, and the middle Bezier coefficient of q' in between (m, intervals)."""
     delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
     return (6 * delta - 4 * a - 2 * b) / h, 3 * delta - a - b, (2 * a + 4 * b - 6 * delta) / h
+
+
+def _squares(joints: Any, rates: Any, h: Any) -> Any:
+    """int |q'|^2 of cubics between knots."""
+    delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
+    return ca.sum1(ca.sum2(h * (36 * delta**2 - 6 * delta * (a + b) + 4 * a**2 + 4 * b**2 - 2 * a * b) / 30))
 
 
 def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Function:

@@ -97,6 +97,7 @@ class Arms:
         return out
 
     def hermite(self, which: Index, s: Array, value: Array, slopes: tuple[Array, Array]) -> Array:
+        """(..., c) at arc lengths (...) of equilibria (...), from values and slopes at all points (P, c)."""
         key, stride = self._key
         low, high = self.first[which], np.maximum(self.first[which + 1] - 2, self.first[which])
         k = np.clip(np.searchsorted(key, s + which * stride, side="right") - 1, low, high)

@@ -112,26 +112,8 @@ def where_to_measure(
     alpha, shift, poses = _candidates(robot, min_margin, seed, search)
     readings = to_readings(robot, alpha, shift)
     data = Measurements(*readings, poses.position[:, 0], source="where to measure")
-    for name in parameters:
-        if name.startswith(tuple(kind for kind, effect in EFFECTS.items() if effect.history)):
-            raise InputError(
-                f"parameter {name!r} depends on the way: single configurations do not tell it; drive one path slowly "
-                "and fast"
-            )
-    chosen = choose_parameters(robot, data, parameters, registration)
-    model = ArmModel(robot, data, chosen, registration)
-    if 3 * count <= len(chosen) + model.freedoms:
-        raise InputError(
-            f"count is {count}; {len(chosen) + model.freedoms} unknowns need more than {3 * count} numbers"
-        )
-    if count > len(data) // 2:
-        raise SolveError(
-            f"of {search.candidates} random configurations {len(data)} have the margin; too few to choose {count}"
-        )
+    chosen, model = _asked(robot, data, parameters, registration, count, search)
     slopes = _scaled(model, chosen, noise)
-    _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
-    if lost:
-        raise InputError(f"{lost[0].rsplit(';', 1)[0]}, wherever it is measured; leave it out, or measure the base")
     best = _reachable(
         lambda usable: _exchange(slopes, len(chosen), count, usable, search.rounds), robot, (alpha, shift), poses
     )
@@ -153,6 +135,32 @@ def where_to_measure(
         random=np.median(others, axis=0) * scale,
         noise=noise,
     )
+
+
+def _asked(
+    robot: Robot, data: Measurements, names: Sequence[str], registration: str, count: int, search: PlacementSearch
+) -> tuple[tuple[Parameter, ...], ArmModel]:
+    """The parameters that are to be found, and the model of what is seen; raises as `where_to_measure`."""
+    for name in names:
+        if name.startswith(tuple(kind for kind, effect in EFFECTS.items() if effect.history)):
+            raise InputError(
+                f"parameter {name!r} depends on the way: single configurations do not tell it; drive one path slowly "
+                "and fast"
+            )
+    chosen = choose_parameters(robot, data, names, registration)
+    model = ArmModel(robot, data, chosen, registration)
+    if 3 * count <= len(chosen) + model.freedoms:
+        raise InputError(
+            f"count is {count}; {len(chosen) + model.freedoms} unknowns need more than {3 * count} numbers"
+        )
+    if count > len(data) // 2:
+        raise SolveError(
+            f"of {search.candidates} random configurations {len(data)} have the margin; too few to choose {count}"
+        )
+    _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
+    if lost:
+        raise InputError(f"{lost[0].rsplit(';', 1)[0]}, wherever it is measured; leave it out, or measure the base")
+    return chosen, model
 
 
 def _reachable(

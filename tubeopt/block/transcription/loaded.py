@@ -211,16 +211,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     pull[:split] -= push.torque * problem.tip_row
     gradient = x + factor * pull
     gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
-    # What bending turns is diagonal in `turned`.
-    by_tubes, by_bending = turned[:, :split], np.repeat(-factor * problem.softness, 2)
-    felt_by_tubes = work @ by_tubes
-    hessian = np.empty((problem.size, problem.size))
-    hessian[:split, :split] = torsional_hessian(torsion, softened) - factor * (by_tubes.T @ felt_by_tubes)
-    hessian.ravel()[: split * problem.size : problem.size + 1] -= 1.0
-    hessian[split:, :split] = by_bending[:, None] * felt_by_tubes
-    hessian[:split, split:] = hessian[split:, :split].T
-    hessian[split:, split:] = by_bending[:, None] * work * np.repeat(problem.softness, 2)
-    hessian.ravel()[:: problem.size + 1] += 1.0
+    hessian = _hessian(problem, factor, turned[:, :split], softened, work)
     if not problem.load.has_energy:
         hessian -= factor * _unsymmetric(problem, along, push, turned)
     unseen = problem.tip_rest * (factor * push.torque) ** 2 / 2
@@ -240,6 +231,22 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
         orientation=along,
         turned=turned,
     )
+
+
+def _hessian(problem: LoadedProblem, factor: float, by_tubes: Array, softened: Array, work: Array) -> Array:
+    """(U + 2 N, U + 2 N) second derivative of the potential energy, of dM/dtheta (N, n, n) less what the load makes of
+    it, and of that of the load by the curvature (2 N, 2 N), which `by_tubes` (2 N, U) is changed by the tubes."""
+    split, by_bending = problem.torsion.size, np.repeat(-factor * problem.softness, 2)
+    felt_by_tubes = work @ by_tubes
+    hessian = np.empty((problem.size, problem.size))
+    hessian[:split, :split] = torsional_hessian(problem.torsion, softened) - factor * (by_tubes.T @ felt_by_tubes)
+    hessian.ravel()[: split * problem.size : problem.size + 1] -= 1.0
+    # What bending turns is diagonal.
+    hessian[split:, :split] = by_bending[:, None] * felt_by_tubes
+    hessian[:split, split:] = hessian[split:, :split].T
+    hessian[split:, split:] = by_bending[:, None] * work * np.repeat(problem.softness, 2)
+    hessian.ravel()[:: problem.size + 1] += 1.0
+    return hessian
 
 
 @dataclass(frozen=True, eq=False)

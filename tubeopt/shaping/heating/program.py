@@ -277,15 +277,7 @@ def program(s: Structure) -> Program:
     }
     weights = np.tile(tableau("radau", mesh.degree).weights, mesh.heating + mesh.hold)
     energy = w["w_energy"] / ENERGY * ca.DM(weights).T
-    steps = ca.diff(x.drive, 1, 1)
-    # From the last interval of heating to the first of the hold the drive may change as it must.
-    steps[mesh.heating] = 0
-    middle = 0.5 * (w["low"] + w["high"])
-    smooth = w["w_centre"] * ca.sumsqr((held - middle) / BAND) / held.numel() + w["w_drive"] * ca.sumsqr(steps)
-    # Of clearances, leads and vents that do as well, the least; squares, which damp the steps of what is bilinear.
-    # Vents that change fast from place to place would even out the coarse grid's own errors.
-    smooth += LENGTHS * ca.sumsqr(x.design[:2]) + AREA * ca.sumsqr(x.design[2:])
-    smooth += UNEVEN * ca.sumsqr(ca.diff(x.design[2:]))
+    smooth = _squares(x, mesh, w, held)
     linear = w["w_time"] * x.durations[0] + w["w_miss"] * x.misses[0]
     problem = {
         "x": x.column,
@@ -313,6 +305,21 @@ def program(s: Structure) -> Program:
         split=ca.Function("split", [x.column], [x.z, x.circuit, x.drive, x.durations[0], x.misses[0], x.design]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},
     )
+
+
+def _squares(x: _Unknowns, mesh: TimeMesh, w: dict[str, Any], held: Any) -> Any:
+    """The squares of the objective: of the distance from the middle of the window, of changes of the drive, of the
+    design."""
+    steps = ca.diff(x.drive, 1, 1)
+    # From the last interval of heating to the first of the hold the drive may change as it must.
+    steps[mesh.heating] = 0
+    middle = 0.5 * (w["low"] + w["high"])
+    smooth = w["w_centre"] * ca.sumsqr((held - middle) / BAND) / held.numel() + w["w_drive"] * ca.sumsqr(steps)
+    # Of clearances, leads and vents that do as well, the least; squares, which damp the steps of what is bilinear.
+    # Vents that change fast from place to place would even out the coarse grid's own errors.
+    smooth += LENGTHS * ca.sumsqr(x.design[:2]) + AREA * ca.sumsqr(x.design[2:])
+    smooth += UNEVEN * ca.sumsqr(ca.diff(x.design[2:]))
+    return smooth
 
 
 def _curvature(problem: dict[str, Any], smooth: Any) -> ca.Function:
