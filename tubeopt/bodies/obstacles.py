@@ -48,10 +48,12 @@ class Obstacle(Protocol):
 
 
 def root(square: Any) -> Any:
+    """The square root, smooth at 0."""
     return (square + SMOOTH**2) ** 0.5
 
 
 def greater(a: Any, b: Any) -> Any:
+    """The greater of two, smooth where they are equal."""
     return (a + b + root((a - b) ** 2)) / 2
 
 
@@ -62,6 +64,7 @@ def unit_vectors(vectors: Array, otherwise: Array) -> Array:
 
 
 def as_points(points: ArrayLike) -> Array:
+    """Points (..., 3) as an array; raises InputError for another shape."""
     array = np.asarray(points, dtype=float)
     if array.shape[-1:] != (3,):
         raise InputError(f"points have shape {array.shape}; the last axis must hold x, y, z")
@@ -69,6 +72,7 @@ def as_points(points: ArrayLike) -> Array:
 
 
 def triple(name: str, value: ArrayLike) -> Point3:
+    """x, y, z as numbers; raises InputError naming them."""
     x, y, z = vector(name, value, 3, "x, y, z").tolist()
     return x, y, z
 

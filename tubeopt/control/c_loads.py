@@ -21,7 +21,7 @@ from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.constants import piece_constants
 from ..solvers.compiled.library import MOST_CUTS
-from ..solvers.compiled.loaded import CHECK_DEGREE, DEGREE, MOST_PIECES, ROUGH_DEGREE, loaded_text
+from ..solvers.compiled.loaded import CHECK_DEGREE, DEGREE, MOST_PIECES, ROUGH_DEGREE, between_rules, loaded_text
 from ..solvers.compiled.text import HERE, numbers, static_table, with_included
 from ..typing import Array
 from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
@@ -130,9 +130,5 @@ def _rules() -> str:
         ("TO_CHECK", DEGREE, CHECK_DEGREE),
         ("FROM_ROUGH", ROUGH_DEGREE, DEGREE),
     ):
-        lines.append(static_table(name, _between(a, b)))
+        lines.append(static_table(name, between_rules(a, b)))
     return "\n".join([*lines, RULE, f"static const Rule RULE[] = {{{', '.join(rows)}}};\n"])
-
-
-def _between(degree: int, other: int) -> Array:
-    return np.ascontiguousarray(tableau("gauss", degree).lagrange(tableau("gauss", other).nodes))

@@ -130,6 +130,7 @@ def arrange(front: Sequence[Breakpoint], behind: Sequence[Breakpoint], n_tubes: 
 
 
 def has_curve(assembly: Assembly, tube: int) -> bool:
+    """Whether a tube has a curved part."""
     return bool(assembly.end[tube] > assembly.transition[tube])
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..block.violation import Violation
 from ..display import Displayed
 from ..errors import InputError, nearest
-from ..files.files import atomic_write, read_bytes, read_text, write_text
+from ..files.files import read_bytes, read_text, save_arrays, write_text
 from ..typing import Array, Sentence
 
 
@@ -154,10 +154,7 @@ class ProblemSolution(Displayed):
             "statistics": asdict(self.statistics),
             "attempts": asdict(self.attempts) if self.attempts else None,
         }
-        content = io.BytesIO()
-        np.savez(content, allow_pickle=False, **arrays)
-        with atomic_write(Path(directory) / "arrays.npz") as temporary:
-            temporary.write_bytes(content.getvalue())
+        save_arrays(Path(directory) / "arrays.npz", **arrays)
         write_text(Path(directory) / "result.json", json.dumps(record, indent=2) + "\n")
 
     def __getstate__(self) -> dict[str, Any]:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
+from ..block.transcription.arm import Arm
 from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from ..equilibrium.clearance import clearance_correction
 from ..equilibrium.kinematics import forward_kinematics
@@ -71,7 +73,7 @@ def solve_poses(
     if stations.any():
         position = _along(robot, rotations, translations, stations, np.isfinite(margin), shapes)
     failures = tuple(failure for failure in batch.failures if failure[0] not in shapes)
-    poses = Poses(position, turned @ _about_z(theta), margin, length, failures)
+    poses = Poses(position, turned @ about_z(theta), margin, length, failures)
     if loose(robot):
         for k in np.flatnonzero(poses.found):
             tilt(
@@ -119,13 +121,22 @@ def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tup
         here, done = None, k + 1
 
 
-def _about_z(angle: Array) -> Array:
-    """(N, 3, 3) turns about z."""
-    turn = np.zeros((len(angle), 3, 3))
-    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
-    turn[:, 1, 0], turn[:, 0, 1] = np.sin(angle), -np.sin(angle)
-    turn[:, 2, 2] = 1.0
+def about_z(angle: ArrayLike) -> Array:
+    """(..., 3, 3) turns about z."""
+    turn = np.zeros((*np.shape(angle), 3, 3))
+    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(angle)
+    turn[..., 1, 0], turn[..., 0, 1] = np.sin(angle), -np.sin(angle)
+    turn[..., 2, 2] = 1.0
     return turn
+
+
+def stations_of(shape: Equilibrium | Arm, stations: Array) -> Array:
+    """(K, 3) positions of stations behind the tip; on the plate's axis where they are behind the plate."""
+    at, kept = shape.arc_length[-1] - stations, np.append(True, np.diff(shape.arc_length) > 0)
+    line = scipy.interpolate.CubicHermiteSpline(shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2])
+    out: Array = line(np.maximum(at, 0.0))
+    out[:, 2] += np.minimum(at, 0.0)
+    return out
 
 
 def _along(
@@ -143,13 +154,7 @@ def _along(
             shape = shapes.get(int(k)) or forward_kinematics(robot, rotations[k], translations[k])
         except SolveError:
             continue
-        at = shape.arc_length[-1] - stations
-        kept = np.append(True, np.diff(shape.arc_length) > 0)
-        line = scipy.interpolate.CubicHermiteSpline(
-            shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2]
-        )
-        out[k] = line(np.maximum(at, 0.0))
-        out[k, :, 2] += np.minimum(at, 0.0)
+        out[k] = stations_of(shape, stations)
     return out
 
 

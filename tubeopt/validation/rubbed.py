@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from ..block.transcription.arm import Arm
 from ..block.transcription.whole_arm import evaluate_arm
@@ -17,7 +16,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed
 from ..stability.rubbing_following import rubbing_leg, rubbing_start
 from ..typing import Array, Index
-from .poses import Poses, loose, tilt
+from .poses import Poses, about_z, loose, stations_of, tilt
 
 
 def rubbed_poses(
@@ -78,8 +77,8 @@ class _Seen:
         """One row."""
         arm, poses = _arm(held), self.poses
         poses.length[row], poses.margin[row] = arm.arc_length[-1], held.margin
-        poses.position[row] = _along(arm, self.stations)
-        poses.frame[row] = arm.frame[-1] @ _about_z(arm.rotation[self._last(held.translations), -1])
+        poses.position[row] = stations_of(arm, self.stations) if self.stations.any() else arm.position[-1]
+        poses.frame[row] = arm.frame[-1] @ about_z(arm.rotation[self._last(held.translations), -1])
         if loose(self.robot):
             tilt(poses, row, to_held_equilibrium(self.robot, held, "way"), self.stations)
 
@@ -87,7 +86,7 @@ class _Seen:
         """Rows of the kernel, at translations (N, n) of all."""
         poses, last = self.poses, self._last(translations[rows])
         poses.length[rows], poses.margin[rows], poses.position[rows] = many.length, many.margin, many.stations
-        poses.frame[rows] = many.frame @ _about_z(many.rotation[np.arange(len(rows)), last])
+        poses.frame[rows] = many.frame @ about_z(many.rotation[np.arange(len(rows)), last])
 
     def _last(self, translations: Array) -> Index:
         """The tube that ends last, at translations (..., n)."""
@@ -96,23 +95,6 @@ class _Seen:
 
 def _arm(held: Held) -> Arm:
     return evaluate_arm(held.contact.problem, held.rotations, held.found.state.torsion, held.profile)
-
-
-def _along(arm: Arm, stations: Array) -> Array:
-    """(K, 3) positions of stations behind the tip; on the plate's axis where they are behind the plate."""
-    if not stations.any():
-        return np.repeat(arm.position[-1:], len(stations), axis=0)
-    at = arm.arc_length[-1] - stations
-    line = scipy.interpolate.CubicHermiteSpline(arm.arc_length, arm.position, arm.frame[:, :, 2])
-    out: Array = line(np.maximum(at, 0.0))
-    out[:, 2] += np.minimum(at, 0.0)
-    return out
-
-
-def _about_z(angle: Array | float) -> Array:
-    """(..., 3, 3) turns about z."""
-    turn = scipy.spatial.transform.Rotation.from_rotvec(np.multiply.outer(angle, [0.0, 0.0, 1.0]))
-    return np.asarray(turn.as_matrix())
 
 
 def with_torque(friction: Friction | None, torque: Array) -> Friction | None:

@@ -96,8 +96,10 @@ def _plate(mold: Mold, holes: Sequence[Hole], thickness: float, bottom: float) -
 
 
 def manifold() -> Any:
+    """The library of solids; raises MissingExtraError without it."""
     return extra("manifold3d", "fabrication", "STL files")
 
 
 def trimesh() -> Any:
+    """The library of meshes; raises MissingExtraError without it."""
     return extra("trimesh", "fabrication", "STL files")

@@ -79,12 +79,13 @@ _rooms = threading.local()
 
 
 def room_of(kernel: Kernel) -> _Room:
+    """Memory of this thread for a kernel."""
     rooms: dict[Any, _Room] = _rooms.__dict__
     if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
         workspace = np.zeros(kernel.workspace_size // 8 + 1)
-        rooms[kernel] = _Room(workspace, fields, (_at(workspace), _at(answer)))
+        rooms[kernel] = _Room(workspace, fields, (address(workspace), address(answer)))
     return rooms[kernel]
 
 
@@ -133,7 +134,7 @@ def piece_sizes(tables: Mapping[str, Array]) -> tuple[int, int, int]:
 def _pieces(table: Lengthwise, refinement: int) -> Any:
     """The C struct Pieces."""
     tables = piece_tables(table)
-    out: Any = _Pieces(*piece_sizes(tables), *(_at(array) for array in tables.values()), refinement)
+    out: Any = _Pieces(*piece_sizes(tables), *(address(array) for array in tables.values()), refinement)
     out.keep = tables  # the structure points into them
     return out
 
@@ -180,10 +181,11 @@ def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Library, Any, int] |
         tubes = _tubes(robot)
     else:
         tubes, kept = _general_tubes(robot, table, refinement)
-    return kernel, (tubes, kept), _at(tubes)
+    return kernel, (tubes, kept), address(tubes)
 
 
-def _at(array: NDArray[Any]) -> int:
+def address(array: NDArray[Any]) -> int:
+    """Where an array lies in memory."""
     return int(array.ctypes.data)
 
 
@@ -305,7 +307,7 @@ def _asked(robot: Robot, sides: tuple[int, ...], compliance: bool, either: bool)
     for k, tubes in enumerate(robot.moving_together):
         out[list(tubes)] = k
     out[n:-2], out[-2:] = sides, (compliance, either)
-    return out, _at(out)
+    return out, address(out)
 
 
 def solve_many_compiled(
@@ -326,7 +328,7 @@ def solve_many_compiled(
     room.solved = None
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
-    places = (_at(a) for a in (alpha, shift, table, declined))
-    whole = (0, None) if arms is None else (arms.shape[2], _at(arms))
+    places = (address(a) for a in (alpha, shift, table, declined))
+    whole = (0, None) if arms is None else (arms.shape[2], address(arms))
     kernel.solve_many(tubes, kernel.method, count, *places, *whole, *room.at)
     return table, declined.astype(bool)

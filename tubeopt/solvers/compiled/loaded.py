@@ -26,7 +26,7 @@ from ...physics.torsion import section_functions
 from ...typing import Array, Mask
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
-from .binding import room_of
+from .binding import address, room_of
 from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, kernel_path, load_library
 from .text import c_text
 
@@ -208,7 +208,7 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
         "ends_wound": ends.wound,
     }
     kept = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
-    out: Any = _Problem(pieces, t.degree, tip_tube, length, **{name: _at(array) for name, array in kept.items()})
+    out: Any = _Problem(pieces, t.degree, tip_tube, length, **{name: address(array) for name, array in kept.items()})
     out.keep = kept
     return out
 
@@ -218,21 +218,17 @@ def _structure(rules: LoadedRules) -> Any:
     """The C struct Rules."""
     chosen = rules.problem, rules.rough, rules.check
     whole, few, many = (problem.mesh.tableau.degree for problem in chosen)
-    bases = _between(whole, few), _between(whole, many), _between(few, whole)
+    bases = between_rules(whole, few), between_rules(whole, many), between_rules(few, whole)
     parts, kept = [], []
     for problem in chosen:
         template = _template(problem.torsion, problem.tip_tube, problem.torsion.assembly.total_length)
         part = _Problem.from_buffer_copy(template)
-        part.force, part.base_force = _at(problem.force), _at(problem.base_force)
+        part.force, part.base_force = address(problem.force), address(problem.base_force)
         parts.append(part)
         kept.append((template, problem))
-    out: Any = _Rules(*parts, *map(_at, bases))
+    out: Any = _Rules(*parts, *map(address, bases))
     out.keep = kept, bases  # the structure points into them
     return out
-
-
-def _at(array: NDArray[Any]) -> int:
-    return int(array.ctypes.data)
 
 
 def _usable(rules: LoadedRules) -> _Kernel | None:
@@ -260,7 +256,7 @@ def solve_loaded_compiled(
     room, n = room_of(kernel), problem.torsion.assembly.n_tubes
     theta, curvature = start
     memory = np.concatenate([*joints, theta.ravel(), *([] if curvature is None else [curvature.ravel()])])
-    at = _at(memory)
+    at = address(memory)
     status = kernel.solve(
         ctypes.byref(_structure(rules)),
         at,
@@ -295,13 +291,13 @@ def solve_many_loaded_compiled(
     given = [np.ascontiguousarray(a, dtype=float) for a in (rotations, *starts)]
     summary, compliance = np.zeros((count, 18 + rotations.shape[1])), np.zeros((count, 6, 6))
     declined = np.zeros(count, dtype=np.uint8)
-    places = (_at(a) for a in (*given, ends, summary, compliance, declined))
+    places = (address(a) for a in (*given, ends, summary, compliance, declined))
     kernel.solve_many(ctypes.byref(_structure(rules)), count, *places, *room.at)
     return summary, compliance, declined.astype(bool)
 
 
 @lru_cache(maxsize=8)
-def _between(degree: int, finer: int) -> Array:
+def between_rules(degree: int, finer: int) -> Array:
     """(finer, degree) values at the points of the finer rule."""
     return np.ascontiguousarray(tableau("gauss", degree).lagrange(tableau("gauss", finer).nodes))
 
