@@ -55,9 +55,10 @@ from tubeopt.shaping.mold.mold import MoldStatus
 from tubeopt.shaping.mold.pegs import PegStatus
 from tubeopt.solvers.problem_solution import ProblemStatus
 from tubeopt.stability.certificate import CertificateStatus
-from tubeopt.stability.following import PathStatus, SnapStatus
+from tubeopt.stability.following import PathStatus
 from tubeopt.stability.load_limit import LoadLimitStatus
 from tubeopt.stability.maps import MapStatus
+from tubeopt.stability.snap import SnapStatus
 from tubeopt.stability.verdict import VerdictStatus
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus

@@ -6,12 +6,13 @@ from .deflection import deflection_bound
 from .eccentric_verdict import EccentricVerdict
 from .energy import EnergyMap, energy_map
 from .equilibria import find_equilibria
-from .following import Path, Snap, follow
+from .following import Path, follow
 from .friction_band import FrictionBand, friction_band
 from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
 from .settings import SnapSearch
+from .snap import Snap
 from .snapping import find_snap
 from .stroke import find_stroke_force
 from .verdict import ASSUMING, Finding, Verdict

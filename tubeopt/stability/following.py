@@ -15,7 +15,7 @@ from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium, Statistics
+from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
@@ -26,14 +26,9 @@ from ..solvers.settings import CONTINUATION
 from ..typing import Array, Sentence
 from .folds import Fold, polish_fold
 from .landing import distance, land
-from .loaded_following import LoadedSnap, loaded_legs
+from .loaded_following import loaded_legs
 from .rubbing_following import rubbing_legs
-
-
-class SnapStatus(Sentence):
-    """How a snap ends; it reads as a sentence. One that does not land is no Snap, but raises SolveError."""
-
-    LANDED = "the equilibrium was lost, and the robot landed in another one"
+from .snap import Snap, snap_between
 
 
 class PathStatus(Sentence):
@@ -50,41 +45,6 @@ class PathStatistics:
     waypoints: int
     snaps: int
     iterations: int
-
-
-@dataclass(frozen=True, eq=False)
-class Snap(Displayed):
-    """One snap: between waypoints `index` and `index` + 1, at `fraction` of the way.
-
-    rotations, translations (n,): joint values at the fold; before: the equilibrium that vanishes there (margin 0);
-    after: where the robot lands; energy_released, J; tip_jump, m.
-    """
-
-    _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
-
-    index: int
-    fraction: float
-    rotations: Array
-    translations: Array
-    before: Equilibrium
-    after: Equilibrium
-    energy_released: float
-    tip_jump: float
-
-    @property
-    def value(self) -> float:
-        """The fraction of the way."""
-        return self.fraction
-
-    @property
-    def status(self) -> SnapStatus:
-        """How it ends."""
-        return SnapStatus.LANDED
-
-    @property
-    def statistics(self) -> Statistics:
-        """What the equilibrium that vanishes took."""
-        return self.before.statistics
 
 
 class HeldEquilibria(Sequence[Equilibrium]):
@@ -214,9 +174,9 @@ def _follow_loaded(
     progress: Callable[[int], object] | None,
 ) -> Path:
     equilibria, snaps = [], []
-    for k, (equilibrium, leg) in enumerate(loaded_legs(robot, joints, load, start)):
+    for k, (equilibrium, found) in enumerate(loaded_legs(robot, joints, load, start)):
         equilibria.append(equilibrium)
-        snaps += [snap_of(found, k - 1) for found in leg.snaps] if leg is not None else []
+        snaps += found
         if progress is not None and k:
             progress(k)
     return Path(tuple(equilibria), tuple(snaps))
@@ -243,25 +203,6 @@ def _follow_rubbing(
         if progress is not None and k:
             progress(k)
     return Path(HeldEquilibria(robot, states), tuple(snaps))
-
-
-def snap_of(found: LoadedSnap, index: int) -> Snap:
-    """A snap under load as any other snap."""
-    return snap_between(index, found.fraction, found.before, found.after)
-
-
-def snap_between(index: int, fraction: float, before: Equilibrium, after: Equilibrium) -> Snap:
-    """A snap from one equilibrium to another."""
-    return Snap(
-        index=index,
-        fraction=fraction,
-        rotations=before.rotations,
-        translations=before.translations,
-        before=before,
-        after=after,
-        energy_released=before.potential - after.potential,
-        tip_jump=float(np.linalg.norm(after.tip_position - before.tip_position)),
-    )
 
 
 def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:

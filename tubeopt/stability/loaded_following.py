@@ -21,6 +21,7 @@ from ..solvers.loaded import loaded_newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .loaded_events import Loss, branch_end, fall
+from .snap import Snap, snap_between
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,55 +75,36 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
     return LoadedEvent(replace(loss, point=left), landed)
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedSnap:
-    """A snap under load: at a fraction of a segment, the equilibrium before and after, and the energy released, J."""
-
-    fraction: float
-    before: Equilibrium
-    after: Equilibrium
-    energy_released: float
-
-
-@dataclass(frozen=True, eq=False)
-class LoadedLeg:
-    """What happens on one segment: snaps, in order, and the equilibrium at its end."""
-
-    snaps: tuple[LoadedSnap, ...]
-    arrived: LoadedPoint
-
-
 def loaded_legs(
     robot: Robot, joints: Array, load: Load, start: Equilibrium | None, *, first_only: bool = False
-) -> Iterator[tuple[Equilibrium, LoadedLeg | None]]:
-    """Equilibria at the waypoints `joints` (T, 2 n), each with what happened on the way to it (None for the first).
+) -> Iterator[tuple[Equilibrium, list[Snap]]]:
+    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it.
 
     With `first_only` the motion ends with the first snap.
     """
     first = _first(robot, joints[0], load, start)
     point = loaded_point(first)
-    yield first, None
+    yield first, []
     for k in range(len(joints) - 1):
         family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
         point = LoadedPoint(0.0, point.member, point.state, point.margin)
-        snaps = []
+        snaps = list[Snap]()
         for step in loaded_motion_along(family, point):
             if isinstance(step, LoadedPoint):
                 point = step
                 continue
-            snaps.append(_snap(robot, load, step))
+            snaps.append(_snap(robot, load, step, k))
             if first_only:
                 break
-        leg = LoadedLeg(tuple(snaps), point)
-        yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), leg
+        yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), snaps
         if first_only and snaps:
             return
 
 
-def _snap(robot: Robot, load: Load, event: LoadedEvent) -> LoadedSnap:
+def _snap(robot: Robot, load: Load, event: LoadedEvent, index: int) -> Snap:
     before = to_loaded(robot, event.loss.point, load, LOADED_DISCRETISATION, ("fold", 0.0))
     after = to_loaded(robot, event.landed, load, LOADED_DISCRETISATION, ("energy descent", 0.0))
-    return LoadedSnap(event.loss.t, before, after, before.potential - after.potential)
+    return snap_between(index, event.loss.t, before, after)
 
 
 def _first(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:

@@ -16,8 +16,9 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.load import Load, between
 from ..solvers.parallel.blas import small
-from .following import Path, Snap, snap_between
+from .following import Path
 from .loaded_following import loaded_motion_along
+from .snap import Snap, snap_between
 
 
 @small

@@ -17,12 +17,13 @@ from ..robots.robot import Robot, is_general
 from ..solvers.sampling import sobol
 from ..typing import Array, Index, Mask
 from .folds import Fold
-from .following import Event, Snap, to_snap
+from .following import Event, to_snap
 from .landing import land
 from .pair import PairFold, pair_fold
 from .pair_certificate import farthest_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
+from .snap import Snap
 from .snapping import find_snap
 
 

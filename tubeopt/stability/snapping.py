@@ -22,8 +22,9 @@ from ..solvers.parallel.blas import small
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemStatus
 from ..typing import Array
-from .following import Event, Snap, leave_branch, snap_of, to_snap
+from .following import Event, leave_branch, to_snap
 from .loaded_following import loaded_legs
+from .snap import Snap
 
 Configuration = tuple[ArrayLike, ArrayLike | None]
 
@@ -63,8 +64,7 @@ def find_snap(
     path = JointPath(robot, _joint(robot, "start", start), _joint(robot, "end", end))
     if load is not None:
         legs = loaded_legs(robot, np.array([path.start, path.end]), load, equilibrium, first_only=True)
-        found = [snap_of(snap, 0) for _, leg in legs if leg is not None for snap in leg.snaps]
-        return found[0] if found else None
+        return next((snap for _, snaps in legs for snap in snaps), None)
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, *path.at(0.0))
     if not first.stable:
         raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")

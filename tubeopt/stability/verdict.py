@@ -10,7 +10,7 @@ from ..display import Displayed
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
 from .certificate import Certificate
-from .following import Snap
+from .snap import Snap
 from .worst import WorstMargin
 
 ASSUMING = "assuming no external load, weight or friction"
