@@ -26,7 +26,7 @@ def tip_deflection(
         SolveError: the robot does not bear the force there.
     """
     shift = tuple(translations.tolist())
-    plain = to_equilibrium(robot, pose.solution, shift, ("newton", "guess", 0.0))
+    plain = to_equilibrium(robot, pose.solved, shift, ("newton", "guess", 0.0))
     pushed = forward_kinematics(robot, plain.rotations, shift, load=Load(force), guess=plain)
     names, rows = _moved(chain, robot.n_tubes)
     change = np.zeros((3, chain.shape[1]))
@@ -45,7 +45,7 @@ def stroke_force(pose: Pose, robot: ConcentricRobot, translations: Array, chain:
     Raises:
         SolveError: there is no limit close to where the branch is lost, or it has no derivative.
     """
-    plain = to_equilibrium(robot, pose.solution, tuple(translations.tolist()), ("newton", "guess", 0.0))
+    plain = to_equilibrium(robot, pose.solved, tuple(translations.tolist()), ("newton", "guess", 0.0))
     names, rows = _moved(chain, robot.n_tubes)
     found = stroke_slopes(plain, names, STRONGEST)
     return (STRONGEST, np.zeros(chain.shape[1])) if found is None else (found[0], found[1] @ rows)

@@ -15,34 +15,28 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, to_equilibrium
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
-from ..solvers.newton import NewtonResult, newton
+from ..solvers.newton import newton
 from ..stability.certificate import worst_case
 from ..stability.pair_certificate import least_margin_of_pair, pair_of
 from ..stability.shooting import profiles, to_base
 from ..typing import Array
-from .solved import Solved
 
 
 class PiecePose:
     """A solved pose, as `pose.Pose`, with derivatives (L,) by rotations, translations, and what `changes` lists."""
 
     def __init__(
-        self, solved: Solved, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
+        self, solved: Solution, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
     ) -> None:
         self.solved, self.problem, self.margin = solved, solved.problem, solved.margin
         self._tubes, self._changes = tuple(tubes), changes
-
-    @cached_property
-    def _solution(self) -> Solution:
-        solved = self.solved
-        return Solution(solved.problem, solved.rotations, NewtonResult(solved.state, True, 0, 0.0), solved.margin)
 
     @cached_property
     def _equilibrium(self) -> Equilibrium:
         assembly = self.problem.assembly
         straight = np.array([tube.straight_length for tube in self._tubes])
         shift = tuple((straight - assembly.transmission).tolist())
-        return to_equilibrium(ConcentricRobot(self._tubes), self._solution, shift, ("newton", "guess", 0.0))
+        return to_equilibrium(ConcentricRobot(self._tubes), self.solved, shift, ("newton", "guess", 0.0))
 
     @cached_property
     def derivatives(self) -> GeneralMotion:
@@ -102,9 +96,9 @@ class PiecePose:
             theta = profiles(self.problem, tips)[0]
             found = newton(self.problem, rotations, to_unknowns(self.problem, rotations, theta))
             if found.converged:
-                solved = Solved(self.problem, rotations, found.state, least.margin)
+                solved = Solution(self.problem, rotations, found, least.margin)
                 slope = PiecePose(solved, self._tubes, self._changes).margin_slope
                 return least.margin, np.concatenate([np.zeros(2 * len(self._tubes)), slope[2 * len(self._tubes) :]])
-        here = Linearised(self._solution, self._equilibrium)
+        here = Linearised(self.solved, self._equilibrium)
         changed = here.certificate(value, mode, together(self._changes(here)))
         return value, np.concatenate([np.zeros(2 * len(self._tubes)), changed])

@@ -17,10 +17,9 @@ from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.margin import AtSolution, AtWorst
 from ..equilibrium.solving import Solution
 from ..equilibrium.state import arm_of
-from ..solvers.newton import NewtonResult
 from ..stability.certificate import worst_case
 from ..typing import Array
-from .solved import Solved, mesh_slopes
+from .solved import mesh_slopes
 
 
 class Pose:
@@ -29,23 +28,17 @@ class Pose:
     n tubes, P pieces, m = 4 P + 1 shape points.
     """
 
-    def __init__(self, solved: Solved) -> None:
+    def __init__(self, solved: Solution) -> None:
         self.solved = solved
         self.problem = solved.problem
         self.margin = solved.margin
         self.arc_length = arms.arc_lengths(solved.problem.mesh)
 
-    @property
-    def solution(self) -> Solution:
-        """As forward kinematics has it."""
-        result = NewtonResult(self.solved.state, True, 0, 0.0)
-        return Solution(self.problem, self.solved.rotations, result, self.margin)
-
     @cached_property
     def derivatives(self) -> Derivatives:
         """Derivatives at fixed arc lengths."""
         assembly = self.problem.assembly
-        arm = arm_of(self.solution)
+        arm = arm_of(self.solved)
         carriages = tuple((i,) for i in range(assembly.n_tubes))
         return Derivatives(arm, assembly, carriages, wrt=PARAMETERS, margin=self.margin)
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..block.transcription.mesh import Mesh, make_mesh
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
+from ..block.transcription.reduced import evaluate, reduce, to_unknowns
 from ..block.transcription.second_variation import margin
 from ..equilibrium.arm_change import PARAMETERS
+from ..equilibrium.solving import Solution
 from ..errors import SolveError
 from ..robots.assembly import ROUND_OFF, Assembly, assemble
 from ..robots.tubes import Tube
-from ..solvers.newton import descend, newton
+from ..solvers.newton import NewtonResult, descend, newton
 from ..typing import Array
 
 
@@ -26,23 +27,13 @@ class Twist:
     twist: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """A solved pose, before derivatives."""
-
-    problem: ReducedProblem
-    rotations: Array
-    state: Evaluation
-    margin: float
-
-    @property
-    def twist(self) -> Twist:
-        """Guess for a pose close by."""
-        length = max(self.problem.assembly.total_length, 1e-300)
-        return Twist(self.problem.arc_length / length, self.state.theta - self.rotations)
+def twist_at(solved: Solution) -> Twist:
+    """Guess for a pose close by."""
+    length = max(solved.problem.assembly.total_length, 1e-300)
+    return Twist(solved.problem.arc_length / length, solved.result.state.theta - solved.rotations)
 
 
-def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, guess: Twist | None = None) -> Solved:
+def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, guess: Twist | None = None) -> Solution:
     """The equilibrium near `guess`, or the one that descent reaches from tubes without torsion.
 
     Raises:
@@ -56,19 +47,19 @@ def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, gue
         twist = np.column_stack([np.interp(fraction, guess.fraction, column) for column in guess.twist.T])
         result = newton(problem, rotations, to_unknowns(problem, rotations, rotations + twist), iterations=12)
         if result.converged:
-            return Solved(problem, rotations, result.state, margin(problem, result.state))
+            return Solution(problem, rotations, result, margin(problem, result.state))
     result = descend(problem, rotations, np.zeros(problem.size))
     if not result.converged:
         raise SolveError("no equilibrium was found at a pose of the design")
-    return Solved(problem, rotations, result.state, margin(problem, result.state))
+    return Solution(problem, rotations, result, margin(problem, result.state))
 
 
-def without_solving(tubes: Sequence[Tube], translations: Array) -> Solved:
+def without_solving(tubes: Sequence[Tube], translations: Array) -> Solution:
     """The problem at given translations, for what does not depend on the rotations: the certificate."""
     assembly = assemble(tubes, translations)
     problem = reduce(assembly, make_mesh(assembly))
     state = evaluate(problem, np.zeros(len(tubes)), np.zeros(problem.size))
-    return Solved(problem, np.zeros(len(tubes)), state, 1.0)
+    return Solution(problem, np.zeros(len(tubes)), NewtonResult(state, True, 0, 0.0), 1.0)
 
 
 def mesh_slopes(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:

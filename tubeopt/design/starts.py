@@ -16,7 +16,7 @@ from .piece_pose import PiecePose
 from .pose import Pose
 from .program import Program, built_in, corners
 from .requirements import Avoid, Coverage, Reach
-from .solved import solve_pose
+from .solved import solve_pose, twist_at
 from .state import FreePose
 
 
@@ -66,7 +66,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
         best = int(np.argmin(_gap(tips, aim) + penalty + program.task.solver.pose_turn * turned))
         turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
         x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
-        program.guesses[index] = poses[best].solved.twist
+        program.guesses[index] = twist_at(poses[best].solved)
     return np.clip(x, program.lower, program.upper)
 
 

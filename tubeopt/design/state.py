@@ -10,6 +10,7 @@ import numpy as np
 from ..block.quantities import PoseNumber
 from ..equilibrium.general_change import Change
 from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.solving import Solution
 from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
@@ -21,7 +22,7 @@ from .parameters import DesignSpace
 from .piece_pose import PiecePose
 from .pieces import change_of, given_of
 from .pose import Pose
-from .solved import Solved, Twist, solve_pose, without_solving
+from .solved import Twist, solve_pose, twist_at, without_solving
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ class State:
         """The equilibrium of a pose."""
         if index not in self._poses:
             solved = solve_pose(self.tubes, *self.joint_values(index), self._guesses.get(index))
-            self._guesses[index] = solved.twist
+            self._guesses[index] = twist_at(solved)
             self._poses[index] = self._pose(solved)
         return self._poses[index]
 
@@ -184,7 +185,7 @@ class State:
             raise InputError(f"an expression speaks of the {what} in a pose; a design of pieces has none for it")
         return pose
 
-    def _pose(self, solved: Solved) -> Pose | PiecePose:
+    def _pose(self, solved: Solution) -> Pose | PiecePose:
         space = self.layout.space
         return PiecePose(solved, self.tubes, self._piece_changes) if space.spots else Pose(solved)
 
