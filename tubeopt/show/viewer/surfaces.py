@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from ...equilibrium.result import Equilibrium
 from ...typing import Array
@@ -32,30 +33,15 @@ def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilib
     weights = ((1 - np.cos(np.pi * np.arange(count + 1) / count)) / 2)[:, None, None]
     u = (1 - weights) * first + weights * after.curvature
     h = np.diff(s)
-    middle = (u[:, :-1] + u[:, 1:]) / 2 * h[:, None]
+    turn = np.concatenate([(u[:, :-1] + u[:, 1:]) / 2 * h[:, None], np.zeros((count + 1, len(h), 1))], axis=2)
     frame = np.empty((count + 1, len(s), 3, 3))
     frame[:, 0] = after.frame[0]
     position = np.zeros((count + 1, len(s), 3))
     position[:, 0] = after.position[0]
     for k in range(len(h)):
-        frame[:, k + 1] = frame[:, k] @ _rotation(middle[:, k])
+        frame[:, k + 1] = frame[:, k] @ scipy.spatial.transform.Rotation.from_rotvec(turn[:, k]).as_matrix()
         position[:, k + 1] = position[:, k] + h[k] * (frame[:, k, :, 2] + frame[:, k + 1, :, 2]) / 2
     # The few points integrate to within a per cent: what is missing at both ends is shared out between them.
     ends = Centreline(before).position(s), after.position
     position += (1 - weights) * (ends[0] - position[0]) + weights * (ends[1] - position[-1])
     return [replace(after, position=p, frame=f) for p, f in zip(position[1:-1], frame[1:-1], strict=True)]
-
-
-def _rotation(turn: Array) -> Array:
-    """(k, 3, 3) rotations about vectors (k, 2) in the cross-section, by Rodrigues' formula."""
-    angle = np.linalg.norm(turn, axis=1)
-    safe = np.where(angle > 0, angle, 1.0)
-    x, y = (turn / safe[:, None]).T
-    cosine, sine = np.cos(angle), np.sin(angle)
-    one = 1 - cosine
-    rows = [
-        [cosine + x * x * one, x * y * one, y * sine],
-        [x * y * one, cosine + y * y * one, -x * sine],
-        [-y * sine, x * sine, cosine],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
