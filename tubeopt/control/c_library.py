@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from .. import __version__
 from ..block.transcription.tableau import tableau
 from ..display import Displayed
-from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_TWIST
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
@@ -35,7 +34,7 @@ from ..solvers.compiled.library import (
     kernel_text,
 )
 from ..solvers.compiled.text import c_tables, numbers, with_included
-from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .c_loads import SPARE, loaded_cases, loads_source
 from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
@@ -181,11 +180,11 @@ def _data(robot: Robot, space: JointSpace) -> str:
         if _plain(robot)
         else 2 * m + len(space.least) + 1,
         "LONGEST_TUBE": space.length,
-        "LARGEST_RATIO": LARGEST_RATIO,
-        "LARGEST_TWIST": LARGEST_TWIST,
+        "LARGEST_RATIO": CONTINUATION.largest_ratio,
+        "LARGEST_TWIST": CONTINUATION.largest_twist,
         "SOFT_TWIST": CONTINUATION.soft_twist,
-        "LARGEST_TURN": LARGEST_TURN,
-        "LARGEST_SHIFT": LARGEST_SHIFT,
+        "LARGEST_TURN": CONTINUATION.largest_turn,
+        "LARGEST_SHIFT": CONTINUATION.largest_shift,
     }
     lines = [
         "\n/* --- the numbers of the robot --- */\n",

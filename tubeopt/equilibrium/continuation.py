@@ -12,11 +12,9 @@ from ..block.transcription.second_variation import margin
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
-
-LARGEST_RATIO, LARGEST_TWIST = CONTINUATION.largest_ratio, CONTINUATION.largest_twist
 
 
 def largest_twist(margin: float) -> float:
@@ -25,7 +23,7 @@ def largest_twist(margin: float) -> float:
     The twist changes by up to 1/margin times as much as the joints do. Near a fold a step that is not short against the
     hysteresis ends on the branch beyond it, where Newton is at ease, and the snap would pass unseen.
     """
-    return min(max(2 * abs(margin) * LARGEST_TWIST, CONTINUATION.soft_twist), LARGEST_TWIST)
+    return min(max(2 * abs(margin) * CONTINUATION.largest_twist, CONTINUATION.soft_twist), CONTINUATION.largest_twist)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +48,7 @@ class JointPath:
     def largest_step(self) -> float:
         """Largest fraction of the path in one step."""
         turn, shift = self._changes()
-        return 1.0 / max(turn / LARGEST_TURN, shift / LARGEST_SHIFT, 1.0)
+        return 1.0 / max(turn / CONTINUATION.largest_turn, shift / CONTINUATION.largest_shift, 1.0)
 
     def span(self) -> float:
         """How far the joints go: largest turn, rad, or shift over the longest tube."""
@@ -95,10 +93,10 @@ def solve_at(path: JointPath, t: float, near: Point, before: Point | None = None
     twist = _twist(near, problem.arc_length)
     if before is not None and near.t > before.t:
         rate = (twist - _twist(before, problem.arc_length)) * ((t - near.t) / (near.t - before.t))
-        twist = twist + np.clip(rate, -LARGEST_TWIST, LARGEST_TWIST)
+        twist = twist + np.clip(rate, -CONTINUATION.largest_twist, CONTINUATION.largest_twist)
     guess = rotations + twist
     result = newton(problem, rotations, to_unknowns(problem, rotations, guess), iterations=8)
-    if not result.converged or result.contraction > LARGEST_RATIO:
+    if not result.converged or result.contraction > CONTINUATION.largest_ratio:
         return None
     # Only the coupled tubes: theta of the others is carried along, not solved for.
     change = (result.state.theta - rotations - _twist(near, problem.arc_length)).ravel()[problem.flat]

@@ -25,7 +25,8 @@ from ..robots.friction import Friction, check_friction
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
 from ..solvers.newton import NewtonResult, newton
-from ..solvers.rubbing import HONEST, ONWARD, Increment, held_margin, imbalance, increment, least
+from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment, least
+from ..solvers.settings import CONTINUATION
 from ..typing import Array, Index
 from .result import Equilibrium, FrictionState, Status
 from .solving import Solution, sample_rotation, to_equilibrium
@@ -163,7 +164,7 @@ def _ahead(held: Held, turned: Array) -> Array | float:
         return 0.0
     last, change = held.tangent
     along, size = float(turned @ last), float(last @ last)
-    straight = along > ONWARD * np.sqrt(size * float(turned @ turned)) > 0
+    straight = along > CONTINUATION.onward * np.sqrt(size * float(turned @ turned)) > 0
     return change * (along / size) if straight else 0.0
 
 

@@ -26,11 +26,9 @@ from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
-from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN, NEWTON, Ipopt, Newton
+from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
 from .continuation import (
-    LARGEST_RATIO,
-    LARGEST_TWIST,
     JointPath,
     Point,
     follow_to,
@@ -57,9 +55,6 @@ SHORT = 0.01
 
 TOLERANCE = 1e-8
 """Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
-
-HOMOTOPY_STEP = np.pi / 8
-"""Largest turn (rad) of a tube per step of the way from home."""
 
 
 def forward_kinematics(  # noqa: PLR0913
@@ -215,9 +210,9 @@ def _compiled(
         arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
         start = Start(*arm, turn, guess.translations)
     answer = solve_compiled(robot, rotations, translations, start, how[1])
-    if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
+    if answer is None or (answer["contraction"] > CONTINUATION.largest_ratio and start is not None):
         return None
-    if answer["largest_change"] > (LARGEST_TWIST if guess is None else largest_twist(guess.margin)):
+    if answer["largest_change"] > (CONTINUATION.largest_twist if guess is None else largest_twist(guess.margin)):
         return None
     begin = "tubes without torsion" if start is None else "guess"
     return from_compiled(robot, rotations, shift, answer, (begin, *how))
@@ -244,9 +239,9 @@ def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
 
 def _small(turn: Array, shift: Array, length: float) -> bool:
     """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
-    farthest = LARGEST_SHIFT * max(length, 1e-300)
+    farthest = CONTINUATION.largest_shift * max(length, 1e-300)
     turned, moved = turn.tolist(), shift.tolist()
-    return all(abs(by) <= LARGEST_TURN for by in turned) and all(abs(by) <= farthest for by in moved)
+    return all(abs(by) <= CONTINUATION.largest_turn for by in turned) and all(abs(by) <= farthest for by in moved)
 
 
 @small
@@ -310,7 +305,7 @@ def _unknowns(problem: ReducedProblem, rotations: Array, guess: arms.Profile) ->
 def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
     """Turn all tubes together from home, descending in energy at each step; then leave any saddle."""
     concentric = on_centreline(problem)
-    steps = max(1, int(np.ceil(np.abs(rotations).max(initial=0.0) / HOMOTOPY_STEP)))
+    steps = max(1, int(np.ceil(np.abs(rotations).max(initial=0.0) / CONTINUATION.home_turn)))
     z = np.zeros(concentric.size)
     for k in range(1, steps + 1):
         alpha = rotations * k / steps
@@ -369,7 +364,7 @@ def _near(
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
     # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
     far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > largest_twist(guess.margin)
-    if not result.converged or result.contraction > LARGEST_RATIO or far:
+    if not result.converged or result.contraction > CONTINUATION.largest_ratio or far:
         return None
     return Solution(problem, rotations, result, margin(problem, result.state))
 

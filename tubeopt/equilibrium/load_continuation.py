@@ -14,7 +14,7 @@ from ..robots.load import Load, between
 from ..solvers.loaded import loaded_margin, loaded_newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .continuation import LARGEST_RATIO, JointPath, largest_twist
+from .continuation import JointPath, largest_twist
 from .load_problem import loaded_problem
 
 
@@ -96,7 +96,7 @@ def solve_member(
     there = family.member(t)
     guess = _guess(there, near, before, t)
     result = loaded_newton(there.problem, there.rotations, guess, there.factor, iterations=8)
-    if not result.converged or result.contraction > LARGEST_RATIO:
+    if not result.converged or result.contraction > CONTINUATION.largest_ratio:
         return None
     if _moved(there, near, result.state) > largest_twist(1.0 if np.isnan(near.margin) else near.margin):
         return None

@@ -19,9 +19,9 @@ from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_newton, turn_of
 from ..solvers.loaded_ipopt import solve_loaded_ipopt
 from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
-from ..solvers.settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN, NEWTON, Ipopt, Newton
+from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
-from .continuation import LARGEST_RATIO, JointPath, largest_twist
+from .continuation import JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
 from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
@@ -255,7 +255,9 @@ def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float, s
 def _small(start: Equilibrium, turn: Array, shift: tuple[float, ...]) -> bool:
     """Whether joints are little apart."""
     moved = np.abs(np.array(shift) - start.translations).max()
-    return bool(np.abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT * start.arc_length[-1])
+    return bool(
+        np.abs(turn).max() <= CONTINUATION.largest_turn and moved <= CONTINUATION.largest_shift * start.arc_length[-1]
+    )
 
 
 def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
@@ -263,7 +265,10 @@ def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array
     problem."""
     theta, n = start.point_rotation - start.robot.assembly(start.translations).wound(start.point), len(start.rotations)
     s = problem.torsion.arc_length
-    if len(s) == len(start.point) and np.abs(s - start.point).max() <= LARGEST_SHIFT * start.arc_length[-1]:
+    if (
+        len(s) == len(start.point)
+        and np.abs(s - start.point).max() <= CONTINUATION.largest_shift * start.arc_length[-1]
+    ):
         return theta, start.point_curvature
     assert start.load is not None
     own = loaded_problem(start.robot, tuple(start.translations.tolist()), start.load, discretisation_of(start))
@@ -329,7 +334,7 @@ def _close(
     x = unknowns(problem, rotations, theta + turn)
     x[problem.torsion.size :] = bent * np.repeat(before.softness / problem.softness, 2)
     result = loaded_newton(problem, rotations, x, iterations=8)
-    if not result.converged or result.contraction > LARGEST_RATIO:
+    if not result.converged or result.contraction > CONTINUATION.largest_ratio:
         return None
     limit = largest_twist(1.0 if np.isnan(guess.margin) else guess.margin)
     if turn_of(problem, result.state, result.state.x - x) > limit:

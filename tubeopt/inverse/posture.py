@@ -18,7 +18,7 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
 from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
 from ..robots.robot import is_general
-from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .joints import JointSpace
 from .outline import Contacts, Outline
@@ -152,9 +152,9 @@ class Posture:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
         so close to it that steps of ordinary length do not tell."""
         here, moved = self.equilibrium, np.abs(q - self.q)
-        longest = LARGEST_SHIFT * max(float(here.arc_length[-1]), 0.1 * self.space.length)
+        longest = CONTINUATION.largest_shift * max(float(here.arc_length[-1]), 0.1 * self.space.length)
         turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
-        steps = max(1, ceil(max(turn / LARGEST_TURN, shift / longest) - 1e-9))
+        steps = max(1, ceil(max(turn / CONTINUATION.largest_turn, shift / longest) - 1e-9))
         try:
             for k in range(1, steps + 1):
                 rotations, shift = self.space.split(self.q + (q - self.q) * (k / steps) if k < steps else q)

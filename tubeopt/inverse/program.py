@@ -15,14 +15,13 @@ import numpy as np
 from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
 from ..block.transcription.reduced import to_unknowns
 from ..block.transcription.second_variation import margin
-from ..equilibrium.continuation import LARGEST_TWIST
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError
 from ..solvers.ipopt import inside_points
 from ..solvers.newton import newton
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemSolution, ProblemStatus
-from ..solvers.settings import Ipopt
+from ..solvers.settings import CONTINUATION, Ipopt
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
 from .descent import Search
@@ -185,7 +184,7 @@ def _read(goal: Goal, at: Posture, found: ProblemSolution, order: Order) -> Post
         guess = np.column_stack([np.interp(problem.arc_length, s, column) for column in theta.T])
     result = newton(problem, rotations, to_unknowns(problem, rotations, guess))
     change = np.abs((result.state.theta - guess).ravel()[problem.flat]).max(initial=0.0)
-    if not result.converged or change > LARGEST_TWIST:
+    if not result.converged or change > CONTINUATION.largest_twist:
         return None
     solution = Solution(problem, rotations, result, margin(problem, result.state))
     if solution.margin <= 0:

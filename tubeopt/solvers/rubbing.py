@@ -21,14 +21,8 @@ from .flow import grown, shortened
 from .settings import CONTINUATION, NEWTON
 from .sticking import Signs, stick_or_slip
 
-ITERATIONS = 15
-
 HONEST = 1e-9
 """Largest violation of what friction demands, as a slip (rad) or a part of the capacity, with which a state counts."""
-
-
-ONWARD = 0.9
-"""Cosine of the angle between two turns of the bases from which the second goes on the way of the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +148,7 @@ def increment(
     state, turned = evaluate_contact(contact, rotations, x), _Turned(contact, slid)
     last, contraction, kept = np.inf, 0.0, None
     signs = None if signs is None else signs[turned.sharp]
-    for _ in range(ITERATIONS):
+    for _ in range(CONTINUATION.rubbing_steps):
         slip = state.turned - before
         model = model_of(turned.rows, *turned.added(state, slip))
         if model is None:

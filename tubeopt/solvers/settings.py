@@ -55,6 +55,11 @@ class Continuation(Settings):
         largest_twist: largest change (rad) of the twist theta - alpha at a point in one step.
         soft_twist: the same (rad) where the margin is 0. The two stable branches beside a narrow fold are little
             farther apart.
+        largest_turn: largest change (rad) of a joint rotation in one step of a path: small against a turn, after which
+            another branch looks like the one that is followed.
+        largest_shift: of a translation, as a fraction of the longest tube.
+        home_turn: largest turn (rad) of a tube per step of the way from home, by which a cold start goes that ended in
+            no stable equilibrium.
         shortest_step, shortest_load_step: fraction of a way, and of one with a load, below which a step that fails
             means that the branch has ended.
         towards_end: part of the way to where the margin seems to vanish that is stepped at once.
@@ -82,6 +87,11 @@ class Continuation(Settings):
             own.
         load_starts, most_load_starts: of the search for all equilibria under a load, in its first and in its last
             round; every round has twice those of the one before.
+        rubbing_steps: of Newton's method with friction at most.
+        stick_patience: exchanges between sticking and slipping without fewer wrong rows, after which they are taken to
+            go in circles.
+        stick_changes: per row, after which the descent that then follows gives up: round-off has won.
+        onward: cosine of the angle between two turns of the bases from which the second goes on the way of the first.
         towards_rubbing_fold: part of the way to a fold with friction in one step. The state moves as the square root of
             the way that is left, on which Newton's method shrinks its steps enough (`largest_ratio`) up to 0.75 of it.
         rubbing_past: shortest steps by which the joints are past the last state that was found when a robot with
@@ -98,6 +108,9 @@ class Continuation(Settings):
     largest_ratio: float = 0.3
     largest_twist: float = 0.6
     soft_twist: float = 0.1
+    largest_turn: float = 0.3
+    largest_shift: float = 0.05
+    home_turn: float = math.pi / 8
     shortest_step: float = 1e-11
     shortest_load_step: float = 1e-8
     towards_end: float = 0.8
@@ -120,6 +133,10 @@ class Continuation(Settings):
     load_stage: float = 4.0
     load_starts: int = 128
     most_load_starts: int = 512
+    rubbing_steps: int = 15
+    stick_patience: int = 4
+    stick_changes: int = 20
+    onward: float = 0.9
     towards_rubbing_fold: float = 0.72
     rubbing_past: float = 1e4
     landed_step: float = 1e-3
@@ -128,13 +145,6 @@ class Continuation(Settings):
 
 
 CONTINUATION = Continuation()
-
-LARGEST_TURN = 0.3
-"""Largest change (rad) of a joint rotation in one step of the path: small against a turn, after which another branch
-looks like the one that is followed."""
-
-LARGEST_SHIFT = 0.05
-"""Largest change of a translation in one step, as a fraction of the longest tube."""
 
 HESSIANS = ("exact", "limited-memory")
 

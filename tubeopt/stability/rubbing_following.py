@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from ..block.transcription.contact import evaluate_contact
-from ..equilibrium.continuation import LARGEST_RATIO, JointPath, largest_twist
+from ..equilibrium.continuation import JointPath, largest_twist
 from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, sweep, swept
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -167,7 +167,7 @@ def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
 def _near(path: JointPath, held: Held, t: float) -> Held | None:
     """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
     there = step(path.robot, held, *path.at(t))
-    if there is None or there.found.contraction > LARGEST_RATIO:
+    if there is None or there.found.contraction > CONTINUATION.largest_ratio:
         return None
     far = _distance(held, there)
     return there if far <= largest_twist(0.0) or far <= largest_twist(held.held_margin) else None

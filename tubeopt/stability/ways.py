@@ -16,11 +16,11 @@ from ..equilibrium.kinematics import nearby
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import polish, to_equilibrium
 from ..solvers.compiled.binding import kernel_of
-from ..solvers.settings import LARGEST_TURN
+from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .following import Event, beyond, fold_ahead, motion_along
 
-STEP = (1 - 1e-9) * LARGEST_TURN
+STEP = (1 - 1e-9) * CONTINUATION.largest_turn
 """Turn (rad) of a step of the kernel: the most that it takes, less a round-off that would make it more; of those that
 it declines half, down to SHORTEST_STEP."""
 

@@ -15,9 +15,9 @@ from ...block.transcription.piece import EXTRA_POINTS
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
-from ..rubbing import HONEST, ITERATIONS, ONWARD
-from ..settings import CONTINUATION, LARGEST_SHIFT, LARGEST_TURN
-from ..sticking import MOST_CHANGES, PATIENCE, ROUND_OFF
+from ..rubbing import HONEST
+from ..settings import CONTINUATION
+from ..sticking import ROUND_OFF
 from .text import c_tables
 
 DEGREE, COARSE_DEGREE = 6, 3
@@ -82,15 +82,15 @@ def slope_constants() -> str:
 def rubbing_constants() -> str:
     """Numbers and tables of `rubbing.c`."""
     numbers = {
-        "PATIENCE": PATIENCE,
-        "MOST_CHANGES": MOST_CHANGES,
+        "PATIENCE": CONTINUATION.stick_patience,
+        "MOST_CHANGES": CONTINUATION.stick_changes,
         "HARDLY": ROUND_OFF,
         "HONEST": HONEST,
-        "RUB_ITERATIONS": ITERATIONS,
-        "ONWARD": ONWARD,
+        "RUB_ITERATIONS": CONTINUATION.rubbing_steps,
+        "ONWARD": CONTINUATION.onward,
         "HARDLY_SOFTER": HARDLY_SOFTER,
-        "LARGEST_TURN": LARGEST_TURN,
-        "LARGEST_SHIFT": LARGEST_SHIFT,
+        "LARGEST_TURN": CONTINUATION.largest_turn,
+        "LARGEST_SHIFT": CONTINUATION.largest_shift,
         "LARGEST_RATIO": CONTINUATION.largest_ratio,
         "LARGEST_TWIST": CONTINUATION.largest_twist,
         "SOFT_TWIST": CONTINUATION.soft_twist,
