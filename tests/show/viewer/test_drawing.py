@@ -256,8 +256,10 @@ def test_files_of_a_calibrated_robot_tell_what_its_drives_read(tmp_path: Path) -
     drives = replace(Calibration.none(3), rotation_offsets=(0.1, 0.0, -0.2))
     robot = replace(THESIS, calibration=drives)
     session, _ = move_joint(open_session(robot), 0, 1.0)
+    here = session.equilibrium.rotations
     (tmp_path / "joints.yaml").write_text(export.joints_yaml(session))
-    read = load_joints(tmp_path / "joints.yaml", robot)
-    assert read[0] == pytest.approx(session.equilibrium.rotations - np.array(drives.rotation_offsets), abs=1e-9)
+    assert load_joints(tmp_path / "joints.yaml", robot)[0] == pytest.approx(here, abs=1e-9)
+    told = load_joints(tmp_path / "joints.yaml", THESIS)[0]
+    assert told == pytest.approx(here - np.array(drives.rotation_offsets), abs=1e-9)
     (tmp_path / "path.csv").write_text("rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0\n10,0,0\n")
     assert load_waypoints(tmp_path / "path.csv", robot).rotations[0] == pytest.approx(np.array(drives.rotation_offsets))
