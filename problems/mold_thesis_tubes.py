@@ -22,11 +22,11 @@ ROBOTS = ROOT / "configs" / "robots"
 
 def main(out: Path) -> list[Path]:
     """Plan the molds, rank the materials, save the pictures into `out`, and return their paths."""
-    pictures = []
+    pictures, molds = [], {}
     eccentric = tubeopt.load_robot(ROBOTS / "thesis_etr.yaml").tubes[0]
     concentric = tubeopt.load_robot(ROBOTS / "thesis_ctr.yaml").tubes
     for name, tubes in (("thesis_etr", [eccentric]), ("thesis_ctr", list(concentric))):
-        mold = tubeopt.plan_mold(tubes)
+        mold = molds[name] = tubeopt.plan_mold(tubes)
         for groove in mold.grooves:
             cold, growth, stock = (x * 1e3 for x in (groove.cold.length, groove.growth, groove.stock_length))
             print(
@@ -44,8 +44,8 @@ def main(out: Path) -> list[Path]:
         print(f"{rating.material.name}: {', '.join(rating.reasons)}")
     pictures += [out / "mold_materials.png", out / "mold_milled.png", out / "mold_setup_sheet.png"]
     plot_materials(ratings, pictures[-3])
-    plot_milled(tubeopt.plan_mold(eccentric), pictures[-2])
-    plot_setup_sheet(tubeopt.plan_mold(eccentric), pictures[-1], title="eccentric tube of the thesis")
+    plot_milled(molds["thesis_etr"], pictures[-2])
+    plot_setup_sheet(molds["thesis_etr"], pictures[-1], title="eccentric tube of the thesis")
     return pictures
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from tests.conftest import draw_quickly
 from tubeopt.shaping.heating.settings import DEFAULT_HEATING
 
 SAMPLES = {
@@ -49,12 +50,14 @@ def test_problem(
     samples = inspect.signature(module.main).parameters.get("samples")
     fewer = SAMPLES.get(script.stem, 12)
     coarse = {"samples": fewer} if samples is not None and samples.default > fewer else {}
+    gallery = os.environ.get("TUBEOPT_GALLERY")
+    if coarse or not gallery:
+        draw_quickly(monkeypatch)
     pictures = module.main(tmp_path, **coarse)
     assert pictures
     for picture in pictures:
         with Image.open(picture) as image:
             image.verify()
-    gallery = os.environ.get("TUBEOPT_GALLERY")
     if gallery:
         keep_for_gallery(Path(gallery), script.stem, pictures, capsys.readouterr().out, coarse=bool(coarse))
 

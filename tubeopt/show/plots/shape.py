@@ -258,17 +258,20 @@ def close_up_radius(equilibrium: Equilibrium) -> float:
 
 def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:
     """The end of a tube, or of a segment, seen from the same side, in a circle that is drawn in the scene too."""
-    from matplotlib.patches import Circle, ConnectionPatch
+    from matplotlib.patches import Circle, ConnectionPatch, PathPatch
+    from matplotlib.path import Path
 
     radius, end = close_up_radius(equilibrium), bundle.end
     centre = Centreline(equilibrium).position([end])[0]
     mesh = robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius), detail=CLOSE_UP)
     shown = facets(mesh.only(_within(view.project(mesh.corners - centre), radius * TO_MM)), view, centre)
-    rim = Circle((0, 0), radius * TO_MM, facecolor="white", edgecolor=FAINT, lw=0.8)
-    axes.add_patch(rim)
     axes.add_collection(shown, autolim=False)
-    shown.set_clip_path(rim)
     limit = 1.04 * radius * TO_MM
+    # What leaves the circle is covered: to clip every facet takes vector formats twice as long.
+    frame = Path(2 * limit * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)]))
+    around = Path.make_compound_path(frame, Path.circle(radius=radius * TO_MM))
+    axes.add_patch(PathPatch(around, facecolor="white", edgecolor="none", zorder=4))
+    axes.add_patch(Circle((0, 0), radius * TO_MM, fill=False, edgecolor=FAINT, lw=0.8, zorder=5))
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
     axes.set_aspect("equal")
     axes.axis("off")
@@ -290,6 +293,7 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
         color=FAINT,
         lw=0.5,
         alpha=0.7,
+        zorder=4.5,
     )
     link.set_in_layout(False)
     axes.add_artist(link)
