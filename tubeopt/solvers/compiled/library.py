@@ -214,9 +214,8 @@ def _build(text: str) -> Path | None:
     own = compiler()
     if own is None:
         return None
-    name = hashlib.sha256("\0".join((text, *own, *_tuning())).encode()).hexdigest()[:32]
     for folder in (cache_directory, _own_folder):
-        path = folder() / "kernels" / f"{name}.so"
+        path = kept_as(text, folder)
         if path.exists():
             return path
         for tuned in ([OWN_PROCESSOR], []):
@@ -231,6 +230,12 @@ def _build(text: str) -> Path | None:
                 )
             return path
     return None
+
+
+def kept_as(text: str, folder: Callable[[], Path] = cache_directory) -> Path:
+    """Where the shared library of a C text is kept, compiled by this machine's compiler for its processor."""
+    name = hashlib.sha256("\0".join((text, *(compiler() or ()), *_tuning())).encode()).hexdigest()[:32]
+    return folder() / "kernels" / f"{name}.so"
 
 
 def compile_to(text: str, path: Path, flags: Sequence[str]) -> None:

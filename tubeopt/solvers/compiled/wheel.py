@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 import tempfile
 from pathlib import Path
 
 from .heating import heating_source
-from .library import MOST_TUBES, compile_to, compiler, source
+from .library import MOST_TUBES, compile_to, compiler, kept_as, source
 from .loaded import loaded_source
 from .packaged import Kind, build_kernels, generations, known, processor_features
 from .rubbing import rubbing_source
@@ -21,13 +23,37 @@ def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
     with tempfile.TemporaryDirectory() as scratch:
         all_known = known(generations(), compile_to, Path(scratch))
     chosen = all_known if everywhere else [next(g for g in all_known if g.needs <= here)]
-    texts: dict[Kind, str] = {(0, "heating"): heating_source()}
+    return build_kernels(texts(), compile_to, folder, chosen)
+
+
+def texts() -> dict[Kind, str]:
+    """The C texts of all kernels."""
+    found: dict[Kind, str] = {(0, "heating"): heating_source()}
     for n in range(1, MOST_TUBES + 1):
-        texts |= {
+        found |= {
             (n, "concentric"): source(n, False),
             (n, "eccentric"): source(n, True),
             (n, "general"): source(n, False, True),
             (n, "loaded"): loaded_source(n),
             (n, "rubbing"): rubbing_source(n),
         }
-    return build_kernels(texts, compile_to, folder, chosen)
+    return found
+
+
+def keep(folder: Path) -> int:
+    """Put the kernels of a wheel, unpacked into a folder, where those of this machine are kept, so that who runs the
+    source compiles none again; their number."""
+    count = 0
+    for kind, text in texts().items():
+        for generation in generations():
+            path = generation.kernel(folder, kind)
+            kept = kept_as(text)
+            if path.exists() and generation.needs <= processor_features() and not kept.exists():
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(path, kept)
+                count += 1
+    return count
+
+
+if __name__ == "__main__":
+    print(f"{keep(Path(sys.argv[1]))} kernels of the wheel are kept")
