@@ -48,7 +48,7 @@ def lead_by(
     Examples:
         >>> import tubeopt
         >>> rig = tubeopt.load_rig("configs/rigs/thesis_calcium_silicate.yaml")
-        >>> plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(hold_time=5, objective="margin"))
+        >>> plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(hold_time=5))
         >>> led = tubeopt.lead_by(plan, tubeopt.Thermocouple(), samples=20)
         >>> led.probability > 0.8 > led.open_loop
         True
