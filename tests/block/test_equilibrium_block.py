@@ -88,7 +88,7 @@ def test_largest_margin_that_can_be_demanded_is_the_margin(robot: Robot, rotatio
     assert near.margin < 0.97
     problem = Problem()
     least = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
-    block = EquilibriumBlock(problem, near, refinement=1)
+    block = EquilibriumBlock(problem, near, refinement=0)
     block.margin_at_least(least)
     problem.maximize(least)
     margin = problem.solve(tubeopt.Ipopt(expand=True)).value("margin")

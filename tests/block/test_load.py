@@ -110,7 +110,7 @@ def test_largest_margin_under_load_that_can_be_demanded_is_the_margin() -> None:
     assert 0.6 < near.margin < 0.65
     problem = Problem()
     least = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
-    EquilibriumBlock(problem, near).margin_at_least(least)
+    EquilibriumBlock(problem, near, refinement=0).margin_at_least(least)
     problem.maximize(least)
     assert problem.solve().value("margin") == pytest.approx(near.margin, abs=1e-7)
 
@@ -165,7 +165,7 @@ def test_certificate_under_force_is_that_of_the_library_and_so_are_its_derivativ
     factors = {name: problem.variable(name, robot.n_tubes, guess=1.0) for name in names}
     out = problem.variable("out", robot.n_tubes, guess=shift, scale=0.05)
     tubes = {name: ca.DM(start[name]) * factors[name] for name in names}
-    block = EquilibriumBlock(problem, near, translations=out, tubes=tubes)
+    block = EquilibriumBlock(problem, near, translations=out, tubes=tubes, refinement=0)
     least = problem.variable("least", guess=0.0)
     block.certificate_at_least(least, max_force=force)
     for name in names:

@@ -325,7 +325,7 @@ def test_each_problem_has_its_sentence(tmp_path: Path, old: str, new: str, probl
         ("a: \x07", "not valid YAML: unacceptable character #x0007: special characters are not allowed"),
         ("a: 2001-99-99", "not valid YAML: month must be in 1..12"),
         ("? [a]\n: 1", "line 1, column 3: not valid YAML: found unhashable key"),
-        ("[" * 400, "not valid YAML: nested too deeply"),
+        ("[" * 700, "not valid YAML: nested too deeply"),
         (b"\xff\xfe\xff", "this is not a text file in UTF-8"),
         (
             "a: !!python/object/apply:os.system ['true']",

@@ -201,10 +201,10 @@ def test_stiffnesses_stay_with_their_pieces() -> None:
     assert first.torsional_stiffness == 1e-3
 
 
-def test_a_mold_of_pieces_beside_ordinary_ones(tmp_path: Path) -> None:
+def test_a_mold_of_pieces_beside_ordinary_ones() -> None:
     mold = plan_mold([S_SHAPE, VARIABLE, Tube(1.6e-3, 1.2e-3, 0.0, 60e-3, 15.0)], MoldSpec(springback=BACK))
     assert toolpath_deviation(mold, groove_gcode(mold)) < 1e-6
-    plot_setup_sheet(mold, tmp_path / "sheet.pdf")
+    plot_setup_sheet(mold)
     alone = plan_mold(Tube(1.6e-3, 1.2e-3, 0.0, 60e-3, 15.0), MoldSpec(springback=BACK)).grooves[0]
     assert mold.grooves[2].curvature == alone.curvature
     assert mold.grooves[2].stock_length >= alone.stock_length - 1e-12

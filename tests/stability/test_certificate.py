@@ -13,7 +13,7 @@ from tests.stability.reference import Bundle, Elements, bundle, settle_at, worst
 from tests.stability.robots import random_robot, random_translations, unit_pair
 from tubeopt import ConcentricRobot, InputError, Piece, Tube, snap_free_certificate
 from tubeopt.physics.certificate import PARAMETERS
-from tubeopt.stability import certify, worst_certificate, worst_margin
+from tubeopt.stability import SnapSearch, certify, worst_certificate, worst_margin
 from tubeopt.typing import Array
 
 
@@ -209,7 +209,7 @@ def test_a_double_eigenvalue_has_no_gradient() -> None:
 def test_worst_over_translations_against_a_grid(robot: ConcentricRobot) -> None:
     low = np.array([-0.03, -0.03, -0.03])
     high = np.minimum(0.05, [tube.straight_length for tube in robot.tubes])
-    worst = worst_certificate(robot, low, high)
+    worst = worst_certificate(robot, low, high, effort=SnapSearch(evaluations=300))
     axes = [np.linspace(a, b, 5) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
     least = min(snap_free_certificate(robot, shift) for shift in grid)
@@ -225,7 +225,7 @@ def test_the_least_certificate_of_an_s_over_a_box_is_a_certificate() -> None:
     outer = Tube.of_pieces(1.6e-3, 1.2e-3, [Piece(0.03, 12.0), Piece(0.03, -10.0)], straight_length=0.06)
     robot = ConcentricRobot((inner, outer))
     low, high = np.array([-0.02, 0.0]), np.array([0.01, 0.0])
-    worst = worst_certificate(robot, low, high).certificate
+    worst = worst_certificate(robot, low, high, effort=SnapSearch(evaluations=300)).certificate
     assert worst.margin == snap_free_certificate(robot, worst.translations)
     grid = [snap_free_certificate(robot, low + x * (high - low)) for x in np.linspace(0, 1, 16)]
     assert worst.margin <= min(grid) + 1e-9

@@ -63,7 +63,7 @@ def test_a_symmetric_pose_bifurcates() -> None:
     assert limit.factor == pytest.approx(0.0713476, abs=1e-7)
     assert limit.before.tip_position[0] == pytest.approx(0, abs=1e-12)
     assert abs(limit.after.tip_position[0]) > 1e-4  # type: ignore[union-attr]
-    assert find_load_limit(THESIS, (0.2, 0, -0.1), None, Load((0, 1.5, -1.5)), up_to=1.0) is None
+    assert find_load_limit(THESIS, (0.2, 0, -0.1), None, Load((0, 1.5, -1.5)), up_to=0.2) is None
 
 
 def largest_factor(problem: LoadedProblem, alpha: Array, x: Array, factor: float) -> float:
@@ -136,8 +136,9 @@ def test_all_equilibria_are_counted() -> None:
     assert [e.index for e in below] == [0, 0, 1]
     assert [e.index for e in above] == [0]
     assert below[0].potential < below[1].potential < below[2].potential
-    one = find_equilibria(CRL, (0.5, 0, 0), (0, 0, -0.05), load=Load((1e-4, 0, 0)))
-    assert len(one) == 1
+    # Of one that is certified under this force there is nothing to search.
+    (only,) = find_equilibria(slender(0.4), (0.5, 0, 0), load=Load((0.003, 0, 0)))
+    assert only.stable
 
 
 def test_many_configurations_are_those_one_by_one() -> None:
@@ -272,8 +273,6 @@ def test_what_makes_no_sense_says_so() -> None:
         snap_free_certificate(eccentric, max_force=0.1)
     with pytest.raises(InputError, match="max_force is -1"):
         snap_free_certificate(THESIS, max_force=-1)
-    with pytest.raises(SolveError, match="bifurcates"):
-        forward_kinematics(THESIS, (0, 0, 0), load=Load((0, 1.5, -1.5)))
 
 
 def test_a_fall_ends_in_a_minimum_below() -> None:
@@ -343,8 +342,9 @@ def bent(robot: ConcentricRobot, name: str, i: int, step: float) -> ConcentricRo
     return replace(robot, tubes=tuple(tubes))
 
 
+@pytest.mark.parametrize(("name", "i"), [("curvature", 2), ("bending_stiffness", 0)])
 @pytest.mark.parametrize(("inner", "kind"), [(0.0, "bifurcation"), (np.pi, "fold")])
-def test_the_change_of_a_stroke_force_is_that_of_differences(inner: float, kind: str) -> None:
+def test_the_change_of_a_stroke_force_is_that_of_differences(inner: float, kind: str, name: str, i: int) -> None:
     joints, names = (inner, 0.0, 0.0), ("curvature", "bending_stiffness")
     first, limit = forward_kinematics(THESIS, joints), find_stroke_force(THESIS, joints)
     assert limit is not None
@@ -352,12 +352,12 @@ def test_the_change_of_a_stroke_force_is_that_of_differences(inner: float, kind:
     found = stroke_slopes(first, names)
     assert found is not None
     assert found[0] == pytest.approx(limit.factor, rel=1e-12)
-    for k, (name, i) in enumerate((("curvature", 2), ("bending_stiffness", 0))):
-        step = 1e-4 * getattr(THESIS.tubes[i], name)
-        ahead, back = (find_stroke_force(bent(THESIS, name, i, sign * step), joints) for sign in (1, -1))
-        assert ahead is not None
-        assert back is not None
-        assert found[1][3 * k + i] == pytest.approx((ahead.factor - back.factor) / (2 * step), rel=1e-6)
+    step = 1e-4 * getattr(THESIS.tubes[i], name)
+    ahead, back = (find_stroke_force(bent(THESIS, name, i, sign * step), joints) for sign in (1, -1))
+    assert ahead is not None
+    assert back is not None
+    change = found[1][3 * names.index(name) + i]
+    assert change == pytest.approx((ahead.factor - back.factor) / (2 * step), rel=1e-6)
 
 
 def test_the_stroke_force_of_a_column_grows_with_its_stiffness() -> None:
