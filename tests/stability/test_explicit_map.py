@@ -16,7 +16,7 @@ KB, KT, PULL, STRAIGHT = (
     for name in ("bending_stiffness", "torsional_stiffness", "curvature", "straight_length")
 )
 PULL = KB * PULL
-ENDS, STEPS, STARTS = (0.2, 0.15, 0.1, 0.0), 12, 80
+ENDS, STEPS, STARTS = (0.2, 0.15, 0.1, 0.0), 12, 40
 
 
 def rates(y: Array, present: Array) -> Array:

@@ -136,7 +136,9 @@ def test_all_equilibria_are_counted() -> None:
     assert [e.index for e in below] == [0, 0, 1]
     assert [e.index for e in above] == [0]
     assert below[0].potential < below[1].potential < below[2].potential
-    # Of one that is certified under this force there is nothing to search.
+
+
+def test_of_a_robot_that_is_certified_under_a_force_nothing_is_searched() -> None:
     (only,) = find_equilibria(slender(0.4), (0.5, 0, 0), load=Load((0.003, 0, 0)))
     assert only.stable
 
