@@ -3,7 +3,7 @@
    each change. */
 
 #define MOST_VARIABLES (2 * N)
-#define MOST_CHANGES 100
+#define MOST_EXCHANGES 100
 
 /* rows x >= bounds, (count, n) and (count), with what each is pushed by; numbers of the rows that are active. */
 typedef struct {
@@ -69,7 +69,7 @@ static int least_distance(Quadratic *q, const double *a, double *x) {
     for (int change = 0; row >= 0; change++) {
         double along[MOST_VARIABLES], by[MOST_VARIABLES], whole, shortest = INFINITY;
         int leaving = -1;
-        if (change == MOST_CHANGES) return 0;
+        if (change == MOST_EXCHANGES) return 0;
         split_row(q, q->rows + n * row, along, by);
         whole = dot(along, along, n);
         for (int k = 0; k < q->actives; k++)
