@@ -123,7 +123,8 @@ class Insights:
         session = self._session()
         shift = session.equilibrium.translations
         try:
-            chart = stability_map(session.robot, shift, samples=MAP_SAMPLES, directions=1, workers=1, progress=urgent)
+            # Directions as few as they can be, and even: half of the ways tell of the other.
+            chart = stability_map(session.robot, shift, samples=MAP_SAMPLES, directions=2, workers=1, progress=urgent)
         except _InterruptedError:
             return
         except (InputError, SolveError) as error:
