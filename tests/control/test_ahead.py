@@ -27,12 +27,12 @@ def test_a_goal_behind_a_valley_of_the_margin_is_reached_where_one_step_after_an
     options = ServoOptions(speed=0.2, min_margin=0.2)
     seed = forward_kinematics(CRL, *VALLEY)
     servo = Servo(CRL, seed, options=options)
-    for _ in range(300):
+    for _ in range(200):
         short = servo.step(Command(position=BEHIND), DT)
     assert short.distance > 5e-3
     assert Why.MARGIN in short.why
     ahead = PredictiveServo(CRL, seed, options=options)
-    steps = [ahead.step(Command(position=BEHIND), DT) for _ in range(150)]
+    steps = [ahead.step(Command(position=BEHIND), DT) for _ in range(120)]
     assert np.linalg.norm(steps[-1].equilibrium.tip_position - BEHIND) < 1e-6
     assert min(step.equilibrium.margin for step in steps) >= 0.2
     for one, two in pairwise(steps):
@@ -48,8 +48,8 @@ def test_tubes_made_of_pieces_are_led_ahead_on_their_branch() -> None:
     space = joint_space(PIECES)
     seed = forward_kinematics(PIECES, *space.split(0.5 * space.inside() + 0.5 * space.middle()))
     goal = forward_kinematics(PIECES, seed.rotations + np.array([0.8, -0.5, 0.3]), 0.8 * seed.translations)
-    ahead = PredictiveServo(PIECES, seed, options=ServoOptions(speed=0.2, min_margin=0.1))
-    steps = [ahead.step(Command(position=goal.tip_position), DT) for _ in range(60)]
+    ahead = PredictiveServo(PIECES, seed, knots=12, options=ServoOptions(speed=0.2, min_margin=0.1))
+    steps = [ahead.step(Command(position=goal.tip_position), DT) for _ in range(40)]
     assert steps[-1].distance < 1e-6
     assert min(step.equilibrium.margin for step in steps) >= 0.1
     way = follow(PIECES, [s.rotations for s in steps], [s.translations for s in steps], start=seed)

@@ -69,8 +69,8 @@ def test_turned_into_a_snap_it_stays_above_its_floor_on_its_branch(robot: Concen
     seed = forward_kinematics(robot, np.linspace(0.0, 0.5, n))
     goal = seed.rotations + np.where(np.arange(n) % 2, 5.5, 0.0), seed.translations
     assert find_snap(robot, joints(seed), goal, equilibrium=seed) is not None
-    servo = Servo(robot, seed, options=ServoOptions(min_margin=0.1, turn_rate=6.0))
-    arms = [seed, *(servo.step(Command(joints=goal), 1e-2).equilibrium for _ in range(80))]
+    servo = Servo(robot, seed, options=ServoOptions(min_margin=0.1, turn_rate=10.0))
+    arms = [seed, *(servo.step(Command(joints=goal), 1e-2).equilibrium for _ in range(48))]
     assert min(arm.margin for arm in arms) >= 0.1
     assert np.abs(arms[-1].rotations - seed.rotations).max() > 1.0
     assert np.abs(arms[-1].rotations - goal[0]).max() > 0.5

@@ -34,8 +34,8 @@ def written(
     return str(path)
 
 
-def test_design_is_printed_saved_and_loads_back(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tubeopt.show.design_report.MAP_SAMPLES", 2)
+@pytest.mark.usefixtures("small_maps")
+def test_design_is_printed_saved_and_loads_back(run: Run, tmp_path: Path) -> None:
     data = answer(run("design", str(THESIS), "--json", "--out", str(tmp_path)))
     robot = load_robot(tmp_path / "robot.yaml")
     assert snap_free_certificate(robot) == data["certificate"] >= 0.05 - 1e-6

@@ -48,7 +48,7 @@ def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     free = (Free("curvature", (0,), 5.0, 15.0),)
     strain = Strain((0.008,), in_poses=False)
     few = DesignSolver(
-        retries=1, relaxed_starts=1, iterations=60, ball_iterations=10, joint_restarts=0, sampled_poses=64
+        retries=1, relaxed_starts=1, iterations=40, ball_iterations=10, joint_restarts=0, sampled_poses=64, orders=2
     )
     task = DesignTask(two_tubes(), free, (SnapFree(0.1), strain, target), Objective("change"), solver=few)
     error = refused(task)

@@ -135,8 +135,8 @@ STUDY: dict[str, Any] = {
     "region": {"centre_mm": [0, 0, 60], "radius_mm": 6},
     "places": 2,
     "judged": 2,
-    "points": 20,
-    "seconds": 0.2,
+    "points": 12,
+    "seconds": 0.1,
 }
 
 

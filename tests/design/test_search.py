@@ -83,14 +83,14 @@ def study(directory: Path, **objective: Any) -> Path:
     content = {
         "kind": "design", "robot": str(CRL), "ordered": False, "requirements": {"strain": {"limits_percent": [3]}},
         "free": [{"tubes": [1, 2, 3], "curvature_per_m": [2, 50]}],
-        "objective": asked | {"points": 20, "seconds": 0.5, "tilt_deg": 5} | objective,
+        "objective": asked | {"points": 12, "seconds": 0.2, "tilt_deg": 5} | objective,
     }  # fmt: skip
     path.write_text(yaml.safe_dump(content))
     return path
 
 
-def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tubeopt.show.design_report.MAP_SAMPLES", 2)
+@pytest.mark.usefixtures("small_maps")
+def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
     told = answer(run("design", str(study(tmp_path)), "--json", "--out", str(tmp_path / "out")))
     region = told["region"]
     assert region["places"] == 2

@@ -43,7 +43,7 @@ SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
 TARGET = np.array([50.0, 30.0, 150.0]) * MM
 
 
-pytestmark = pytest.mark.usefixtures("own_tables")
+pytestmark = pytest.mark.usefixtures("small_tables")
 
 
 def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.05) -> None:
@@ -66,7 +66,7 @@ def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.0
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, ETR], ids=lambda robot: robot.name)
 def test_tips_of_random_configurations_are_reached(robot: Robot) -> None:
-    for wanted in reachable(robot, 10, seed=1):
+    for wanted in reachable(robot, 6, seed=1):
         answer = inverse_kinematics(robot, wanted.tip_position)
         check(answer, robot)
         assert answer.cold_start_agrees
@@ -74,7 +74,7 @@ def test_tips_of_random_configurations_are_reached(robot: Robot) -> None:
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
 def test_and_pointed_as_they_were(robot: Robot) -> None:
-    for wanted in reachable(robot, 6, seed=2):
+    for wanted in reachable(robot, 4, seed=2):
         answer = inverse_kinematics(robot, wanted.tip_position, direction=3 * wanted.tip_rotation[:, 2])
         check(answer, robot)
         assert answer.direction_error <= 1e-6
@@ -108,14 +108,14 @@ def test_narrow_limits_are_kept() -> None:
 def test_the_margin_is_never_below_its_bound(margin: float) -> None:
     """Targets at the tip of configurations close to a snap: another posture is found, or none."""
     found = 0
-    for k, wanted in enumerate(reachable(CRL, 12, seed=5, margin=0.02)):
+    for k, wanted in enumerate(reachable(CRL, 6, seed=5, margin=0.02)):
         try:
             answer = inverse_kinematics(CRL, wanted.tip_position, min_margin=margin, seed=wanted if k % 2 else None)
         except SolveError:
             continue
         check(answer, CRL, margin)
         found += 1
-    assert found >= 6
+    assert found >= 3
 
 
 def test_a_target_whose_nearest_posture_is_unstable() -> None:
@@ -244,7 +244,7 @@ class TestObstacles:
         """The tip, 0.5 mm thick, touches the sphere: no pose is closer, and as many starts as there may be find it."""
         body = Sphere(tuple(TARGET), 0.01)
         nearest = 0.01 + THESIS.tubes[0].outer_diameter / 2
-        for starts in (1, 6):
+        for starts in (1, 3):
             options = InverseOptions(starts=starts)
             with pytest.raises(SolveError, match=r"mm short.*arm at obstacle 1 \(sphere\)") as told:
                 inverse_kinematics(THESIS, TARGET, obstacles=[body], options=options)
@@ -281,7 +281,7 @@ class TestOutOfReach:
             inverse_kinematics(THESIS, [0, 0, 0.6], options=InverseOptions(starts=4))
 
     def test_the_closest_pose_on_request(self) -> None:
-        closest = inverse_kinematics(ETR, [0.0, 0.0, 0.2], on_failure="closest")
+        closest = inverse_kinematics(ETR, [0.0, 0.0, 0.2], on_failure="closest", options=InverseOptions(starts=3))
         assert closest.status is InverseStatus.CLOSEST
         assert not closest.reached
         # Straight up is as close as 94 mm of arm get.
@@ -298,7 +298,7 @@ class TestOutOfReach:
             inverse_kinematics(
                 robot, target, on_failure="closest", options=InverseOptions(starts=starts)
             ).position_error
-            for starts in (1, 2, 4, 8, 16)
+            for starts in (1, 2, 4, 8)
         ]
         assert (np.diff(missed) <= 1e-7 * 0.4).all()
 
@@ -322,7 +322,7 @@ class TestOutOfReach:
         inner = Tube(1.0 * MM, 0.7 * MM, 62.6 * MM, 186.2 * MM, 4.24)
         robot = ConcentricRobot([inner, Tube(1.4 * MM, 1.1 * MM, 35.4 * MM, 149.0 * MM, 9.23)])
         for target in ([0.0, 0.0, 0.2], [0.3, 0.2, 0.05]):
-            closest = inverse_kinematics(robot, target, on_failure="closest", options=InverseOptions(starts=12))
+            closest = inverse_kinematics(robot, target, on_failure="closest", options=InverseOptions(starts=6))
             assert not closest.reached
             assert closest.margin >= 0.05
             assert inside(robot, closest.rotations, closest.translations, 1e-9)
@@ -330,7 +330,7 @@ class TestOutOfReach:
 
 class TestAllSolutions:
     def test_they_are_distinct_and_all_answers(self) -> None:
-        found = inverse_kinematics(THESIS, TARGET, all_solutions=True, options=InverseOptions(starts=24))
+        found = inverse_kinematics(THESIS, TARGET, all_solutions=True, options=InverseOptions(starts=16))
         assert len(found) >= 2
         for answer in found:
             check(answer, THESIS)
@@ -548,7 +548,7 @@ class TestWays:
     def test_a_way_is_followed_without_a_snap(self) -> None:
         """Among random targets are some to which the straight way from home snaps; the way that is found does not."""
         around = 0
-        for wanted in reachable(THESIS, 8, seed=33):
+        for wanted in reachable(THESIS, 6, seed=33):
             answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
             assert answer.reachable
             assert answer.way is not None

@@ -242,7 +242,7 @@ def slow_robot(kind: str) -> Robot:
 
 @pytest.mark.parametrize("kind", ["segments", "nine"])
 def test_short_time_limits_bound_what_slow_robots_do(kind: str) -> None:
-    robot, limit = slow_robot(kind), 0.2
+    robot, limit = slow_robot(kind), 0.1
     space = joint_space(robot)
     start, goal = (forward_kinematics(robot, *space.split(q)) for q in space.sample(4)[:2])
     body = Sphere((0.03, 0.03, 0.1), 4e-3)

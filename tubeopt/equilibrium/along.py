@@ -12,6 +12,15 @@ from .derivatives import Derivatives
 from .general_motion import GeneralMotion
 
 
+def place_at(of: Derivatives | GeneralMotion, fraction: float) -> Array:
+    """(3,) position at a fraction of the arm's length in front of the plate, m."""
+    table = of.arm.position
+    if not of.arm.n_pieces:
+        return np.asarray(table[-1])
+    k, weights, _ = _weights(of, fraction)
+    return np.asarray(weights @ table[4 * k : 4 * k + 5])
+
+
 def position_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Array, Array]:
     """(3,) position at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
     table = of.arm.position

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..block.quantities import Expression, Quantity, recorded
-from ..equilibrium.along import curvature_at, position_at
+from ..equilibrium.along import curvature_at, place_at, position_at
 from ..errors import InputError
 from ..stability import snap_free_certificate
 from ..typing import Array
@@ -29,7 +29,6 @@ class Extras:
 
     def room(self, at: Posture) -> Array:
         """(c,) of every number of every constraint, in steps of its size, >= 0 where it is kept."""
-        # A little inside, so that solving again on a finer mesh still finds them kept.
         # A little inside, so that solving again on a finer mesh still finds them kept.
         parts = [_asked(one, partial(e, values(at))) / one.size - 1e-6 for one, e in self.constraints]
         return np.concatenate([np.zeros(0), *parts])
@@ -108,7 +107,7 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
             case "tip_direction":
                 return at.direction
             case "position":
-                return position_at(at.derivatives, one.at[0])[0]
+                return place_at(at.derivatives, one.at[0])
             case "curvature" if one.at:
                 return curvature_at(at.derivatives, one.at[0])[0]
             case name if one.pose is None:

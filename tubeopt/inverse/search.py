@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import islice, pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..errors import InputError
+from ..robots.robot import Robot
 from ..stability.certificate import snap_free_certificate
 from ..typing import Array
 from .clock import Clock
@@ -131,7 +133,13 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
 def _certificate(task: Task, shift: Array) -> float:
     space = task.chart.space
     q = np.append(np.zeros(space.robot.n_tubes), shift)
-    return snap_free_certificate(space.robot, space.split(q)[1])
+    return _certificate_at(space.robot, space.split(q)[1])
+
+
+@lru_cache(maxsize=8192)
+def _certificate_at(robot: Robot, translations: tuple[float, ...]) -> float:
+    """Its certificate there: plans between the same translations ask for a thousand of the same again."""
+    return snap_free_certificate(robot, translations)
 
 
 def by_sampling(

@@ -31,7 +31,7 @@ from .report import Drawing, Report, drawing, file_name, grid, two_columns
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
 
-MAP_SAMPLES = 20
+MAP_SAMPLES, MAP_DIRECTIONS = 20, 60
 """Points per axis of the stability maps before and after."""
 
 CAPTIONS = {
@@ -323,7 +323,9 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
     from ..stability import stability_map
     from .plots.design import plot_before_after
 
-    before, after = (stability_map(robot, samples=MAP_SAMPLES, directions=60, workers=1) for robot in robots)
+    before, after = (
+        stability_map(robot, samples=MAP_SAMPLES, directions=MAP_DIRECTIONS, workers=1) for robot in robots
+    )
     return plot_before_after(before, after, path, heading=robots[1].name)
 
 
