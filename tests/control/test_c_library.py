@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.examples import CRL, THESIS
+from tests.examples import THESIS
 from tubeopt import (
     ConcentricRobot,
     InputError,

@@ -43,7 +43,7 @@ SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
 TARGET = np.array([50.0, 30.0, 150.0]) * MM
 
 
-pytestmark = pytest.mark.usefixtures("small_tables")
+pytestmark = pytest.mark.usefixtures("own_tables")
 
 
 def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.05) -> None:
