@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import scipy
 from tests.examples import DEG, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import (
     InputError,
+    InverseOptions,
     JointLimits,
     PlanOptions,
     RateLimits,
@@ -220,6 +222,7 @@ def test_other_postures_are_tried_where_the_nearest_is_cut_off(monkeypatch: pyte
         return search.Way(None, "search", 7) if len(tried) == 1 else search.find_way(*arguments, **options)
 
     monkeypatch.setattr(plan, "find_way", nearest_cut_off)
+    monkeypatch.setattr("tubeopt.planning.goals.InverseOptions", partial(InverseOptions, starts=20))
     found = plan_trajectory(THESIS, HOME, there.tip_position, options=PlanOptions(objective="none"))
     first = inverse_kinematics(THESIS, there.tip_position, seed=forward_kinematics(THESIS, *HOME))
     np.testing.assert_allclose(found.tip_position[-1], there.tip_position, atol=1e-6)
