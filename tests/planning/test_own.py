@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from tests.examples import THESIS
-from tubeopt import InputError, PlanOptions, Trajectory, WaySearch, plan_trajectory
+from tubeopt import InputError, PlanOptions, Trajectory, plan_trajectory
 from tubeopt.design import OwnObjective, Quantities
 
 START = ([0.0, 0.0, 0.0], [-0.05, -0.03, 0.0])
 GOAL = ([1.5, -0.5, 1.0], [-0.02, -0.01, 0.0])
-FEW_KNOTS = WaySearch(smoothing_intervals=8)
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Height(OwnObjective):
 
 def planned(cost: OwnObjective | None) -> tuple[Trajectory, float]:
     """A plan, and the mean height of its tip over time."""
-    found = plan_trajectory(THESIS, START, GOAL, options=PlanOptions(extra_cost=cost, effort=FEW_KNOTS))
+    found = plan_trajectory(THESIS, START, GOAL, options=PlanOptions(extra_cost=cost))
     assert found.proved
     return found, float(np.trapezoid(found.tip_position[:, 2], found.time) / found.time[-1])
 
