@@ -21,7 +21,8 @@ import numpy as np
 from tubeopt import ConcentricRobot, forward_kinematics, forward_kinematics_batch, load_robot
 
 from .forward_kinematics import solve_bvp
-from .shooting import Array, shoot
+from .joints import ordered_joints
+from .shooting import shoot
 from .timing import ROOT, clock, dump, fresh_process, show, summarise, table
 
 ROBOTS = tuple(ROOT / "configs" / "robots" / f"{name}.yaml" for name in ("thesis_ctr", "crl_ctr"))
@@ -59,19 +60,6 @@ class Measurement:
     checked: int
     bvp: dict[float, float]
     memory: dict[int, float]
-
-
-def ordered_joints(robot: ConcentricRobot, count: int, seed: int = 0) -> tuple[Array, Array]:
-    """Random joint values within a turn, with carriages and ends in order."""
-    random = np.random.default_rng(seed)
-    curved = np.array([tube.curved_length for tube in robot.tubes])
-    straight = np.array([tube.straight_length for tube in robot.tubes])
-    rows: list[Array] = []
-    while len(rows) < count:
-        shift = random.uniform(-curved, straight, (4 * count, len(curved)))
-        begin, end = shift - straight, shift + curved
-        rows.extend(shift[(np.diff(begin) >= 0).all(1) & (np.diff(end) <= 0).all(1)])
-    return random.uniform(-2 * np.pi, 2 * np.pi, (count, len(curved))), np.array(rows[:count])
 
 
 def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int, most: int) -> Measurement:

@@ -20,7 +20,7 @@ import numpy as np
 from rich.table import Table
 from scipy.spatial import cKDTree
 
-from benchmarks.inverse import circle
+from benchmarks.joints import circle
 from benchmarks.timing import ROOT, Timing, clock, dump, milliseconds, show, summarise, table, with_package
 from tests.examples import THESIS
 from tests.inverse_targets import reachable
@@ -101,7 +101,7 @@ def ball() -> MeshObstacle:
 
 def led(bodies: Sequence[Obstacle], steps: int = 200) -> tuple[Timing, list[Equilibrium]]:
     """Steps of the servo of a millisecond, five for each 0.5 mm of a wavy circle; and arms on the way."""
-    targets = circle(THESIS, (0.055, 0.02, 0.15), 0.03, steps)
+    targets = circle((0.055, 0.02, 0.15), 0.03, steps)
     seed = inverse_kinematics(THESIS, targets[0], obstacles=bodies).equilibrium
     leader = Servo(THESIS, seed, obstacles=bodies, options=ServoOptions(speed=0.1, shift_rate=0.1))
     leader.step(Command(position=targets[0]), 1e-3)  # what is made once
@@ -120,7 +120,7 @@ def servo(bodies: Sequence[Obstacle]) -> Timing:
 def session(bodies: Sequence[Obstacle], steps: int = 200) -> Timing:
     """Steps of 0.5 mm on a wavy circle, each to its end."""
     leader = IkSession(THESIS, min_margin=0.1, obstacles=bodies)
-    targets = circle(THESIS, (0.055, 0.02, 0.15), 0.03, steps)
+    targets = circle((0.055, 0.02, 0.15), 0.03, steps)
     leader.solve(targets[0])
     return summarise(clock(partial(leader.solve, target))[0] for target in targets[1:])
 

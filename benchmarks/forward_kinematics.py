@@ -27,6 +27,7 @@ from tubeopt import ConcentricRobot, Equilibrium, forward_kinematics, load_robot
 from tubeopt.equilibrium.arm_change import PARAMETERS
 
 from . import bvp
+from .joints import APART, path_joints, random_joints
 from .shooting import Array, shoot
 from .timing import ROOT, Timing, clock, dump, fresh_process, milliseconds, show, summarise, table
 
@@ -38,12 +39,6 @@ about equal."""
 
 ASTRAY = 1e-5
 """A tip this far (m) from the reference belongs to another equilibrium."""
-
-TURN, SHIFT = np.pi / 360, 1e-4
-"""Largest motion of a joint per step of a path, rad and m."""
-
-APART = 1e-6
-"""How far (m) the timed translations lie from those of the untimed first round."""
 
 FIRST_USE = """
 import time
@@ -78,33 +73,6 @@ class Measurement:
     error: float | None = None
     worst: float | None = None
     astray: int = 0
-
-
-def random_joints(robot: ConcentricRobot, count: int, seed: int = 0) -> list[tuple[Array, Array]]:
-    """Random configurations: half a turn to either side, each tube within 20 % of its curved length from home."""
-    random = np.random.default_rng(seed)
-    reach = 0.2 * np.array([tube.curved_length for tube in robot.tubes])
-    most = np.array([tube.straight_length for tube in robot.tubes]) - 2 * APART
-    return [
-        (random.uniform(-np.pi, np.pi, robot.n_tubes), np.minimum(random.uniform(-reach, reach), most))
-        for _ in range(count)
-    ]
-
-
-def path_joints(
-    robot: ConcentricRobot, count: int, shift: float = 0.0, *, translate: bool = True
-) -> list[tuple[Array, Array]]:
-    """A path that turns around before the tubes are twisted so much that they could snap."""
-    n = robot.n_tubes
-    phase = np.arange(n) * 2 * np.pi / n
-    period = 400
-    out = []
-    for k in range(count):
-        # The largest rate of a sine of amplitude a and period T is 2 pi a / T.
-        wave = np.sin(2 * np.pi * k / period + phase) * period / (2 * np.pi)
-        moved = SHIFT * np.roll(wave, 1) if translate else SHIFT * phase
-        out.append((TURN * wave, moved - 5e-3 + shift))
-    return out
 
 
 def solve_cold(

@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.joints import STEP, circle
 from benchmarks.timing import Timing, clock, dump, milliseconds, show, summarise, table
 from tests.examples import CRL, THESIS, TWO_TUBE
 from tests.inverse_targets import inside, reachable
@@ -23,8 +24,6 @@ from tubeopt.typing import Array
 
 TARGETS = {"solved cold": 0.995, "with direction": 0.98, "cold": 60e-3, "servo step": 3e-3}
 """Shares of targets solved, and most seconds of the median."""
-
-STEP = 0.5e-3
 
 
 @dataclass(frozen=True)
@@ -64,12 +63,6 @@ def cold(robot: Robot, what: str, count: int, options: InverseOptions, *, pointe
         errors.append(error)
         margins.append(again.margin)
     return Cold(robot.name, what, count, solved, max(errors), min(margins), agreeing, summarise(times))
-
-
-def circle(robot: Robot, centre: tuple[float, float, float], radius: float, steps: int) -> Array:
-    """(T, 3) targets STEP apart on a wavy circle, m."""
-    angle = np.arange(steps) * STEP / radius
-    return np.array(centre) + radius * np.column_stack([np.cos(angle), np.sin(angle), 0.1 * np.sin(3 * angle)])
 
 
 @dataclass(frozen=True)
@@ -165,7 +158,7 @@ def main() -> None:
     methods: tuple[Callable[[Robot, Array], Servo], ...] = (servo, differences)
     for robot, centre, radius in paths:
         for method in methods:
-            runs.append(method(robot, circle(robot, centre, radius, options.steps)))
+            runs.append(method(robot, circle(centre, radius, options.steps)))
     if options.json:
         dump({"targets": TARGETS, "cold": [asdict(each) for each in found], "servo": [asdict(each) for each in runs]})
         return

@@ -202,9 +202,9 @@ def _admissible(robot: Robot, shift: Array) -> None:
         )
     if all(len(tubes) == 1 for tubes in robot.moving_together):
         return
-    for row, values in enumerate(shift):
+    for row in sorted(np.unique(shift, axis=0, return_index=True)[1].tolist()):
         try:
-            robot.assembly(values)
+            robot.assembly(shift[row])
         except InputError as error:
             raise InputError(f"translations[{row}]: {error}") from None
 

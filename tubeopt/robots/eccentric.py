@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Annotated
 
@@ -42,7 +43,7 @@ class SheathedRobot(BaseRobot):
         """Distance of the tubes from the centreline, m."""
         return float(self.offset or 0.0)
 
-    @property
+    @cached_property
     def tubes(self) -> tuple[Tube, ...]:
         """The 3 k tubes: three of the innermost segment, then three of the next."""
         return tuple(tube for tube in self.held for _ in range(3))
@@ -135,7 +136,7 @@ class EccentricRobot(SheathedRobot):
             )
         self.check_drives()
 
-    @property
+    @cached_property
     def held(self) -> tuple[Tube, ...]:
         """Its tube, its straight part with the transmission."""
         straight = self.tube.straight_length + self.transmission_length

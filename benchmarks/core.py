@@ -1,0 +1,209 @@
+"""What everything else is made of: forward kinematics, batches, a servo, derivatives, equilibria and designs.
+
+    python -m benchmarks.core [--only QUESTION ...] [--json] [--against DIRECTORY]
+
+Times are processor times of one thread, after an untimed first round that loads and compiles. With `--against` the
+package of another checkout is asked the same questions, by turns with this one, each in processes of its own: times
+stand side by side, and beside them by how much answers differ, relative to the largest of each kind. What a package
+cannot be asked is left out. Both find their compiled kernels in TUBEOPT_CACHE.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+
+from tubeopt import DesignTask, Equilibrium, IkSession, find_equilibria, forward_kinematics, load_robot, optimize_design
+from tubeopt import forward_kinematics_batch as batch
+from tubeopt.design import Free, Objective, SnapFree, Strain
+
+from .joints import circle, ordered_joints, path_joints, random_joints
+from .shooting import Array
+from .timing import ROOT, clock, dump, milliseconds, show, summarise, table, with_package
+
+Call = Callable[[], Any]
+
+ROBOTS = ROOT / "configs" / "robots"
+
+DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
+
+
+@dataclass(frozen=True)
+class Question:
+    """One kind of call: in words, what gives the calls, which numbers of an answer are compared, and how many questions
+    a call asks at once."""
+
+    words: str
+    calls: Callable[[], Iterable[Call]]
+    numbers: Callable[[Any], Array]
+    share: int = 1
+
+
+def robot(name: str = "thesis_ctr") -> Any:
+    """A robot of this project."""
+    return load_robot(ROBOTS / f"{name}.yaml")
+
+
+def of_pose(pose: Equilibrium) -> Array:
+    """Tip, m, and margin."""
+    return np.append(pose.tip_position, pose.margin)
+
+
+def cold() -> Iterable[Call]:
+    """Random configurations, each by itself."""
+    one = robot()
+    return [partial(forward_kinematics, one, a, d) for a, d in random_joints(one, 300)]
+
+
+def eccentric() -> Iterable[Call]:
+    """Random rotations of the eccentric robot of the thesis."""
+    one = robot("thesis_etr")
+    return [partial(forward_kinematics, one, a) for a in np.random.default_rng(7).uniform(-1, 1, (200, 3))]
+
+
+def warm(translate: bool) -> Iterable[Call]:
+    """Steps of a path, each from the one before."""
+    one, last = robot(), []
+
+    def step(a: Array, d: Array) -> Equilibrium:
+        last[:] = [forward_kinematics(one, a, d, guess=last[0] if last else None)]
+        return last[0]
+
+    return [partial(step, a, d) for a, d in path_joints(one, 300, translate=translate)]
+
+
+def many() -> Iterable[Call]:
+    """10,000 configurations at once, three times."""
+    one = robot()
+    return [partial(batch, one, *ordered_joints(one, 10_000))] * 3
+
+
+def servo() -> Iterable[Call]:
+    """Targets 0.5 mm apart."""
+    session = IkSession(robot(), min_margin=0.1)
+    return [partial(session.solve, target) for target in circle((0.055, 0.02, 0.15), 0.03, 200)]
+
+
+def slopes(**asked: Any) -> Iterable[Call]:
+    """Jacobians of random configurations."""
+    one = robot()
+    poses = [forward_kinematics(one, a, d) for a, d in random_joints(one, 200)]
+    return [partial(pose.jacobian, **asked) for pose in poses]
+
+
+def every(name: str, times: int) -> Iterable[Call]:
+    """All equilibria, at rotations that change a little."""
+    one = robot(name)
+    first = np.random.default_rng(3).uniform(-2, 2, one.n_tubes)
+    return [partial(find_equilibria, one, first + 0.1 * k) for k in range(times)]
+
+
+def designs(name: str, most: float, aim: str, *more: Any) -> Iterable[Call]:
+    """The curvatures of a robot that cannot snap at home."""
+    free = (Free("curvature", (0, 1, 2), 0.5, most),)
+    task = DesignTask(robot(name), free, (SnapFree(0.05), *more), Objective(aim))
+    return [partial(optimize_design, task)] * 5
+
+
+QUESTIONS = {
+    "cold": Question("forward kinematics, cold", cold, of_pose),
+    "eccentric": Question("the same of an eccentric robot", eccentric, lambda pose: pose.tip_position),
+    "warm": Question("forward kinematics, warm", partial(warm, translate=True), of_pose),
+    "held": Question("the same, translations held", partial(warm, translate=False), of_pose),
+    "batch": Question(
+        "one of a batch of 10,000", many, lambda b: np.column_stack([b.tip_position, b.margin])[:2].ravel(), 10_000
+    ),
+    "servo": Question("step of a servo", servo, lambda answer: answer.equilibrium.tip_position),
+    "jacobian": Question("Jacobian with margin", slopes, lambda j: np.append(j.position[:, :6:2], j.margin[0])),
+    "dimensions": Question(
+        "Jacobian by all 7n dimensions",
+        lambda: slopes(wrt=("rotations", "translations", *DIMENSIONS)),
+        lambda j: np.append(j.position[:, :6:2], j.margin[0]),
+    ),
+    "equilibria": Question(
+        "all equilibria of the thesis robot",
+        partial(every, "thesis_ctr", 6),
+        lambda found: np.array([len(found), *of_pose(found[0])]),
+    ),
+    "segments": Question(
+        "all equilibria of three eccentric segments",
+        partial(every, "example_three_segment_etr", 1),
+        lambda found: np.array([len(found), *of_pose(found[0])]),
+    ),
+    "snap-free": Question(
+        "design: thesis robot, snap-free",
+        partial(designs, "thesis_ctr", 15.0, "change"),
+        lambda design: np.array([tube.curvature for tube in design.robot.tubes]),
+    ),
+    "turn": Question(
+        "design: tightest turn",
+        partial(designs, "example_equal_ends", 30.0, "tip_curvature", Strain((0.01,))),
+        lambda design: np.array([tube.curvature for tube in design.robot.tubes]),
+    ),
+}
+
+
+def ask(question: Question) -> dict[str, Any]:
+    """Seconds per call after an untimed first round, and the numbers of the answers."""
+    for call in list(question.calls())[:3]:
+        call()
+    timed = [clock(call) for call in question.calls()]
+    return {
+        "seconds": [seconds / question.share for seconds, _ in timed],
+        "answers": [question.numbers(answer).tolist() for _, answer in timed],
+    }
+
+
+def beside(checkout: Path, name: str) -> tuple[str, ...]:
+    """A question with the package of another checkout and with this one, each twice by turns, as a row: of both medians
+    the shorter one, since others on the machine only make them longer."""
+    question, runs = QUESTIONS[name], []
+    for folder in (checkout, ROOT, ROOT, checkout):
+        try:
+            runs.append(with_package(folder, "benchmarks.core", ["--only", name])[name])
+        except subprocess.CalledProcessError as error:
+            if folder == ROOT:
+                raise
+            why = error.stderr.strip().splitlines()[-1]
+            return (question.words, "none", "", "", why, "")
+    before, here = (min(summarise(runs[k]["seconds"]).median for k in pair) for pair in ((0, 3), (1, 2)))
+    one, other = (np.array(runs[k]["answers"], dtype=float) for k in (0, 1))
+    apart = np.abs(one - other).max() / np.abs(one).max()
+    calls = str(2 * len(runs[0]["seconds"]) * question.share)
+    return (question.words, milliseconds(before), milliseconds(here), f"{here / before:.2f}", f"{apart:.0e}", calls)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.core", description=__doc__.split("\n")[0])
+    parser.add_argument("--only", nargs="+", choices=QUESTIONS, default=list(QUESTIONS), help="questions; default: all")
+    parser.add_argument("--json", action="store_true", help="seconds of every call, and answers, as JSON")
+    parser.add_argument("--against", type=Path, metavar="DIRECTORY", help="another checkout, measured in turn")
+    asked = parser.parse_args()
+    if asked.against:
+        columns = "", "ms there", "ms here", "here / there", "answers apart", "calls of each"
+        rows = [beside(asked.against.resolve(), name) for name in track(asked.only, "questions")]
+        show([table("side by side", columns, rows)], [])
+        return
+    found = {name: ask(QUESTIONS[name]) for name in asked.only}
+    if asked.json:
+        dump(found)
+        return
+    rows = []
+    for name, one in found.items():
+        timing, question = summarise(one["seconds"]), QUESTIONS[name]
+        times = map(milliseconds, (timing.median, timing.fast, timing.slow))
+        rows.append((question.words, *times, str(timing.calls * question.share)))
+    show([table("processor time per call", ("", "ms", "10 %", "90 %", "calls"), rows)], [])
+
+
+if __name__ == "__main__":
+    main()
