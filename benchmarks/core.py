@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import subprocess
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from tubeopt import DesignTask, Equilibrium, IkSession, find_equilibria, forward_kinematics, load_robot, optimize_design
 from tubeopt import forward_kinematics_batch as batch
@@ -190,7 +190,10 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.against:
         columns = "", "ms there", "ms here", "here / there", "answers apart", "calls of each"
-        rows = [beside(asked.against.resolve(), name) for name in track(asked.only, "questions")]
+        rows = []
+        for name in asked.only:
+            rows.append(beside(asked.against.resolve(), name))
+            print("; ".join(rows[-1]), file=sys.stderr)
         show([table("side by side", columns, rows)], [])
         return
     found = {name: ask(QUESTIONS[name]) for name in asked.only}
