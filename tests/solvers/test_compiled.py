@@ -79,7 +79,7 @@ def check_same(one: Equilibrium, other: Equilibrium) -> None:
 
 def _with_kernel(robot: Robot, kernel: building.Library) -> tuple[building.Library, Array, int]:
     tubes = binding._tubes(robot)
-    return kernel, tubes, binding._at(tubes)
+    return kernel, tubes, binding.address(tubes)
 
 
 def joints_of(robot: Robot, random: np.random.Generator) -> tuple[Array, Array]:

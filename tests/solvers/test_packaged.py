@@ -100,7 +100,7 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
     assert kernel is not None
     assert kernel.path.parent == tmp_path
     monkeypatch.setattr(
-        binding, "with_kernel", lambda robot, _: (kernel, tubes := binding._tubes(robot), binding._at(tubes))
+        binding, "with_kernel", lambda robot, _: (kernel, tubes := binding._tubes(robot), binding.address(tubes))
     )
     answer = binding.solve_compiled(THESIS, np.array([0.0, 1.0, 2.0]), THESIS.home_translations)
     assert answer is not None
