@@ -67,7 +67,7 @@ INTERRUPTED = {
 }
 """Commands that are at work for longer than AT_WORK."""
 
-AT_WORK, ENDS = 4.0, 2.0
+AT_WORK, ENDS = 1.5, 2.0
 """Seconds after which Ctrl-C is pressed, and within which a command ends."""
 
 TESTS = {"those of a fifth of a second at most": (("-m", "not slow"), 60.0), "all by day": ((), 480.0)}
