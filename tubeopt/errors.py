@@ -6,7 +6,7 @@ import difflib
 import importlib
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -74,7 +74,8 @@ class Settings(Displayed):
 
     Raises:
         InputError: a field whose default is a whole number is none of at least 1, or of at least 0 by the names
-            `_none`; another one is no positive number, or holds one that is none.
+            `_none`; another one is no positive number, holds one that is none, or is no settings where these are asked
+            for.
     """
 
     _none: ClassVar[tuple[str, ...]] = ()
@@ -87,6 +88,8 @@ class Settings(Displayed):
             elif isinstance(each.default, tuple):
                 for number in numbers(each.name, value):
                     positive(each.name, number)
+            elif is_dataclass(each.default):
+                instance(each.name, value, type(each.default))
             else:
                 positive(each.name, value)
 

@@ -14,6 +14,7 @@ from tubeopt.shaping.heating.haste import soonest
 from tubeopt.shaping.heating.ideal import Ideal, planned_ramp, solve_ideal
 from tubeopt.shaping.heating.instant import DURATION, VENTS, physics
 from tubeopt.shaping.heating.program import WISHES, Structure, program
+from tubeopt.shaping.heating.settings import OPTIMAL_CONTROL
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
 from tubeopt.typing import Array
 
@@ -32,7 +33,7 @@ def with_lead(lead: float) -> Ideal:
 def test_derivatives_are_those_of_the_program() -> None:
     generator = np.random.default_rng(5)
     structure = Structure(PROGRAM, clear=True, chosen=("lead", "vents"))
-    made = program(structure)
+    made = program(structure, OPTIMAL_CONTROL, 25)
     answer = with_lead(20e-3)
     wishes = generator.uniform(0.5, 2.0, len(WISHES))
     p = np.concatenate([physics(TUBE, thesis_rig(), PROGRAM), wishes])

@@ -15,9 +15,11 @@ from tests.stability.robots import random_robot, random_translations, strong, un
 from tubeopt import (
     ConcentricRobot,
     EccentricRobot,
+    EquilibriaSearch,
     Equilibrium,
     InputError,
     SegmentedEccentricRobot,
+    SolveError,
     Tube,
     find_equilibria,
     forward_kinematics,
@@ -84,6 +86,19 @@ def test_strong_coupling_has_many() -> None:
     found = find_equilibria(unit_pair(40.0, 0.0), [np.pi + 0.01, 0.0])
     check_set(unit_pair(40.0, 0.0), np.array([np.pi + 0.01, 0.0]), np.zeros(2), found, 2000)
     assert len(found) >= 5
+
+
+def test_a_rougher_search_finds_the_same_or_says_that_it_does_not() -> None:
+    robot, joints = unit_pair(40.0, 0.0), [np.pi + 0.01, 0.0]
+    tips = [
+        sorted(float(e.tip_rotations[0] - e.tip_rotations[1]) for e in find_equilibria(robot, joints, search=search))
+        for search in (EquilibriaSearch(), EquilibriaSearch(grids_of_one=(48, 96), rough_steps=4))
+    ]
+    assert tips[0] == pytest.approx(tips[1], abs=1e-9)
+    with pytest.raises(SolveError, match="more of them on every finer grid"):
+        find_equilibria(robot, joints, search=EquilibriaSearch(grids_of_one=(48,)))
+    with pytest.raises(InputError, match="longest_step is 0; it must be greater than 0"):
+        EquilibriaSearch(longest_step=0.0)
 
 
 def test_a_turn_of_all_tubes_shifts_all() -> None:

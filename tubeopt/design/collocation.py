@@ -46,18 +46,8 @@ first is not enough."""
 DEEPEST = 1e-7
 """How exactly (m) the pose of the objective reach_radius keeps its depth."""
 
-OPTIONS: dict[str, Any] = {
-    "print_level": 0,
-    "sb": "yes",
-    "max_iter": 300,
-    # The start is feasible: a larger barrier would drive it far away first, through designs that no branch connects.
-    "mu_init": 1e-4,
-    "tol": 1e-8,
-    "constr_viol_tol": 1e-10,
-    "bound_relax_factor": 0.0,
-    "honor_original_bounds": "yes",
-}
-"""Of IPOPT."""
+EXACT: dict[str, Any] = {"ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes"}
+"""Bounds are kept as they are."""
 
 UNKNOWN = {
     "clearance": "clearance from a body",
@@ -243,7 +233,7 @@ class _Collocated:
 
     def solved(self) -> tuple[Array, str]:
         """x (X,) where IPOPT ended, and in its words why not at an optimum, "" where it did."""
-        self.opti.solver("ipopt", {"print_time": False, "show_eval_warnings": False}, OPTIONS)
+        self.opti.solver("ipopt", {**self.program.task.solver.collocation.options(warm=False), **EXACT})
         solution: Any
         try:
             solution = self.opti.solve()

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ..errors import Settings
+from ..solvers.settings import Ipopt
+
+COLLOCATION = Ipopt(tolerance=1e-8, constraint_tolerance=1e-10, iterations=300, barrier=1e-4)
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,8 @@ class DesignSolver(Settings):
         near: violation, in steps of its limit, from which IPOPT is trusted to get inside.
         inside: steps by which least squares aims inside every limit, so that IPOPT starts in the interior.
         same_design: dimensions closer than this, in steps of their scale, are one design.
+        collocation: how IPOPT solves the program of method "collocation". Its start is feasible: a larger barrier would
+            drive it far away first, through designs that no branch connects.
         iterations: of IPOPT, before it counts as stuck on a kink.
         ball_iterations: of IPOPT from the optimum in the cubes around targets to that in the balls.
         rim: part of a target's tolerance from a side of the cube around it within which that side binds, and of the
@@ -58,6 +63,7 @@ class DesignSolver(Settings):
     near: float = 0.5
     inside: float = 1e-3
     same_design: float = 1e-3
+    collocation: Ipopt = COLLOCATION
     iterations: int = 150
     ball_iterations: int = 60
     rim: float = 1e-3

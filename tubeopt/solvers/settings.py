@@ -85,8 +85,6 @@ class Continuation(Settings):
             branches are one.
         load_stage: every stage of a growing load ends with so many times the load of the one before, on a mesh of its
             own.
-        load_starts, most_load_starts: of the search for all equilibria under a load, in its first and in its last
-            round; every round has twice those of the one before.
         rubbing_steps: of Newton's method with friction at most.
         stick_patience: exchanges between sticking and slipping without fewer wrong rows, after which they are taken to
             go in circles.
@@ -131,8 +129,6 @@ class Continuation(Settings):
     least_turn: float = 1e-3
     past: float = 1e-4
     load_stage: float = 4.0
-    load_starts: int = 128
-    most_load_starts: int = 512
     rubbing_steps: int = 15
     stick_patience: int = 4
     stick_changes: int = 20

@@ -11,7 +11,7 @@ from .friction_band import FrictionBand, friction_band
 from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
-from .settings import SnapSearch
+from .settings import EquilibriaSearch, SnapSearch
 from .snap import Snap
 from .snapping import find_snap
 from .stroke import find_stroke_force
@@ -24,6 +24,7 @@ __all__ = [
     "Certificate",
     "EccentricVerdict",
     "EnergyMap",
+    "EquilibriaSearch",
     "Finding",
     "FrictionBand",
     "LoadLimit",

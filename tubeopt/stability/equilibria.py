@@ -20,22 +20,19 @@ from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of
 from .loaded_equilibria import loaded_equilibria
+from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 from .shooting import profiles
 from .tips import Preimage, preimage
-
-SAME = 1e-5
-"""Equilibria whose rotations differ by less (rad) everywhere are one."""
-
-CONVEX = 1e-6
-"""Certificate above which there is one equilibrium: 0, and what round-off may add to it."""
-
-CONVEX_OF_PIECES = 1e-3
-"""The same of tubes made of pieces, whose couplings vary between the points of the mesh."""
 
 
 @small
 def find_equilibria(
-    robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None, *, load: Load | None = None
+    robot: Robot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    load: Load | None = None,
+    search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH,
 ) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
 
@@ -50,6 +47,7 @@ def find_equilibria(
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
         load: forces that keep their direction; the equilibria are then ordered by potential energy, and found from many
             starting points, with the degree as the check (see `stability.loaded_equilibria`).
+        search: how they are searched for.
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load with a
@@ -67,27 +65,29 @@ def find_equilibria(
     alpha, place = joint_values(robot, rotations, translations)
     shift = tuple(place.tolist())
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
-    found = all_solutions(problem, alpha)
+    found = all_solutions(problem, alpha, search)
     equilibria = [to_equilibrium(robot, s, shift, ("newton", "search over tip angles", 0.0)) for s in found]
     if load is not None:
-        return loaded_equilibria(robot, alpha, shift, load, equilibria)
+        return loaded_equilibria(robot, alpha, shift, load, equilibria, search)
     return sorted(equilibria, key=lambda e: e.energy)
 
 
-def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
+def all_solutions(
+    problem: ReducedProblem, rotations: Array, search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH
+) -> list[Solution]:
     """All solutions of a reduced problem; raises SolveError where their degree is not 1."""
-    surely = CONVEX if problem.here is None else CONVEX_OF_PIECES
+    surely = search.certain if problem.here is None else search.certain_of_pieces
     if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
         result = descend(problem, rotations, np.zeros(problem.size))
         if result.converged:
             return [Solution(problem, rotations, result, margin(problem, result.state))]
-    found = _solve_from(problem, rotations, profiles(problem, _all_tips(problem, rotations)))
+    found = _solve_from(problem, rotations, profiles(problem, _all_tips(problem, rotations, search)), search.same)
     if degree(found) != 1:
         raise SolveError(_incomplete(len(found), degree(found)))
     return found
 
 
-def _all_tips(problem: ReducedProblem, rotations: Array) -> Array:
+def _all_tips(problem: ReducedProblem, rotations: Array, search: EquilibriaSearch) -> Array:
     """(S, n) tip angles that lead to the joint rotations: of one group after the other, from the base to the tip.
 
     Off the centreline every solution of the groups below gives its own transmissions to those that pass through them.
@@ -101,7 +101,7 @@ def _all_tips(problem: ReducedProblem, rotations: Array) -> Array:
             if key not in known:
                 # Straight tubes that only keep a place have no torsion to transmit.
                 own = np.pad(extra[group.tubes], (0, bundle.n_tubes - len(group.tubes)))
-                known[key] = _complete(preimage(bundle, bundle.transmission + own, rotations[group.tubes]))
+                known[key] = _complete(preimage(bundle, bundle.transmission + own, rotations[group.tubes], search))
             found = known[key]
             for angles, travel in zip(found.tips, found.travel, strict=True):
                 turned = tips.copy()
@@ -123,18 +123,18 @@ def _incomplete(count: int, degree: int) -> str:
     return f"{count} equilibria were found, {why}: one is missing, or the joint values are at a fold, where two are one"
 
 
-def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Array]) -> list[Solution]:
+def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Array], same: float) -> list[Solution]:
     """Newton on the collocation equations from rotations (N, n) at their points, one after the other."""
     out: list[Solution] = []
     for theta in profiles:
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-        if result.converged and all(_differ(result.state.theta, kept.result.state.theta) for kept in out):
+        if result.converged and all(_differ(result.state.theta, kept.result.state.theta, same) for kept in out):
             out.append(Solution(problem, rotations, result, margin(problem, result.state)))
     return out
 
 
-def _differ(one: Array, other: Array) -> bool:
-    return bool(np.abs(one - other).max(initial=0.0) > SAME or not one.size)
+def _differ(one: Array, other: Array, same: float) -> bool:
+    return bool(np.abs(one - other).max(initial=0.0) > same or not one.size)
 
 
 def degree(solutions: list[Solution]) -> int:

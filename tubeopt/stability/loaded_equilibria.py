@@ -27,19 +27,16 @@ from ..typing import Array
 from .certificate import worst_case
 from .loaded_certificate import loaded_worst_case
 from .loaded_events import slide
-
-SAME = 1e-5
-"""Equilibria that differ by less (rad) everywhere are one."""
-
-CONVEX = 1e-6
-"""Certificate above which there is one equilibrium."""
-
-LARGEST_TWIST = 2 * np.pi
-"""Twist of a tube at the tip (rad) up to which starting points reach."""
+from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 
 
 def loaded_equilibria(
-    robot: Robot, rotations: Array, translations: tuple[float, ...], load: Load, plain: list[Equilibrium]
+    robot: Robot,
+    rotations: Array,
+    translations: tuple[float, ...],
+    load: Load,
+    plain: list[Equilibrium],
+    search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH,
 ) -> list[Equilibrium]:
     """All equilibria under a dead load, lowest potential energy first; `plain` are those without it.
 
@@ -55,17 +52,18 @@ def loaded_equilibria(
     if not load.has_energy:
         raise InputError("load has a moment or turns with the tip; it has no energy, so equilibria cannot be counted")
     member = Member(loaded_problem(robot, translations, load), rotations, translations)
-    if load.tip_force_only and _convex(robot, translations, load):
+    if load.tip_force_only and _convex(robot, translations, load, search.certain):
         return [forward_kinematics(robot, rotations, translations, load=load)]
     found: list[LoadedPoint] = []
     explored: set[int] = set()
     for equilibrium in plain:
         theta = sample_rotation(equilibrium, member.problem.torsion.arc_length)
-        _add(found, member, unknowns(member.problem, rotations, theta))
-    sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), CONTINUATION.load_starts
-    while count <= CONTINUATION.most_load_starts:
-        new = sum(_add(found, member, x) for x in _starts(member, sequence.random(count)))
-        new += _descend(found, member, explored)
+        _add(found, member, unknowns(member.problem, rotations, theta), search.same)
+    sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), search.loaded_starts
+    while count <= search.most_loaded_starts:
+        starts = _starts(member, sequence.random(count), search.largest_twist)
+        new = sum(_add(found, member, x, search.same) for x in starts)
+        new += _descend(found, member, explored, search.same)
         # There is a least energy, so a set without a stable equilibrium is not all.
         if not new and _degree(found) == 1 and any(point.margin > 0 for point in found):
             points = sorted(found, key=lambda point: point.state.potential)
@@ -78,15 +76,15 @@ def loaded_equilibria(
     )
 
 
-def _convex(robot: Robot, translations: tuple[float, ...], load: Load) -> bool:
+def _convex(robot: Robot, translations: tuple[float, ...], load: Load, certain: float) -> bool:
     if is_general(robot):
         return False
     unloaded = worst_case(reduced_problem(robot, translations, DEFAULT_DISCRETISATION))[0]
     assembly = robot.assembly(np.array(translations))
-    return loaded_worst_case(assembly, unloaded, float(np.linalg.norm(load.force))) > CONVEX
+    return loaded_worst_case(assembly, unloaded, float(np.linalg.norm(load.force))) > certain
 
 
-def _starts(member: Member, samples: Array) -> list[Array]:
+def _starts(member: Member, samples: Array, twist: float) -> list[Array]:
     """Unknowns of arms whose tubes are twisted and which are bent linearly in arc length."""
     problem, n = member.problem, len(member.rotations)
     torsion = problem.torsion
@@ -97,25 +95,25 @@ def _starts(member: Member, samples: Array) -> list[Array]:
     most = np.minimum(2 * np.sqrt(push / stiffness), push * length / stiffness)[:, None]
     starts = []
     for sample in 2 * samples - 1:
-        x = unknowns(problem, member.rotations, member.rotations + LARGEST_TWIST * sample[:n] * s)
+        x = unknowns(problem, member.rotations, member.rotations + twist * sample[:n] * s)
         bent = 2 * most * (sample[n : n + 2] * (1 - s) + sample[n + 2 :] * s)
         x[torsion.size :] = (bent / problem.softness[:, None]).ravel()
         starts.append(x)
     return starts
 
 
-def _add(found: list[LoadedPoint], member: Member, x: Array) -> bool:
+def _add(found: list[LoadedPoint], member: Member, x: Array, same: float) -> bool:
     """Solve from x; whether that is an equilibrium which was not known."""
     result = loaded_newton(member.problem, member.rotations, x, iterations=30)
     if not result.converged:
         return False
-    if any(turn_of(member.problem, result.state, result.state.x - known.state.x) < SAME for known in found):
+    if any(turn_of(member.problem, result.state, result.state.x - known.state.x) < same for known in found):
         return False
     found.append(solved(member, result))
     return True
 
 
-def _descend(found: list[LoadedPoint], member: Member, explored: set[int]) -> int:
+def _descend(found: list[LoadedPoint], member: Member, explored: set[int], same: float) -> int:
     """Fall from unstable equilibria to both sides of their unstable directions; how many new ones that finds."""
     new = 0
     for k, point in enumerate(list(found)):
@@ -127,7 +125,7 @@ def _descend(found: list[LoadedPoint], member: Member, explored: set[int]) -> in
             push = CONTINUATION.nudge / turn_of(member.problem, point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
-                new += landed.converged and _add(found, member, landed.state.x)
+                new += landed.converged and _add(found, member, landed.state.x, same)
     return new
 
 

@@ -21,11 +21,6 @@ from .shooting import relative, relative_joints, relative_slope
 
 TURN = 2 * np.pi
 
-GRID = {1: 256, 2: 64, 3: 16, 4: 8}
-"""Points per turn, by the number of relative tip angles."""
-
-COARSEST_GRID = 5
-
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
@@ -44,7 +39,7 @@ def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable
     """The grid around relaxed rotations `start` (n,), in which the tip angles `unstable` (B, n), each an unstable
     equilibrium, take the place of the nodes next to them: so an unstable region smaller than a cell is not missed."""
     d = len(coupled) - 1
-    size = GRID.get(d, COARSEST_GRID)
+    size = effort.sheet_grid[min(d, len(effort.sheet_grid)) - 1]
     shape, origin = (size,) * d, relative(start[None], coupled)
     axis = np.arange(size) * TURN / size
     tips = np.stack(np.meshgrid(*[axis] * d, indexing="ij"), axis=-1).reshape(-1, d)

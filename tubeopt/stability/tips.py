@@ -15,27 +15,9 @@ import numpy as np
 
 from ..solvers.sampling import sobol
 from ..typing import Array
+from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 from .shooting import STEPS, Bundle, Shot
 from .tables import TURN, joints, starts, table_of
-
-GRIDS = {1: (1024, 4096, 16384), 2: (160, 320, 640), 3: (80, 120, 180)}
-"""Points per turn of the grids on which a table is read, by the number of its angles."""
-
-ROUGH_STEPS = 2
-"""Steps of the integration per piece on the way to a solution: errors near 1e-4 rad."""
-
-ROUGH, CLOSE = 1e-3, 1e-2
-"""A solution of the rough integration is left to the finer one once its joints are as close (rad) as the first; where
-Newton's method does not get there, as next to a fold, from the best that it saw if that is as close as the second."""
-
-ARRIVED = 1e-8
-"""Joints as close (rad) are solved."""
-
-SAME = 1e-4
-"""Tip angles that differ by less (rad) and lie on the same side of a fold are one."""
-
-LONGEST_STEP = 0.5
-"""Largest change (rad) of a tip angle by one step: from next to a fold it may leave for anywhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,34 +31,39 @@ class Preimage:
     settled: bool
 
 
-def preimage(bundle: Bundle, transmission: Array, rotations: Array) -> Preimage:
+def preimage(
+    bundle: Bundle, transmission: Array, rotations: Array, search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH
+) -> Preimage:
     """Tip angles that lead to joint rotations (k,) of the first k tubes of a bundle, the others being straight, if its
     transmissions were (n,) `transmission`, m."""
     part = replace(bundle, transmission=transmission)
-    found = _finish(part, rotations, rotations[None] if len(rotations) == 1 else np.zeros((0, len(rotations))))
+    found = _finish(part, rotations, rotations[None] if len(rotations) == 1 else np.zeros((0, len(rotations))), search)
     if len(rotations) == 1:
         # Nothing turns a single tube.
         return found
-    for near in _starts(bundle, transmission, rotations):
+    for near in _starts(bundle, transmission, rotations, search):
         before = len(found.tips)
-        found = _finish(part, rotations, np.concatenate([found.tips, _approach(part, rotations, near)]))
+        found = _finish(part, rotations, np.concatenate([found.tips, _approach(part, rotations, near, search)]), search)
         if len(found.tips) == before and found.sign.sum() == 1:
             return found
     return replace(found, settled=False)
 
 
-def _starts(bundle: Bundle, transmission: Array, wanted: Array) -> Iterator[Array]:
+def _starts(bundle: Bundle, transmission: Array, wanted: Array, search: EquilibriaSearch) -> Iterator[Array]:
     """Tip angles (B, k) from which to solve, from ever finer grids."""
     k = len(wanted)
     if k <= 3:
         table = table_of(bundle, k)
-        for size in GRIDS[len(table.size)]:
+        for size in (search.grids_of_one, search.grids_of_two, search.grids_of_three)[len(table.size) - 1]:
             yield starts(table, transmission[:k], wanted, size)
         return
-    # From 1,024 on twice as many each time, for as long as a new solution or the degree says that some are missing.
-    for power in range(10, 15):
-        tips = np.pad(sobol(k - 1, 2**power, power) * TURN, ((0, 0), (0, 1)))
-        yield tips + (wanted - joints(replace(bundle, transmission=transmission), tips, ROUGH_STEPS).rotations)[:, -1:]
+    # Twice as many each time, for as long as a new solution or the degree says that some are missing.
+    count = search.first_starts
+    while count <= search.most_starts:
+        tips = np.pad(sobol(k - 1, count, count.bit_length() - 1) * TURN, ((0, 0), (0, 1)))
+        led = joints(replace(bundle, transmission=transmission), tips, search.rough_steps).rotations
+        yield tips + (wanted - led)[:, -1:]
+        count *= 2
 
 
 def _gap(rotations: Array, wanted: Array) -> Array:
@@ -85,9 +72,11 @@ def _gap(rotations: Array, wanted: Array) -> Array:
     return np.asarray(gap - TURN * np.round(gap / TURN))
 
 
-def _newton(bundle: Bundle, wanted: Array, tips: Array, how: tuple[int, int, float]) -> tuple[Array, Array]:
+def _newton(
+    bundle: Bundle, wanted: Array, tips: Array, how: tuple[int, int, float], longest: float
+) -> tuple[Array, Array]:
     """Tip angles (B, k) of Newton's method where they left the least gap, and this gap (B,); `how`: steps of the
-    integration, most iterations, and the gap that ends them."""
+    integration, most iterations, and the gap that ends them; `longest`: change of a tip angle by one step."""
     steps, iterations, enough = how
     best, least = tips.copy(), np.full(len(tips), np.inf)
     going, here = np.arange(len(tips)), tips
@@ -102,8 +91,8 @@ def _newton(bundle: Bundle, wanted: Array, tips: Array, how: tuple[int, int, flo
         left = size > enough
         going, here, gap, slope = going[left], here[left], gap[left], _slope(shot)[left]
         step = np.linalg.solve(slope + 1e-12 * np.eye(tips.shape[1]), -gap[:, :, None])[:, :, 0]
-        longest = np.abs(step).max(1, initial=0.0)
-        here = here + step * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, 1e-12))[:, None]
+        change = np.abs(step).max(1, initial=0.0)
+        here = here + step * np.minimum(1.0, longest / np.maximum(change, 1e-12))[:, None]
     return best, least
 
 
@@ -112,22 +101,23 @@ def _slope(shot: Shot) -> Array:
     return shot.by_tip
 
 
-def _approach(bundle: Bundle, wanted: Array, starts: Array) -> Array:
+def _approach(bundle: Bundle, wanted: Array, starts: Array, search: EquilibriaSearch) -> Array:
     """Starts that got close, by rough integration, without doubles."""
     tips = starts
     # Most starts have met after a few steps.
     for iterations in (3, 10):
-        tips, gap = _newton(bundle, wanted, tips, (ROUGH_STEPS, iterations, ROUGH))
+        how = search.rough_steps, iterations, search.handed_over
+        tips, gap = _newton(bundle, wanted, tips, how, search.longest_step)
         tips = tips % TURN
-        first = np.unique(np.round(tips / CLOSE), axis=0, return_index=True)[1]
+        first = np.unique(np.round(tips / search.close), axis=0, return_index=True)[1]
         tips, gap = tips[first], gap[first]
-    return np.asarray(tips[gap < CLOSE])
+    return np.asarray(tips[gap < search.close])
 
 
-def _finish(bundle: Bundle, wanted: Array, starts: Array) -> Preimage:
+def _finish(bundle: Bundle, wanted: Array, starts: Array, search: EquilibriaSearch) -> Preimage:
     """Tip angles that starts lead to, unwound so that their joints are the wanted ones without whole turns."""
-    tips, gap = _newton(bundle, wanted, starts, (STEPS, 12, ARRIVED))
-    tips = tips[gap < ARRIVED]
+    tips, gap = _newton(bundle, wanted, starts, (STEPS, 12, search.solved), search.longest_step)
+    tips = tips[gap < search.solved]
     if not len(tips):
         return Preimage(tips, np.zeros(0), np.zeros((0, bundle.n_tubes)), True)
     shot = joints(bundle, tips, STEPS, slopes=True)
@@ -135,7 +125,7 @@ def _finish(bundle: Bundle, wanted: Array, starts: Array) -> Preimage:
     sign = np.sign(np.linalg.det(_slope(shot)))
     kept: list[int] = []
     for i in range(len(tips)):
-        near = np.abs(tips[kept] - tips[i]).max(1, initial=0.0) < SAME
+        near = np.abs(tips[kept] - tips[i]).max(1, initial=0.0) < search.same_tips
         if not (near & (sign[kept] == sign[i])).any():
             kept.append(i)
     return Preimage(tips[kept], sign[kept], shot.travel[kept], True)

@@ -134,7 +134,7 @@ def solve_ideal(
         SolveError: IPOPT did not converge; the message says at what the worst constraint is.
     """
     structure = Structure(PROGRAM, clear=below and spec.objective == "margin", chosen=spec.free)
-    made = program(structure)
+    made = program(structure, spec.solver.ipopt, spec.solver.again_iterations)
     x = guess.x if guess is not None else first_guess(made, tube, rig, spec)
     lower, upper = _unknown_bounds(made, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)

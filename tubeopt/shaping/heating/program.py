@@ -18,6 +18,7 @@ import numpy as np
 
 from ...block.transcription.tableau import tableau
 from ...physics.heat import Resolution
+from ...solvers.settings import Ipopt
 from ...typing import Array
 from .derivatives import Parts
 from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
@@ -39,26 +40,16 @@ BAND, ENERGY = 25.0, 1e4
 WINDOW = 10.0
 """Size of a constraint of the window, K."""
 
-IPOPT: dict[str, Any] = {
-    "print_time": False,
-    "ipopt.print_level": 0,
-    "ipopt.sb": "yes",
-    # In units of the objective, which are about 1 K and 30 s: far below what the coarse grid and whole counts change.
-    "ipopt.tol": 1e-4,
-    "ipopt.constr_viol_tol": 1e-7,
-    "ipopt.max_iter": 250,
-    "ipopt.acceptable_iter": 0,
-    # With MUMPS' own choice the inertia is lost to round-off, and every step is tried several times.
+MUMPS: dict[str, Any] = {
+    # With its own choice the inertia is lost to round-off, and every step is tried several times.
     "ipopt.mumps_pivtol": 1e-2,
     "ipopt.mumps_pivot_order": 5,  # METIS: the pattern is that of a grid, in place and in time.
     # Memory beyond what the analysis foresees, in percent: ten times as much would be mapped anew in every iteration.
     "ipopt.mumps_mem_percent": 20,
 }
-FEW = {"ipopt.max_iter": 25}
-"""From an earlier answer few steps are enough; where they are not, a new start is better."""
 
 # What is nearly a linear program may leave each barrier soon.
-COLD: dict[str, Any] = {"ipopt.mu_init": 1e-2, "ipopt.barrier_tol_factor": 100.0}
+COLD: dict[str, Any] = {"ipopt.barrier_tol_factor": 100.0}
 WARM: dict[str, Any] = {
     "ipopt.mu_init": 1e-5,
     "ipopt.warm_start_init_point": "yes",
@@ -248,8 +239,8 @@ def _held(s: Structure, x: _Unknowns, numbers: Numbers, designs: Any) -> Any:
 
 
 @lru_cache(maxsize=8)
-def program(s: Structure) -> Program:
-    """The compiled program of a structure."""
+def program(s: Structure, by: Ipopt, again: int) -> Program:
+    """The compiled program of a structure; `again`: iterations from an earlier answer at most."""
     x, mesh = _Unknowns.of(s), s.mesh
     p, wishes = ca.MX.sym("p", number_count(s.resolution)), ca.MX.sym("wishes", len(WISHES))
     w = dict(zip(WISHES, ca.vertsplit(wishes), strict=True))
@@ -295,12 +286,12 @@ def program(s: Structure) -> Program:
         constraints=ca.vertcat(*(ca.vec(block) for block in blocks.values())),
         weights=energy,
     )
-    exact = {**IPOPT, **apart.functions(s.resolution, problem["g"])}
+    exact = {**by.options(warm=False), **MUMPS, **apart.functions(s.resolution, problem["g"])}
     convex = {**exact, "hess_lag": _curvature(problem, smooth)}
     return Program(
         structure=s,
         convex=ca.nlpsol("heating", "ipopt", problem, {**convex, **COLD}),
-        again=ca.nlpsol("heating_again", "ipopt", problem, {**exact, **WARM, **FEW}),
+        again=ca.nlpsol("heating_again", "ipopt", problem, {**exact, **WARM, "ipopt.max_iter": again}),
         exact=ca.nlpsol("heating_exact", "ipopt", problem, {**exact, **COLD}),
         split=ca.Function("split", [x.column], [x.z, x.circuit, x.drive, x.durations[0], x.misses[0], x.design]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},

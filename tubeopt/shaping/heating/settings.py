@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ...errors import Settings
+from ...solvers.settings import Ipopt
+
+OPTIMAL_CONTROL = Ipopt(tolerance=1e-4, constraint_tolerance=1e-7, iterations=250, barrier=1e-2)
 
 
 @dataclass(frozen=True)
@@ -13,6 +16,10 @@ class HeatingSolver(Settings):
     """How a heating schedule is searched for, corrected and led; a field of `HeatingSpec`.
 
     Args:
+        ipopt: how the optimal control problem is solved. Its objective is in units of about 1 K and 30 s: the tolerance
+            is far below what the coarse grid and whole counts change.
+        again_iterations: of IPOPT from an earlier answer, from which few are enough; where they are not, a new start is
+            better.
         rounds: of the optimal control problem, corrected by the difference between its grid and the fine one.
         trims: times that duties are scaled down until no point is above the limit.
         room, more_room: counts of the duty for whose warming the program leaves room below the ramp, tried in turn.
@@ -60,6 +67,8 @@ class HeatingSolver(Settings):
             not positive.
     """
 
+    ipopt: Ipopt = OPTIMAL_CONTROL
+    again_iterations: int = 25
     rounds: int = 4
     trims: int = 8
     room: float = 0.75
