@@ -32,6 +32,7 @@ from ..bodies.corridors import MeshObstacle
 from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
 from ..inverse.way_settings import WaySearch
+from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
 
 MOST_NODES = 1_000_000
@@ -44,6 +45,7 @@ TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
 
 OPTIONS: dict[str, Any] = {
+    **NO_SENSITIVITIES,
     "print_time": False,
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",

@@ -144,6 +144,10 @@ CONTINUATION = Continuation()
 
 HESSIANS = ("exact", "limited-memory")
 
+NO_SENSITIVITIES = {"no_nlp_grad": True, "calc_lam_p": False}
+"""Options of `casadi.nlpsol`: how an optimum changes with the parameters, nobody asks; the derivatives that would tell
+take as long to build as all others."""
+
 
 @dataclass(frozen=True)
 class Ipopt(Displayed):
@@ -212,5 +216,6 @@ class Ipopt(Displayed):
         return {
             "print_time": False,
             "show_eval_warnings": False,
+            **NO_SENSITIVITIES,
             **{f"ipopt.{key}": value for key, value in own.items()},
         }

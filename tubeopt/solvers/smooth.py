@@ -10,8 +10,10 @@ import casadi as ca
 import numpy as np
 
 from ..typing import Array
+from .settings import NO_SENSITIVITIES
 
 OPTIONS: dict[str, Any] = {
+    **NO_SENSITIVITIES,
     "print_time": False,
     "show_eval_warnings": False,
     "ipopt.print_level": 0,
