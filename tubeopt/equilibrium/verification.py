@@ -20,6 +20,9 @@ from .result import Equilibrium, Verification, refuse_load
 
 TOLERANCE = 1e-12
 
+ROUND_OFF = 4e-16
+"""Relative change of a curvature that is none."""
+
 
 def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
     """The same equilibrium with its `verification` filled in; raises InputError for one under load."""
@@ -172,7 +175,9 @@ def _curvature(assembly: Assembly, section: int, theta: Array) -> Array:
     u = total / stiffness.sum()
     if assembly.eccentric:
         for _ in range(60):
-            u = total / (stiffness / _stretch_of(assembly, u)).sum()
+            u, before = total / (stiffness / _stretch_of(assembly, u)).sum(), u
+            if np.abs(u - before).max() <= ROUND_OFF * np.abs(u).max():
+                break
     return np.asarray(u)
 
 
