@@ -50,17 +50,21 @@ class Phantom:
         along those of a frame."""
         positive("voxel", voxel)
         frame = frame or Frame()
-        ends = np.array([end for start, stop, _, _ in self.stretches for end in (start, stop)]) * 1e-3
-        wide = max(max(a, b) for _, _, a, b in self.stretches) * 1e-3 + BESIDE
-        seen = frame.seen(ends)
-        low, high = seen.min(0) - wide, seen.max(0) + wide
-        count = np.ceil((high - low) / voxel).astype(int)
+        ends = frame.seen(np.array([stretch[:2] for stretch in self.stretches]) * 1e-3)
+        wide = np.array([max(stretch[2:]) for stretch in self.stretches]) * 1e-3
+        around = wide.max() + BESIDE
+        low = ends.min((0, 1)) - around
+        count = np.ceil((ends.max((0, 1)) + around - low) / voxel).astype(int)
         labels = np.zeros(count, dtype=np.uint8)
-        b, c = np.meshgrid(*(np.arange(k) for k in count[1:]), indexing="ij")
-        for a in range(count[0]):  # slab by slab, to bound the memory
-            points = frame.placed(low + voxel * np.stack([np.full_like(b, a), b, c], axis=-1))
-            labels[a][self.depth(points) > 0] = LUMEN
-            labels[a][self.depth(points, self.stretches[-self.target :]) > 0] = TARGET
+        for k, stretch in enumerate(self.stretches):
+            first = ((ends[k].min(0) - wide[k] - low) / voxel).astype(int)
+            last = np.ceil((ends[k].max(0) + wide[k] - low) / voxel).astype(int) + 1
+            box = tuple(slice(*pair) for pair in zip(first, np.minimum(last, count), strict=True))
+            label = TARGET if k >= len(self.stretches) - self.target else LUMEN
+            b, c = np.meshgrid(*(np.arange(side.start, side.stop) for side in box[1:]), indexing="ij")
+            for a in range(box[0].start, box[0].stop):  # slab by slab, to bound the memory
+                points = frame.placed(low + voxel * np.stack([np.full_like(b, a), b, c], axis=-1))
+                labels[a][box[1:]][self.depth(points, (stretch,)) > 0] = label
         return LabelImage(labels, np.full(3, voxel), Frame(frame.axes, frame.placed(low)), self.name)
 
 
