@@ -9,7 +9,7 @@ snap.
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -54,6 +54,10 @@ class Arms:
     def tip(self) -> Array:
         """(N, 3) m."""
         return self.points[:, -1]
+
+    def some(self, rows: NDArray[np.intp]) -> Arms:
+        """Those in some rows (r,)."""
+        return Arms(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def fine(self) -> tuple[Array, Array]:
         """Arc lengths (N, FINE) and centreline (N, FINE, 3) at evenly spaced points."""

@@ -104,8 +104,9 @@ def _any(task: Task, z: Array, clock: Clock) -> bool:
         if task.obstacles:
             slack = 1e-6 * space.scale[:n]
             allowed &= ((q[:, :n] >= space.lower[:n] - slack) & (q[:, :n] <= space.upper[:n] + slack)).all(1)
-            if allowed.any():
-                allowed &= task.clearances(arms, task.clearance) >= task.clearance
+            rows = np.flatnonzero(allowed)
+            if len(rows):
+                allowed[rows] = task.clearances(arms.some(rows), task.clearance) >= task.clearance
         if allowed.any():
             return True
     return False

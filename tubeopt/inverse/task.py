@@ -79,8 +79,8 @@ class Task:
         )
 
     def clearances(self, arms: Arms, enough: float = np.inf) -> Array:
-        """(N,) least distance of the arms' surfaces from obstacles, m, or what is more than `enough` where it is more
-        than that; infinite without obstacles.
+        """(N,) least distance of the arms' surfaces from obstacles, m; infinite without obstacles. Given what is
+        `enough`, a number above it where it is more, and one below the clearance to keep where it is less than that.
 
         Arms that may come closer than is asked between points along them are looked at more closely there.
         """
@@ -92,7 +92,8 @@ class Task:
         within = max(enough, self.clearance + self.clearance_room) + float(step.max()) + float(self.chart.radius.max())
         gap = self._gap(arms, s, points, np.arange(len(s)), within)
         least = gap.min(1)
-        rows = np.flatnonzero(least - step / 2 < self.clearance + self.clearance_room)
+        missed = least < (self.clearance if enough < np.inf else -np.inf)
+        rows = np.flatnonzero(~missed & (least - step / 2 < self.clearance + self.clearance_room))
         if not len(rows):
             return np.asarray(least)
         step = step[rows, None, None]
@@ -144,9 +145,10 @@ class Task:
         allowed = inside & (arms.stable | known)
         spare = np.minimum(1.0, self.effort.margin_slope * away / self.margin_room)
         if self.obstacles and allowed.any():
-            left = self.clearances(arms, self.clearance + self.clearance_room) - self.clearance
-            allowed &= (left >= self.needed(z)) | known
-            spare = np.minimum(spare, np.maximum(left, 0.0) / self.clearance_room)
+            rows = np.flatnonzero(allowed)
+            left = self.clearances(arms.some(rows), self.clearance + self.clearance_room) - self.clearance
+            allowed[rows] = (left >= self.needed(z[rows])) | known[rows]
+            spare[rows] = np.minimum(spare[rows], np.maximum(left, 0.0) / self.clearance_room)
         return np.where(allowed, spare, -1.0)
 
     def holds(self, z: Array) -> Mask:
