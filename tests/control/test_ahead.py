@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.examples import CRL, PIECES, THESIS
-from tubeopt import InputError, follow, forward_kinematics
+from tubeopt import ConcentricRobot, InputError, follow, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.ahead import PredictiveServo
 from tubeopt.control.command import Command, ServoOptions
@@ -18,6 +18,7 @@ from tubeopt.control.why import Why
 from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
 
+PAIR = ConcentricRobot(PIECES.tubes[:2])
 DT = 0.02
 VALLEY = ([-1.862, 0.452, -1.255], [0.0341, -0.0361, -0.0505])
 BEHIND = (0.004, -0.0184, 0.1496)
@@ -45,14 +46,14 @@ def test_a_goal_behind_a_valley_of_the_margin_is_reached_where_one_step_after_an
 
 
 def test_tubes_made_of_pieces_are_led_ahead_on_their_branch() -> None:
-    space = joint_space(PIECES)
-    seed = forward_kinematics(PIECES, *space.split(0.5 * space.inside() + 0.5 * space.middle()))
-    goal = forward_kinematics(PIECES, seed.rotations + np.array([0.8, -0.5, 0.3]), 0.8 * seed.translations)
-    ahead = PredictiveServo(PIECES, seed, knots=12, options=ServoOptions(speed=0.2, min_margin=0.1))
+    space = joint_space(PAIR)
+    seed = forward_kinematics(PAIR, *space.split(0.5 * space.inside() + 0.5 * space.middle()))
+    goal = forward_kinematics(PAIR, seed.rotations + np.array([0.8, -0.5]), 0.8 * seed.translations)
+    ahead = PredictiveServo(PAIR, seed, knots=12, options=ServoOptions(speed=0.2, min_margin=0.1))
     steps = [ahead.step(Command(position=goal.tip_position), DT) for _ in range(40)]
     assert steps[-1].distance < 1e-6
     assert min(step.equilibrium.margin for step in steps) >= 0.1
-    way = follow(PIECES, [s.rotations for s in steps], [s.translations for s in steps], start=seed)
+    way = follow(PAIR, [s.rotations for s in steps], [s.translations for s in steps], start=seed)
     assert not way.snaps
     assert way.equilibria[-1].tip_position == pytest.approx(steps[-1].equilibrium.tip_position, abs=1e-8)
 
@@ -69,10 +70,10 @@ def test_a_body_in_the_way_is_gone_around() -> None:
         assert ball.signed_distance(step.equilibrium.position).min() >= 5e-4 + THESIS.tubes[0].outer_diameter / 2 - 1e-6
 
 
-@pytest.mark.parametrize("robot", [THESIS, PIECES], ids=["arcs", "pieces"])
+@pytest.mark.parametrize("robot", [THESIS, PAIR], ids=["arcs", "pieces"])
 def test_knots_are_what_forward_kinematics_finds_and_change_as_differences_say(robot: object) -> None:
-    assert robot in (THESIS, PIECES)
-    chart = Chart(joint_space(THESIS if robot is THESIS else PIECES))
+    assert robot in (THESIS, PAIR)
+    chart = Chart(joint_space(THESIS if robot is THESIS else PAIR))
     space = chart.space
     random, n = np.random.default_rng(0), space.robot.n_tubes
     z = np.array([space.nearest(space.inside() + 0.1 * space.scale * random.normal(size=len(space.scale)))] * 3)

@@ -12,6 +12,7 @@ import yaml
 
 import tubeopt
 from tests.command_line import ROOT
+from tests.conftest import draw_quickly
 from tubeopt import InputError, PlanOptions, TipGoal, WaySearch
 from tubeopt.bodies.anatomy import Anatomy, anatomy_seen, centres, field_of_image
 from tubeopt.bodies.corridors import MeshObstacle
@@ -32,6 +33,7 @@ from tubeopt.typing import Array, Mask
 
 ROBOT = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
 WITHDRAWN = np.zeros(3), np.array([-0.033, -0.092, -0.096])
+WITHIN = np.array([0.5, 2.0, -0.5]), np.array([0.01, -0.05, -0.085])
 
 
 @lru_cache(maxsize=2)
@@ -39,8 +41,8 @@ def lung(voxel: float = 1e-3, frame: Frame | None = None) -> LabelImage:
     return bronchial_tree().image(voxel, frame)
 
 
-def barred_voxels_touched(plan: Trajectory, image: LabelImage, free: Mask) -> int:
-    """Points of the surface of the arm, at some times, that lie in voxels where it may not be."""
+def barred_voxels_near(plan: Trajectory, image: LabelImage, free: Mask, near: float) -> int:
+    """Points `near` (m) the surface of the arm, at some times, that lie in voxels where it may not be."""
     touched = 0
     for arm in plan.arms[:: max(1, len(plan.arms) // 10)]:
         s = np.linspace(0, arm.arc_length[-1], 200)
@@ -50,28 +52,31 @@ def barred_voxels_touched(plan: Trajectory, image: LabelImage, free: Mask) -> in
         shown = s[:, None] <= arm.tube_end
         radius = np.where(shown, radii, 0.0).max(1)
         angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)[:, None, None]
-        rim = line + radius[:, None] * (np.cos(angle) * frame[:, :, 0] + np.sin(angle) * frame[:, :, 1])
+        rim = line + (radius + near)[:, None] * (np.cos(angle) * frame[:, :, 0] + np.sin(angle) * frame[:, :, 1])
         index = np.rint(image.frame.seen(rim.reshape(-1, 3)) / image.spacing).astype(int)
         touched += int((~free[tuple(index.T)]).sum())
     return touched
 
 
-def test_an_insertion_is_smoothed_as_asked_and_touches_no_voxel_that_is_barred(tmp_path: Path) -> None:
+def test_an_insertion_is_smoothed_as_asked_and_comes_near_no_voxel_that_is_barred(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw_quickly(monkeypatch)
     image = lung()
     free = image.chosen([LUMEN, TARGET])
     field = field_of_image(image, lumen=free)
-    end = tubeopt.forward_kinematics(ROBOT, [0.5, 2.0, -0.5], [0.03, -0.03, -0.083])
+    end = tubeopt.forward_kinematics(ROBOT, *WITHIN)
     goal = end.tip_position
     assert field.signed_distance(goal) > 1e-3
     # However busy the machine is, there is time to smooth.
     effort = WaySearch(smoothing_seconds=300.0, smoothing_intervals=8)
-    options = PlanOptions(clearance=2e-4, objective="effort", effort=effort, time_limit=600.0)
+    options = PlanOptions(clearance=2e-3, objective="effort", effort=effort, time_limit=600.0)
     plan = plan_trajectory(ROBOT, WITHDRAWN, end, obstacles=[field], options=options)
     assert plan.proved
     assert plan.statistics.smoothed == "effort"
-    assert plan.proof.least_clearance >= 2e-4
+    assert plan.proof.least_clearance >= 2e-3
     assert np.linalg.norm(plan.tip_position[-1] - goal) < 1e-5
-    assert barred_voxels_touched(plan, image, free) == 0
+    assert barred_voxels_near(plan, image, free, 1.99e-3) == 0
     picture = tmp_path / "lung.png"
     plot_trajectory(plan, picture)
     assert picture.stat().st_size > 10_000
@@ -109,7 +114,7 @@ def test_a_landmark_that_is_called_as_the_region_is_refused() -> None:
 def test_a_region_is_a_goal() -> None:
     image = lung()
     field = field_of_image(image, lumen=image.chosen([LUMEN, TARGET]))
-    first = tubeopt.forward_kinematics(ROBOT, [0.5, 2.0, -0.5], [0.03, -0.03, -0.083]).tip_position
+    first = tubeopt.forward_kinematics(ROBOT, *WITHIN).tip_position
     wall = np.array([0.0, 0.03, 0.02])  # where no tip can be
     region = TipGoal(np.stack([wall, first, first + 1e-3]))
     options = PlanOptions(clearance=2e-4, objective="none")
@@ -135,7 +140,7 @@ def test_phantoms_are_where_their_formulas_are(make: object) -> None:
 def case() -> tuple[LabelImage, Frame, DistanceField]:
     """The lung on that table, in the axes of the patient; the plate of the robot, and how far all is from its wall."""
     base = base_frame([0.02, -0.11, 0.2], [0.1, 0.2, -1.0], 0.4)
-    image = lung(1e-3, Frame(base.axes.T, -base.axes.T @ base.origin))
+    image = lung(1.5e-3, Frame(base.axes.T, -base.axes.T @ base.origin))
     patient = Frame(base.axes @ image.frame.axes, base.placed(image.frame.origin))
     placed = LabelImage(image.values, image.spacing, patient)
     return placed, base, field_of_image(placed, lumen=placed.chosen([1, 2]))
