@@ -138,10 +138,9 @@ def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pyte
     arms = [PlacedRobot(ROBOT, base_frame([x, 0, 0], [0, 0, 1])) for x in (-0.008, 0.008)]
     places = np.array([[0.0, 0.006, 0.05], [0.0, -0.006, 0.05]])
     seed = (np.zeros(3), [0.012, -0.05, -0.085])
-    starts = [
-        tubeopt.inverse_kinematics(ROBOT, arm.base.seen(place), seed=seed)
-        for arm, place in zip(arms, places, strict=True)
-    ]
+    first = tubeopt.inverse_kinematics(ROBOT, arms[0].base.seen(places[0]), seed=seed)
+    # What the second arm is to reach is the same, half a turn about its plate.
+    starts = [(first.rotations + turned, first.translations) for turned in (0.0, np.pi)]
     options = PlanOptions(clearance=5e-4, objective="none")
     plan = plan_arms(arms, starts, list(places[::-1]), options=options)
     assert plan.proved

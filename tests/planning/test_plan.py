@@ -222,7 +222,7 @@ def test_other_postures_are_tried_where_the_nearest_is_cut_off(monkeypatch: pyte
         return search.Way(None, "search", 7) if len(tried) == 1 else search.find_way(*arguments, **options)
 
     monkeypatch.setattr(plan, "find_way", nearest_cut_off)
-    monkeypatch.setattr("tubeopt.planning.goals.InverseOptions", partial(InverseOptions, starts=20))
+    monkeypatch.setattr("tubeopt.planning.goals.InverseOptions", partial(InverseOptions, starts=6))
     found = plan_trajectory(THESIS, HOME, there.tip_position, options=PlanOptions(objective="none"))
     first = inverse_kinematics(THESIS, there.tip_position, seed=forward_kinematics(THESIS, *HOME))
     np.testing.assert_allclose(found.tip_position[-1], there.tip_position, atol=1e-6)
