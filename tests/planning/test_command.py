@@ -84,6 +84,14 @@ def test_wrong_studies_are_refused(run: Run, tmp_path: Path) -> None:
     assert "must be plan; a robot is named by the key robot of such a file" in refused(run("plan", THESIS))[0]
 
 
+@pytest.fixture
+def coarse_grids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Distances from meshes that are exact for the nearest point of a call, and told by a table for the others, are
+    asked one by one: the table may be small."""
+    monkeypatch.setattr("tubeopt.bodies.corridors.CELLS", 6)
+
+
+@pytest.mark.usefixtures("coarse_grids")
 def test_distances_from_a_corridor_and_a_mesh() -> None:
     vessel = Corridor(((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), (0.1, 0.0, 0.1)), 0.01)
     points = np.array([[0.0, 0.0, 0.05], [0.004, 0.0, 0.05], [0.05, 0.02, 0.1], [0.0, 0.0, -0.02]])
@@ -97,6 +105,7 @@ def test_distances_from_a_corridor_and_a_mesh() -> None:
         assert abs(float(cube.signed_distance(np.array([point]))[0]) - distance) < 1e-9
 
 
+@pytest.mark.usefixtures("coarse_grids")
 def test_the_mesh_of_a_box_has_the_distance_of_the_box() -> None:
     """At faces, edges and corners, inside and outside; its triangles are cut on the way."""
     trimesh = pytest.importorskip("trimesh")

@@ -240,7 +240,7 @@ def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
     side = np.sign(((corners.mean(0) - corners[flat[:, 0]]) * normals).sum(1))
     # The body is convex: a place beyond the plane of a face is outside.
     assert (side * ((place - corners[flat[:, 0]]) * normals).sum(1) < 0).any()
-    assert MeshObstacle(vertices, faces).signed_distance(place)[0] == pytest.approx(0.0303998881, abs=1e-9)
+    assert MeshObstacle(vertices, faces).surface.signed_distance(place)[0] == pytest.approx(0.0303998881, abs=1e-9)
 
 
 def test_what_cannot_be_bounded_is_given_up_soon() -> None:

@@ -15,6 +15,7 @@ import pytest
 
 from tests.command_line import CRL as CRL_FILE
 from tests.command_line import ROOT, Run, answer, refused
+from tests.conftest import draw_quickly
 from tests.examples import CRL, THESIS, TWO_TUBE, random_robot
 from tubeopt import (
     ConcentricRobot,
@@ -136,8 +137,7 @@ def ball(count: int, hollow: float = 0.0) -> Array:
 @pytest.mark.parametrize("hollow", [0.0, 0.7])
 def test_the_volume_of_a_ball_and_of_a_shell(hollow: float) -> None:
     truth = 4 / 3 * np.pi * (1 - hollow**3)
-    found = cloud(ball(60_000, hollow))
-    by_voxels, by_alpha = voxel_volume(found, 0.1), alpha_volume(found)
+    by_voxels, by_alpha = voxel_volume(cloud(ball(60_000, hollow)), 0.1), alpha_volume(cloud(ball(20_000, hollow)))
     assert by_voxels.value == pytest.approx(truth, rel=0.08)
     assert by_alpha.value == pytest.approx(truth, rel=0.1)  # it lies inside
     assert by_voxels.half == pytest.approx(by_voxels.value, rel=0.08)
@@ -232,7 +232,7 @@ def test_equilibria_from_tips_are_equilibria(seed: int) -> None:
 
 def test_the_thesis_robot_loses_its_straight_shapes() -> None:
     home = replace(THESIS, joint_limits=JointLimits(THESIS.limits.rotations, ((0.0, 0.0),) * 3))
-    lost = snapping_loss(home, 8192, size=10 * MM)
+    lost = snapping_loss(home, 4096, size=10 * MM)
     assert 0.1 < lost.unstable / lost.equilibria < 0.5
     assert len(lost.lost)
     assert not {tuple(v) for v in lost.lost.tolist()} & {tuple(v) for v in lost.held.tolist()}
@@ -240,9 +240,9 @@ def test_the_thesis_robot_loses_its_straight_shapes() -> None:
     straight = forward_kinematics(THESIS, np.radians([200, 0, 0])).tip_position
     centres = (lost.lost + 0.5) * lost.size
     assert centres[:, 2].max() > straight[2]
-    stable = workspace(home, 4096)
+    stable = workspace(home, 2048)
     inside = np.floor(stable.tip_position / lost.size).astype(int).tolist()
-    assert not {tuple(v) for v in snapping_loss(home, 8192, size=10 * MM, reached=stable).lost.tolist()} & {
+    assert not {tuple(v) for v in snapping_loss(home, 4096, size=10 * MM, reached=stable).lost.tolist()} & {
         tuple(v) for v in inside
     }
 
@@ -320,7 +320,7 @@ GROWTH = """
 import sys
 import tubeopt
 robot = tubeopt.load_robot(sys.argv[1])
-for k, count in enumerate((20_000, 80_000)):
+for k, count in enumerate((20_000, 50_000)):
     tubeopt.workspaces.voxels(tubeopt.workspace(robot, count, out=f"{sys.argv[2]}/{k}"), 0.01)
     # The peak of this process alone: getrusage would tell that of the one that started it, were it larger.
     print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
@@ -332,7 +332,7 @@ def test_memory_does_not_grow_with_the_samples(tmp_path: Path) -> None:
     command = [sys.executable, "-c", GROWTH, str(ROOT / "configs/robots/two_tube.yaml"), str(tmp_path)]
     out = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     few, many = (int(line) / 1024 for line in out.stdout.split())
-    table = 80_000 * 11 * 8 / 2**20
+    table = 50_000 * 11 * 8 / 2**20
     assert many - few < 0.6 * table
 
 
@@ -384,7 +384,8 @@ def test_what_is_no_workspace_is_refused() -> None:
 
 
 @pytest.mark.parametrize("lossy", [False, True])
-def test_the_picture(tmp_path: Path, lossy: bool) -> None:
+def test_the_picture(tmp_path: Path, lossy: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_quickly(monkeypatch)
     found = workspace(CRL, 500)
     loss = snapping_loss(CRL, 2048, reached=found) if lossy else None
     figure = plot_workspace(found, tmp_path / "w.png", loss=loss)
