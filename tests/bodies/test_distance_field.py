@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -122,10 +124,16 @@ def mesh_of(body: object) -> MeshObstacle:
     return MeshObstacle(tuple(map(tuple, vertices)), tuple(map(tuple, faces)))
 
 
+@cache
+def ring(keep: str) -> tuple[MeshObstacle, DistanceField]:
+    """A torus of triangles, and its table."""
+    mesh = mesh_of(trimesh.creation.torus(0.012, 0.005, major_sections=24, minor_sections=12))
+    return mesh, field_of_mesh(mesh, keep=keep, cell=8e-4)
+
+
 @pytest.mark.parametrize("keep", ["out", "in"])
 def test_meshes_against_their_triangles(keep: str) -> None:
-    mesh = mesh_of(trimesh.creation.torus(0.012, 0.005, major_sections=24, minor_sections=12))
-    field = field_of_mesh(mesh, keep=keep, cell=8e-4)
+    mesh, field = ring(keep)
     random = np.random.default_rng(2)
     last = (np.array(field.values.shape) - 1) * field.spacing
     points = field.frame.placed(random.random((1500, 3)) * last)
@@ -154,17 +162,17 @@ def nearest_place(mesh: MeshObstacle, points: Array) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("keep", ["out", "in"])
 def test_gradients_of_meshes_are_those_of_the_distance(keep: str) -> None:
-    mesh = mesh_of(trimesh.creation.torus(0.012, 0.005, major_sections=24, minor_sections=12))
+    mesh, own = ring(keep)
     base = base_frame([0.02, 0.0, 0.01], [0.1, 0.2, 1.0], 0.7)
-    field = field_of_mesh(mesh, keep=keep, cell=8e-4).in_frame(base)
-    points = np.random.default_rng(5).uniform(-0.02, 0.02, (600, 3)) * [1.0, 1.0, 0.5]
+    field = own.in_frame(base)
+    points = np.random.default_rng(5).uniform(-0.02, 0.02, (300, 3)) * [1.0, 1.0, 0.5]
     place, apart = nearest_place(mesh, points)
     away = points - place
     inside = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces)).contains(points)
     sign = np.where(inside, -1.0, 1.0) * (1 if keep == "out" else -1)
     exact = away / np.linalg.norm(away, axis=1, keepdims=True) * sign[:, None]
     exists = apart > 1e-9
-    assert exists.sum() > 550
+    assert exists.sum() > 275
     off = np.linalg.norm(field.gradient(base.seen(points)) - exact @ base.axes, axis=1)
     # One place in hundreds is 2 um off in trimesh: there is a nearer one.
     assert np.quantile(off[exists], 0.99) < 1e-9
