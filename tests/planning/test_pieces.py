@@ -57,7 +57,7 @@ def test_a_snap_on_the_way_is_told() -> None:
 
 
 def test_what_snapping_takes_from_the_workspace_is_told() -> None:
-    loss = snapping_loss(PIECES, 2000, size=0.02)
+    loss = snapping_loss(PIECES, 1000, size=0.02)
     assert 0.0 <= loss.fraction <= 1.0
 
 

@@ -262,8 +262,8 @@ def test_tubes_off_the_centreline_are_refused() -> None:
 
 
 def test_a_file_holds_the_same_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
-    whole = workspace(CRL, 6000, out=tmp_path)
-    memory = workspace(CRL, 6000)
+    whole = workspace(CRL, 4200, out=tmp_path)
+    memory = workspace(CRL, 4200)
     assert np.array_equal(whole.table, memory.table)
     assert isinstance(whole.table, np.memmap)
     file = tmp_path / "samples.npy"
@@ -273,11 +273,11 @@ def test_a_file_holds_the_same_and_goes_on_where_it_was_cut(tmp_path: Path) -> N
         with pytest.raises(InputError, match="missing or not finished"):
             load_workspace(CRL, tmp_path)
         seen: list[int] = []
-        workspace(CRL, 6000, out=tmp_path, progress=lambda done, total, seen=seen: seen.append(done))
+        workspace(CRL, 4200, out=tmp_path, progress=lambda done, total, seen=seen: seen.append(done))
         assert seen[0] == max(0, (cut - 128) // (8 * 13))
         assert file.read_bytes() == content
     assert np.array_equal(load_workspace(CRL, tmp_path).table, memory.table)
-    for robot, count in ((THESIS, 6000), (CRL, 6001)):
+    for robot, count in ((THESIS, 4200), (CRL, 4201)):
         with pytest.raises(InputError, match="holds the workspace of another robot or of other samples"):
             workspace(robot, count, out=tmp_path)
     with pytest.raises(InputError, match="is of another robot"):
