@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.examples import THESIS
-from tubeopt import IkSession, InputError, InverseOptions, forward_kinematics, inverse_kinematics
+from tubeopt import IkSession, InputError, InverseOptions, InverseSolver, forward_kinematics, inverse_kinematics
 from tubeopt.design import OwnObjective, OwnRequirement, Quantities
 from tubeopt.equilibrium.verification import point_at
 
@@ -59,7 +59,7 @@ def test_own_cost_equal_to_a_built_in_one_has_the_same_optimum() -> None:
 def test_own_constraint_is_kept_in_every_answer() -> None:
     start = forward_kinematics(THESIS, *SEED)
     without = inverse_kinematics(THESIS, start.tip_position, seed=SEED)
-    options = InverseOptions(extra_constraints=(Aside(0.0105),))
+    options = InverseOptions(extra_constraints=(Aside(0.0105),), solver=InverseSolver(compared=1))
     answer = inverse_kinematics(THESIS, start.tip_position, seed=SEED, options=options)
     places = [point_at(one.equilibrium, one.equilibrium.arc_length[-1] / 2)[0][0] for one in (without, answer)]
     assert places[0] < 0.009

@@ -136,11 +136,10 @@ def test_two_arms_cross_over_without_touching() -> None:
 def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where either tip is to go, the other is: one arm withdraws, and comes back when that place is free."""
     arms = [PlacedRobot(ROBOT, base_frame([x, 0, 0], [0, 0, 1])) for x in (-0.008, 0.008)]
-    places = np.array([[0.0, 0.006, 0.05], [0.0, -0.006, 0.05]])
-    seed = (np.zeros(3), [0.012, -0.05, -0.085])
-    first = tubeopt.inverse_kinematics(ROBOT, arms[0].base.seen(places[0]), seed=seed)
-    # What the second arm is to reach is the same, half a turn about its plate.
+    first = tubeopt.forward_kinematics(ROBOT, [1.994, -1.2828, 0.0], [0.0126, -0.083, -0.1])
+    # The second is the first, half a turn about the middle between both.
     starts = [(first.rotations + turned, first.translations) for turned in (0.0, np.pi)]
+    places = arms[0].base.placed(first.tip_position) * [[1, 1, 1], [-1, -1, 1]]
     options = PlanOptions(clearance=5e-4, objective="none")
     plan = plan_arms(arms, starts, list(places[::-1]), options=options)
     assert plan.proved
@@ -152,7 +151,7 @@ def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pyte
     assert came.proved
     assert came.proof is plan.proof.proofs[1]
     assert (np.diff(came.time) > 0).all()
-    assert came.translations.min(0)[0] < seed[1][0] - 0.02
+    assert came.translations.min(0)[0] < first.translations[0] - 0.02
     # Once more by other code, from the joint values alone.
     least = min(gap(*shapes) for shapes in moments(plan, arms, 60))
     assert least >= plan.proof.least_clearance
