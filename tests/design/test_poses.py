@@ -70,7 +70,7 @@ def corner_task(targets: int = 3) -> DesignTask:
     return DesignTask(
         ConcentricRobot(tubes),
         (
-            Free("curvature", (0, 1, 2), 0.0, 19.0),
+            Free("curvature", (0, 1, 2), 0.0, 19.5),
             Free("curved_length", (0, 1, 2), 0.02, 0.2),
             Free("straight_length", (0, 1, 2), 0.02, 0.25),
         ),
