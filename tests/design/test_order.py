@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tubeopt import ConcentricRobot, DesignTask, InputError, inverse_kinematics, optimize_design, plan_trajectory
-from tubeopt.design import Free, Objective, Poses, SnapFree
+from tubeopt.design import DesignSolution, Free, Objective, Poses, SnapFree
 from tubeopt.design.order import Place, worst_order
 from tubeopt.design.requirements import Requirement
 
@@ -53,30 +54,34 @@ CASES: dict[str, tuple[tuple[Requirement, ...], Objective, list[tuple[float, ...
 }
 
 
+def asked(name: str) -> DesignTask:
+    requirements, objective, _ = CASES[name]
+    return DesignTask(three_tubes(), LENGTHS, requirements, objective)
+
+
+@cache
+def designed(name: str) -> DesignSolution:
+    return optimize_design(asked(name), turns=1)
+
+
 @pytest.mark.usefixtures("few_places")
 @pytest.mark.parametrize("name", CASES)
 def test_tubes_are_in_order_wherever_the_task_puts_them(name: str) -> None:
-    requirements, objective, places = CASES[name]
-    task = DesignTask(three_tubes(), LENGTHS, requirements, objective)
-    design = optimize_design(task, turns=1)
-    for row in (HOME, *places, *(e.translations for e in design.equilibria)):
+    design = designed(name)
+    for row in (HOME, *CASES[name][2], *(e.translations for e in design.equilibria)):
         assert disorder(design.robot, row) <= 1e-10
     (check,) = [check for check in design.verification.checks if check.what == "order of the tubes"]
     assert check.kept
 
 
 def test_order_that_is_not_asked_for_costs_nothing() -> None:
-    requirements, objective, _ = CASES["objective"]
-    task = DesignTask(three_tubes(), LENGTHS, requirements, objective)
-    ordered, free = (optimize_design(one, turns=1) for one in (task, replace(task, ordered=False)))
-    assert max(disorder(ordered.robot, row) for row in (HOME, objective.translations)) <= 1e-10
+    ordered, free = designed("objective"), optimize_design(replace(asked("objective"), ordered=False), turns=1)
     assert free.objective >= ordered.objective - 1e-6
     assert not any(check.what == "order of the tubes" for check in free.verification.checks)
 
 
 def test_a_verified_design_is_accepted_by_inverse_kinematics_and_planning() -> None:
-    requirements, objective, _ = CASES["poses"]
-    design = optimize_design(DesignTask(three_tubes(), LENGTHS, requirements, objective), turns=1)
+    design = designed("poses")
     (pose,) = design.equilibria
     home = (np.zeros(3), np.zeros(3))
     answer = inverse_kinematics(design.robot, pose.tip_position, seed=home)

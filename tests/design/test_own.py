@@ -39,7 +39,7 @@ from tubeopt.design import (
 )
 from tubeopt.design.aims import aim
 from tubeopt.design.lookup import at_state
-from tubeopt.design.program import compile_task, state_at
+from tubeopt.design.program import Program, compile_task, state_at
 from tubeopt.design.verify_own import check_own, numbers_of
 from tubeopt.typing import Array
 
@@ -113,8 +113,8 @@ def posed_task() -> DesignTask:
     return DesignTask(two_tubes(), tuple(free), (poses, Reach((Target((0.02, -0.03, 0.11)),))))
 
 
-def at(task: DesignTask, expression: Expression, x: Array) -> tuple[Array, Array]:
-    return expression.linear(at_state(state_at(compile_task(task), x)))
+def at(program: Program, expression: Expression, x: Array) -> tuple[Array, Array]:
+    return expression.linear(at_state(state_at(program, x)))
 
 
 def test_strain_and_clearance_of_a_pose_and_their_slopes() -> None:
@@ -126,7 +126,7 @@ def test_strain_and_clearance_of_a_pose_and_their_slopes() -> None:
 
     expression = recorded(asked, 2, 2, "strain and clearance")
     x = np.concatenate([program.layout.space.start, [0.3, 1.6, -0.11, -0.06]])
-    value, slope = at(task, expression, x)
+    value, slope = at(program, expression, x)
     state = state_at(program, x)
     robot = replace(task.robot, tubes=state.tubes)
     found = expression(numbers_of(robot, [forward_kinematics(robot, *state.joint_values(k)) for k in range(2)]))
@@ -138,7 +138,7 @@ def test_strain_and_clearance_of_a_pose_and_their_slopes() -> None:
     assert ((value - found)[[2, 5]] > -2e-4).all()
     for j, size in enumerate(1e-6 * program.scale):
         step = size * np.eye(len(x))[j]
-        change = (at(task, expression, x + step)[0] - at(task, expression, x - step)[0]) / (2 * size)
+        change = (at(program, expression, x + step)[0] - at(program, expression, x - step)[0]) / (2 * size)
         assert slope[:, j] * program.scale[j] == pytest.approx(change * program.scale[j], rel=1e-4, abs=1e-6)
 
 
@@ -147,14 +147,14 @@ def test_quantities_are_those_of_solved_equilibria_and_their_slopes_those_of_dif
     program = compile_task(task)
     expression = recorded(everything, 2, 2, "everything")
     x = np.concatenate([program.layout.space.start, [0.3, 1.6, -0.11, -0.06]])
-    value, slope = at(task, expression, x)
+    value, slope = at(program, expression, x)
     state = state_at(program, x)
     robot = replace(task.robot, tubes=state.tubes)
     equilibria = [forward_kinematics(robot, *state.joint_values(k)) for k in range(2)]
     assert value == pytest.approx(expression(numbers_of(robot, equilibria)), rel=1e-6, abs=2e-8)
     for j, size in enumerate(1e-6 * program.scale):
         step = size * np.eye(len(x))[j]
-        change = (at(task, expression, x + step)[0] - at(task, expression, x - step)[0]) / (2 * size)
+        change = (at(program, expression, x + step)[0] - at(program, expression, x - step)[0]) / (2 * size)
         assert slope[:, j] * program.scale[j] == pytest.approx(change * program.scale[j], rel=1e-4, abs=1e-5)
 
 

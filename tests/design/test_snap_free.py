@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -20,7 +21,7 @@ from tubeopt import (
     worst_certificate,
     worst_margin,
 )
-from tubeopt.design import Free, Objective, SnapFree, Strain, count_snaps, pareto_front
+from tubeopt.design import DesignSolution, Free, Objective, SnapFree, Strain, count_snaps, pareto_front
 from tubeopt.design.program import compile_task
 from tubeopt.design.solve import solve
 from tubeopt.stability.settings import SnapSearch
@@ -43,8 +44,13 @@ def test_front_of_two_equal_tubes_is_the_closed_form() -> None:
         assert snap_free_certificate(point.robot) == pytest.approx(point.margin, abs=1e-6)
 
 
+@cache
+def snap_free() -> DesignSolution:
+    return optimize_design(snap_free_thesis(), turns=2)
+
+
 def test_thesis_robot_becomes_snap_free_with_the_least_change() -> None:
-    design = optimize_design(snap_free_thesis())
+    design = snap_free()
     assert design.certificate >= 0.05 - 1e-6
     assert design.certificate == pytest.approx(snap_free_certificate(design.robot), abs=1e-12)
     assert worst_margin(design.robot).margin >= design.certificate
@@ -72,14 +78,14 @@ def test_thesis_robot_becomes_snap_free_with_the_least_change() -> None:
 
 
 def test_full_turns_snap_the_thesis_robot_and_not_its_design() -> None:
-    design = optimize_design(snap_free_thesis(), turns=2)
+    design = snap_free()
     assert count_snaps(design.robot, 12, seed=3) == (0, 0)
     assert count_snaps(THESIS, 12, seed=3)[1] > 2
 
 
 def test_prices_are_those_of_differences() -> None:
     task = snap_free_thesis()
-    (price,) = optimize_design(task, turns=1).sensitivities
+    (price,) = snap_free().sensitivities
     values = [
         optimize_design(replace(task, requirements=(SnapFree(0.05 + step),)), turns=1).objective
         for step in (1e-3, -1e-3)

@@ -39,7 +39,7 @@ def exact_two_tube_margin(tubes: Bundle) -> float:
 def test_two_tubes_have_the_exact_worst_margin() -> None:
     random = np.random.default_rng(1)
     signs = {False: 0, True: 0}
-    for _ in range(1000):
+    for _ in range(400):
         c, lever = random.uniform(0.05, 4.0), random.uniform(0.0, 2.0) * random.choice([0.0, 1.0])
         mu = snap_free_certificate(unit_pair(c, lever))
         root = np.sqrt(c)
@@ -48,14 +48,14 @@ def test_two_tubes_have_the_exact_worst_margin() -> None:
         q = brentq(lambda q, lever=lever: np.cos(q) - lever * q * np.sin(q), 0.0, 2.0, xtol=1e-14)
         assert mu == pytest.approx(1 - c / q**2, abs=1e-6)
         signs[free] += 1
-    assert min(signs.values()) > 100
+    assert min(signs.values()) > 40
 
 
 def test_unequal_pairs_anywhere_have_the_exact_worst_margin() -> None:
     """Unequal nu, walls, transmissions; curved parts in part behind the plate or all in front of it."""
     random = np.random.default_rng(2)
     behind = ahead = 0
-    for _ in range(300):
+    for _ in range(150):
         robot = random_robot(random, 2, bend=random.uniform(0.2, 3.0))
         shift = random_translations(random, robot)
         tubes = bundle(robot, shift)
@@ -63,7 +63,7 @@ def test_unequal_pairs_anywhere_have_the_exact_worst_margin() -> None:
         assert snap_free_certificate(robot, shift) == pytest.approx(exact, rel=1e-6, abs=1e-6)
         behind += bool((shift < 0).any())
         ahead += bool((shift > 0).all())
-    assert min(behind, ahead) > 20
+    assert min(behind, ahead) > 10
 
 
 @pytest.mark.parametrize("n", [3, 4])
@@ -205,15 +205,16 @@ def test_a_double_eigenvalue_has_no_gradient() -> None:
     assert all(np.isnan(slope).all() for slope in certificate.gradient.values())
 
 
-@pytest.mark.parametrize("robot", [THESIS, CRL], ids=["thesis", "CRL"])
-def test_worst_over_translations_against_a_grid(robot: ConcentricRobot) -> None:
-    low = np.array([-0.03, -0.03, -0.03])
-    high = np.minimum(0.05, [tube.straight_length for tube in robot.tubes])
-    worst = worst_certificate(robot, low, high, effort=SnapSearch(evaluations=300))
-    axes = [np.linspace(a, b, 5) for a, b in zip(low, high, strict=True)]
+@pytest.mark.parametrize(("robot", "least"), [(THESIS, 0.0), (CRL, -0.03)], ids=["thesis", "CRL"])
+def test_worst_over_translations_against_a_grid(robot: ConcentricRobot, least: float) -> None:
+    """Of three tubes that move, and of two where the third one stays."""
+    low = np.array([-0.03, -0.03, least])
+    high = np.minimum([0.05, 0.05, 0.05 if least else 0.0], [tube.straight_length for tube in robot.tubes])
+    worst = worst_certificate(robot, low, high, effort=SnapSearch(evaluations=120))
+    axes = [np.linspace(a, b, 4) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-    least = min(snap_free_certificate(robot, shift) for shift in grid)
-    assert worst.certificate.margin <= least + 1e-9
+    seen = min(snap_free_certificate(robot, shift) for shift in grid)
+    assert worst.certificate.margin <= seen + 1e-9
     assert (worst.certificate.translations >= low - 1e-12).all()
     assert (worst.certificate.translations <= high + 1e-12).all()
     assert worst.certificate.margin == pytest.approx(snap_free_certificate(robot, worst.certificate.translations))
@@ -225,7 +226,7 @@ def test_the_least_certificate_of_an_s_over_a_box_is_a_certificate() -> None:
     outer = Tube.of_pieces(1.6e-3, 1.2e-3, [Piece(0.03, 12.0), Piece(0.03, -10.0)], straight_length=0.06)
     robot = ConcentricRobot((inner, outer))
     low, high = np.array([-0.02, 0.0]), np.array([0.01, 0.0])
-    worst = worst_certificate(robot, low, high, effort=SnapSearch(evaluations=300)).certificate
+    worst = worst_certificate(robot, low, high, effort=SnapSearch(evaluations=60)).certificate
     assert worst.margin == snap_free_certificate(robot, worst.translations)
     grid = [snap_free_certificate(robot, low + x * (high - low)) for x in np.linspace(0, 1, 16)]
     assert worst.margin <= min(grid) + 1e-9

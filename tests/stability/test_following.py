@@ -14,7 +14,7 @@ from tubeopt import ConcentricRobot, InputError, Tube, find_equilibria, follow, 
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import Snap, find_snap, trace_branch
 
-STEPS = 40
+STEPS = 24
 """Steps of the brute force per straight line, halved wherever the robot moves much in one."""
 
 SNAPPING = (0, 2, 3, 5, 6, 11, 15, 17)

@@ -113,7 +113,7 @@ def test_effects_that_are_there_are_found_and_no_others() -> None:
 
 
 def test_where_nothing_is_wrong_nothing_is_chosen() -> None:
-    c = compare_effects(robot(), driven(trivial()), ["latency", "rotation_play", "translation", "curvature"])
+    c = compare_effects(robot(), driven(trivial(), count=200), ["latency", "rotation_play", "translation", "curvature"])
     assert not c.steps
     assert c.fit is None
 
@@ -284,7 +284,7 @@ def test_what_no_configuration_determines_is_said() -> None:
 
 def test_tubes_of_equal_length_are_measured_where_they_move_together() -> None:
     two = load_robot("configs/robots/two_tube.yaml")
-    found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2, search=PlacementSearch(candidates=60))
+    found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2, search=PlacementSearch(candidates=24))
     assert np.allclose(found.translations[:, 0], found.translations[:, 1], rtol=0, atol=1e-12)
     assert np.ptp(found.translations[:, 0]) > 1 * MM
 

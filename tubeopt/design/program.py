@@ -59,6 +59,17 @@ class Added:
     points: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
 
+class Lately:
+    """The state that was asked for last, since several ask for the same one after another; left behind where a program
+    goes to another process."""
+
+    def __init__(self) -> None:
+        self.state: State | None = None
+
+    def __reduce__(self) -> tuple[type[Lately], tuple[()]]:
+        return Lately, ()
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """A task with what exchange has added, laid out as unknowns and rows.
@@ -80,6 +91,7 @@ class Program:
     scale: Array
     elastic: bool = False
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
+    lately: Lately = field(default_factory=Lately, init=False, repr=False)
 
     @property
     def task_poses(self) -> tuple[int, ...]:
@@ -321,7 +333,10 @@ def objective_size(program: Program, state: State) -> float:
 
 def state_at(program: Program, x: Array) -> State:
     """The state at x, SI; poses begin near the last ones solved."""
-    return State(program.layout, x, program.guesses)
+    known = program.lately.state
+    if known is None or not np.array_equal(known.x, x):
+        known = program.lately.state = State(program.layout, x.copy(), program.guesses)
+    return known
 
 
 def evaluate(program: Program, x: Array) -> tuple[State, list[Rows], tuple[Array, Array]] | None:

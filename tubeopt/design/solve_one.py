@@ -139,7 +139,8 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
     if evaluate(program, full(begin[move])) is None:
         return start
     inside = np.clip(begin[move], lower[move] + 1e-9, upper[move] - 1e-9)
-    if not np.isfinite(residual(inside)).all() or not residual(inside).any():
+    missed = residual(inside)
+    if not np.isfinite(missed).all() or not missed.any():
         return full(inside)
     result = scipy.optimize.least_squares(
         residual, inside, jacobian, bounds=(lower[move], upper[move]), x_scale="jac", max_nfev=150, ftol=1e-10,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -30,6 +31,9 @@ from .settings import Ipopt
 
 EQUILIBRIUM = Ipopt(tolerance=1e-12, iterations=300, expand=True)
 """How an equilibrium is solved for unless told otherwise."""
+
+EQUATIONS = replace(EQUILIBRIUM, hessian="limited-memory")
+"""The same where as many equations as unknowns leave no choice: no second derivative changes the steps."""
 
 
 @lru_cache(maxsize=64)
@@ -86,7 +90,7 @@ def solve_ipopt(
 
     Args:
         formulation: "equations" (no objective, the equations as constraints) or "energy" (least elastic energy).
-        settings: None are those of `EQUILIBRIUM`.
+        settings: None are `EQUATIONS` or `EQUILIBRIUM`.
 
     Raises:
         SolveError: IPOPT did not converge; the message names its verdict and the worst constraints.
@@ -104,7 +108,7 @@ def solve_ipopt(
         start["torsion inside"] = (inside if problem.here is None else inside / held_stiffness(problem)).ravel()
     for name, numbers in start.items():
         program.set_guess(name, numbers)
-    found = program.attempt(settings or EQUILIBRIUM)
+    found = program.attempt(settings or (EQUATIONS if formulation == "equations" else EQUILIBRIUM))
     if found.status is not ProblemStatus.SOLVED:
         worst = "; ".join(map(str, found.violations[:3]))
         verdict = found.statistics.verdict.replace("_", " ").lower()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -97,6 +98,10 @@ def _joint(robot: Robot, name: str, value: Configuration) -> Array:
     return np.concatenate([alpha, shift])
 
 
+NEXT_TO_FOLD = replace(EQUILIBRIUM, expand=False, hessian="limited-memory")
+"""From a point so close to the fold a few steps lead there: second derivatives, and a program written out in scalars,
+would take far longer to build than they save."""
+
 MOVING = ("rotations", "transmission", "lengths")
 """What is linear in the fraction of the path, as long as breakpoints keep their order."""
 
@@ -149,7 +154,7 @@ def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
         program.set_guess(name, value)
     program.set_guess("fraction of the path", here.t)
     program.set_bounds("fraction of the path", here.t, goal)
-    found = program.attempt(EQUILIBRIUM)
+    found = program.attempt(NEXT_TO_FOLD)
     t = float(found.values["fraction of the path"][0])
     if found.status is not ProblemStatus.SOLVED or t - here.t > 1e-2:
         return here
