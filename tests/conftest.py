@@ -15,9 +15,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import HealthCheck, settings
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tests.command_line import COLOUR, Outcome, Run
 from tubeopt.cli.app import main
+from tubeopt.show.page import WIDTH
 from tubeopt.show.plots.trajectory import save_film
 from tubeopt.solvers.compiled.library import cache_directory
 
@@ -111,10 +114,27 @@ def short_films(monkeypatch: pytest.MonkeyPatch) -> None:
         )
 
 
+LAID_OUT: set[tuple[object, ...]] = set()
+"""Panels of the pictures that were laid out."""
+
+
+def lay_out_once(patch: pytest.MonkeyPatch) -> None:
+    """Of pictures with the same panels one is laid out, which is half of what they take; the others stay as drawn."""
+    execute = ConstrainedLayoutEngine.execute
+
+    def execute_once(engine: ConstrainedLayoutEngine, figure: Figure) -> None:
+        panels = (WIDTH.get(), *((axes.get_aspect(), axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes))
+        if panels not in LAID_OUT:
+            LAID_OUT.add(panels)
+            execute(engine, figure)
+
+    patch.setattr(ConstrainedLayoutEngine, "execute", execute_once)
+
+
 def draw_quickly(patch: pytest.MonkeyPatch) -> None:
-    """Pictures of a sixteenth of their points, laid out once: they take half as long."""
+    """Pictures of a sixteenth of their points, laid out once for all of a kind: they take a third of the time."""
     patch.setattr("tubeopt.show.plots.style.DPI", 50)
-    patch.setattr("tubeopt.show.plots.style.LAYOUT_PASSES", 1)
+    lay_out_once(patch)
 
 
 @pytest.fixture
