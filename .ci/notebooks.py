@@ -16,15 +16,18 @@ TIMEOUT = 120
 """Seconds that a cell may take."""
 
 
-def run(path: Path, kernel: Any = None) -> Any:
+FORGET = "%reset -f"
+
+
+def run(path: Path, kernel: Any = None, before: str = "") -> Any:
     """The notebook, executed, in a process of its own or in that of `kernel`, its manager, which forgets what others
-    left there; raises nbclient's CellExecutionError where a cell fails."""
+    left there and has code of its own run `before`; raises nbclient's CellExecutionError where a cell fails."""
     import nbformat
     from nbclient import NotebookClient
 
     notebook = nbformat.read(path, as_version=4)
     if kernel is not None:
-        notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f"))
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(f"{FORGET}\n{before}"))
     client = NotebookClient(notebook, km=kernel, timeout=TIMEOUT, resources={"metadata": {"path": str(path.parent)}})
     client.execute()
     if kernel is not None:

@@ -15,9 +15,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import HealthCheck, settings
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tests.command_line import COLOUR, Outcome, Run
 from tubeopt.cli.app import main
+from tubeopt.show.arm_surfaces import Detail, plate_part, robot_parts
+from tubeopt.show.page import WIDTH
+from tubeopt.show.plots import shape, style
 from tubeopt.show.plots.trajectory import save_film
 from tubeopt.solvers.compiled.library import cache_directory
 
@@ -111,10 +116,31 @@ def short_films(monkeypatch: pytest.MonkeyPatch) -> None:
         )
 
 
+LAID_OUT: set[tuple[object, ...]] = set()
+"""Panels of the pictures that were laid out."""
+
+
+def lay_out_once(patch: pytest.MonkeyPatch) -> None:
+    """Of pictures with the same panels one is laid out, which is half of what they take; the others stay as drawn."""
+    execute = ConstrainedLayoutEngine.execute
+
+    def execute_once(engine: ConstrainedLayoutEngine, figure: Figure) -> None:
+        panels = (WIDTH.get(), *((axes.get_aspect(), axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes))
+        if panels not in LAID_OUT:
+            LAID_OUT.add(panels)
+            execute(engine, figure)
+
+    patch.setattr(ConstrainedLayoutEngine, "execute", execute_once)
+
+
 def draw_quickly(patch: pytest.MonkeyPatch) -> None:
-    """Pictures of a sixteenth of their points, laid out once: they take half as long."""
-    patch.setattr("tubeopt.show.plots.style.DPI", 50)
-    patch.setattr("tubeopt.show.plots.style.LAYOUT_PASSES", 1)
+    """Pictures of a sixteenth of their points and facets, laid out once for all of a kind, with outlines for letters:
+    they take a third of the time."""
+    patch.setattr(style, "DPI", 50)
+    patch.setitem(style.RC, "pdf.fonttype", 3)
+    patch.setattr(shape, "robot_parts", lambda arm, _, window: robot_parts(arm, Detail(8, 30, even=True), window))
+    patch.setattr(shape, "plate_part", lambda radius, **_: plate_part(radius, sides=32))
+    lay_out_once(patch)
 
 
 @pytest.fixture

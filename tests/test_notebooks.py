@@ -12,6 +12,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
+SMALL = """
+from tubeopt.show.plots import figure, style
+figure.SCREEN_DPI, style.LAYOUT_PASSES = 30, 1
+del figure, style
+"""
+"""What is compared is text: pictures are small, and laid out once."""
+
 pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 
@@ -38,7 +45,7 @@ def test_it_prints_what_it_says(path: Path, kernel: Any) -> None:
         pytest.importorskip("pandas")
     tool = runpy.run_path(str(ROOT / ".ci" / "notebooks.py"))
     kept = nbformat.read(path, as_version=4)
-    assert tool["printed"](tool["run"](path, kernel)) == tool["printed"](kept)
+    assert tool["printed"](tool["run"](path, kernel, SMALL)) == tool["printed"](kept)
 
 
 def test_there_is_one_for_each_thing_that_a_beginner_asks() -> None:

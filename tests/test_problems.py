@@ -22,7 +22,7 @@ SAMPLES = {
     "calibrate_friction": 36,
     "design_pair": 3,
     "heating_led": 20,
-    "load_snap_directions": 6,
+    "load_snap_directions": 3,
     "own_certified_dexterity": 2,
     "own_dexterity": 1,
     "own_shape_estimation": 1,

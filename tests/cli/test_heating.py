@@ -54,7 +54,10 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
     outcome = run("heat", RIG, *flags, "--charges-percent", "none", "--out", str(tmp_path))
     assert outcome.code == 3
     assert re.search(r"no schedule was found that holds 500 to 550 degC for 5 s: it is missed by \d+\.\d", outcome.err)
-    assert not json.loads((tmp_path / "plan.json").read_text())["feasible"]
+    plan = json.loads((tmp_path / "plan.json").read_text())
+    assert not plan["feasible"]
+    assert plan["shortfall_K"] > 300
+    assert plan["cold_end_mm"] is None
     text = " ".join(outcome.out.split())
     for words in (
         "NOT HELD",

@@ -13,6 +13,7 @@ from tubeopt.robots.load import PointForce, Stretch
 from tubeopt.runs.load_file import load_load
 from tubeopt.runs.study_file import load_study
 
+TWO_TUBE = str(ROOT / "configs" / "robots" / "two_tube.yaml")
 FILE = """
 tip_force_mN: [100, 0, 0]
 gravity_m_per_s2: [0, 0, -9.81]
@@ -68,13 +69,14 @@ def test_moments_have_no_margin(run: Run) -> None:
     assert "not told" in run("fk", THESIS, "--tip-moment-mN-m", "1,2,3").out
 
 
-def test_snaps_and_equilibria_under_load(run: Run) -> None:
+def test_snaps_and_equilibria_under_load(run: Run, tmp_path: Path) -> None:
     snapped = answer(run("snap", THESIS, "--to-deg", "360,0,0", "--tip-force-mN=-20,0,0", "--json"))
     assert snapped["snap"]["rotations_deg"][0] == pytest.approx(201.0758694, abs=1e-6)
-    path = str(ROOT / "configs" / "paths" / "turn_and_back.csv")
-    followed = answer(run("follow", THESIS, path, "--gravity-m-per-s2", "0,0,-9.81", "--json"))
+    path = tmp_path / "turn_and_back.csv"
+    path.write_text("rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0\n240,0,0\n100,0,0\n")
+    followed = answer(run("follow", THESIS, str(path), "--gravity-m-per-s2", "0,0,-9.81", "--json"))
     assert len(followed["snaps"]) == 2
-    loaded = run("equilibria", THESIS, "--rotations-deg", "20,0,0", "--tip-force-mN=-2,0,0", "--json")
+    loaded = run("equilibria", TWO_TUBE, "--rotations-deg", "20,0", "--tip-force-mN=-2,0,0", "--json")
     assert len(answer(loaded)["equilibria"]) == 1
 
 

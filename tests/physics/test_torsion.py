@@ -197,7 +197,7 @@ def shoot_eccentric(rotations: Array, offset: float) -> Array:
         theta, w, frame = y[:3], y[3:6], y[6:15].reshape(3, 3)
         pull = kappa * np.array([np.cos(theta).sum(), np.sin(theta).sum()])
         u = pull / 3
-        for _ in range(40):
+        for _ in range(12):  # each a fiftieth of what was left
             g = 1 + offset * (u[0] * np.sin(phi) - u[1] * np.cos(phi))
             u = pull / (1 / g).sum()
         turn = np.array([[0, 0, u[1]], [0, 0, -u[0]], [-u[1], u[0], 0]])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from tests.conftest import draw_quickly
+
 
 @pytest.fixture(autouse=True)
 def _small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures of a sixteenth of their points, which take half as long."""
-    monkeypatch.setattr("tubeopt.show.plots.style.DPI", 50)
+    """Pictures of a sixteenth of their points."""
+    draw_quickly(monkeypatch)

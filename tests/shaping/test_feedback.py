@@ -76,7 +76,7 @@ def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None
 
 
 def test_resistance_alone_is_told_to_be_no_thermometer() -> None:
-    told = lead_by(on_few_rigs(), TubeResistance(), samples=40)
+    told = lead_by(on_few_rigs(), TubeResistance(), samples=20)
     assert told.probability < 0.5
     assert told.contributions[0].name == "resistivity_slope"
     assert told.contributions[0].deviation > 20

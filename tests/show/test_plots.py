@@ -17,7 +17,7 @@ from PIL import Image
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
 from tubeopt.robots.load import PointForce
 from tubeopt.show.arm_surfaces import Centreline, exposed, ring_surface, robot_parts, tube_surface
-from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, tube_colour
+from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, save_figure, tube_colour
 from tubeopt.show.plots.mesh import Mesh, facets_of
 from tubeopt.show.plots.shape import forces, robot_mesh
 from tubeopt.show.plots.stage import Box, View, rule_step, widest_view
@@ -223,10 +223,11 @@ def test_ghosts_are_drawn_translucent(home: Equilibrium, actuated: Equilibrium) 
 
 
 def test_equal_data_give_equal_files(actuated: Equilibrium, tmp_path: Path) -> None:
+    figures = [plot_torsion(actuated) for _ in range(2)]
     for suffix in ("pdf", "svg"):  # PNG in the next test but two
         files = [tmp_path / f"{name}.{suffix}" for name in "ab"]
-        for file in files:
-            plot_torsion(actuated, file)
+        for figure, file in zip(figures, files, strict=True):
+            save_figure(figure, file)
         assert files[0].read_bytes() == files[1].read_bytes()
 
 
@@ -250,7 +251,10 @@ def test_failure_leaves_the_old_picture(actuated: Equilibrium, tmp_path: Path, m
     assert [file.name for file in tmp_path.iterdir()] == ["torsion.png"]
 
 
-def test_callers_settings_neither_matter_nor_change(actuated: Equilibrium, tmp_path: Path) -> None:
+def test_callers_settings_neither_matter_nor_change(
+    actuated: Equilibrium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tubeopt.show.plots.style.DPI", 50)
     plot_torsion(actuated, tmp_path / "plain.png")
     with matplotlib.rc_context({"font.size": 30, "lines.linewidth": 9, "axes.grid": True}):
         plot_torsion(actuated, tmp_path / "other.png")
@@ -262,7 +266,8 @@ def test_neither_display_nor_pyplot_is_needed(tmp_path: Path) -> None:
     script = (
         "import sys\n"
         "from tubeopt import ConcentricRobot, Tube, forward_kinematics\n"
-        "from tubeopt.show.plots import plot_shape\n"
+        "from tubeopt.show.plots import plot_shape, style\n"
+        "style.DPI, style.LAYOUT_PASSES = 50, 1\n"
         "assert 'matplotlib' not in sys.modules\n"
         "robot = ConcentricRobot((Tube(2e-3, 1e-3, 0.02, 0.1, 20.0),))\n"
         "plot_shape(forward_kinematics(robot, (0.0,)), sys.argv[1])\n"

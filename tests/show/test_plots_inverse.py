@@ -30,7 +30,7 @@ def test_the_arm_its_target_and_its_ghosts(tmp_path: Path) -> None:
 
 def test_a_target_that_is_missed_says_by_how_much() -> None:
     closest = inverse_kinematics(
-        eccentric_robot(), [0.0, 0.0, 0.12], on_failure="closest", options=InverseOptions(starts=4)
+        eccentric_robot(), [0.0, 0.0, 0.12], on_failure="closest", options=InverseOptions(starts=1)
     )
     words = [text.get_text() for text in plot_inverse(closest).axes[0].texts]
     assert any("mm short" in word for word in words)
@@ -38,14 +38,14 @@ def test_a_target_that_is_missed_says_by_how_much() -> None:
 
 def test_a_path_of_targets(tmp_path: Path) -> None:
     session = IkSession(THESIS)
-    found = [session.solve(POINT + k * np.array([1e-3, 0.0, 5e-4])) for k in range(8)]
+    found = [session.solve(POINT + k * np.array([1e-3, 0.0, 5e-4])) for k in range(3)]
     figure = plot_targets(found, tmp_path / "path.pdf", title="a line")
     assert (tmp_path / "path.pdf").read_bytes().startswith(b"%PDF")
-    assert "a line: 8 targets" in figure.get_suptitle()
+    assert "a line: 3 targets" in figure.get_suptitle()
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[1:] == ["rotations (deg)", "translations (mm)", "margin"]
     way = arc_length(np.array([each.target_position for each in found]))
-    assert way[-1] == pytest.approx(7 * np.hypot(1e-3, 5e-4))
+    assert way[-1] == pytest.approx(2 * np.hypot(1e-3, 5e-4))
     margin = figure.axes[3].lines[0].get_ydata()
     np.testing.assert_allclose(margin, [each.margin for each in found])
 

@@ -394,7 +394,10 @@ def test_pictures_are_whole(name: str, drawings: dict[str, Callable[[FilePath], 
     assert [file.name for file in path.parent.iterdir()] == ["picture.png"]
 
 
-def test_equal_data_give_equal_files(maps: list[EnergyMap], chart: StabilityMap, tmp_path: FilePath) -> None:
+def test_equal_data_give_equal_files(
+    maps: list[EnergyMap], chart: StabilityMap, tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tubeopt.show.plots.style.DPI", 50)
     draws: list[tuple[str, Callable[[FilePath], Figure]]] = [
         ("png", lambda file: plot_energy_maps(maps, file)),
         ("svg", lambda file: plot_stability_map(chart, file)),

@@ -266,7 +266,7 @@ def test_a_compiler_that_cannot_tune_for_the_processor_will_do(monkeypatch: pyte
     library; the answers are the same to round-off."""
     own = building.compiler()
     assert own is not None
-    words = f'for word; do [ "$word" = {building.OWN_PROCESSOR} ] && exit 1; done\nexec {shlex.join(own)} "$@" -O1\n'
+    words = f'for word; do [ "$word" = {building.OWN_PROCESSOR} ] && exit 1; done\nexec {shlex.join(own)} "$@" -O0\n'
     plain = tmp_path / "plain-cc"
     plain.write_text(f"#!/bin/sh\n{words}")
     plain.chmod(0o755)
@@ -361,8 +361,7 @@ def check_same_loaded(one: Equilibrium, other: Equilibrium) -> None:
 
 @compiler
 def test_loads_beyond_the_kernel_are_left_to_the_general_solver() -> None:
-    with pytest.raises(SolveError, match=r"bifurcates at 7\.13"):
-        forward_kinematics(THESIS, [0.0, 0.0, 0.0], load=Load((0, 1.5, -1.5)))
+    """As moments are; for lost equilibria see cli/test_loads.py."""
     assert np.isnan(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(moment=(0.01, 0, 0))).margin)
 
 

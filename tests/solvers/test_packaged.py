@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.examples import THESIS
+from tests.examples import TWO_TUBE
 from tubeopt import forward_kinematics
 from tubeopt.solvers.compiled import binding, packaged
 from tubeopt.solvers.compiled import library as building
@@ -91,18 +91,17 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
     generations: tuple[packaged.Generation, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("TUBEOPT_COMPILE", raising=False)
-    expected = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
-    building.compile_to(
-        building.source(3, False), generations[1].kernel(tmp_path, CONCENTRIC), ("-O1",)
-    )  # is made soon
+    expected = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    path = generations[1].kernel(tmp_path, (2, "concentric"))
+    building.compile_to(building.source(2, False), path, ("-O0",))  # is made soon
     monkeypatch.setattr(building, "compiler", lambda: None)
-    kernel = building.library.__wrapped__(3, False)
+    kernel = building.library.__wrapped__(2, False)
     assert kernel is not None
     assert kernel.path.parent == tmp_path
     monkeypatch.setattr(
         binding, "with_kernel", lambda robot, _: (kernel, tubes := binding._tubes(robot), binding.address(tubes))
     )
-    answer = binding.solve_compiled(THESIS, np.array([0.0, 1.0, 2.0]), THESIS.home_translations)
+    answer = binding.solve_compiled(TWO_TUBE, np.array([0.0, 1.0]), TWO_TUBE.home_translations)
     assert answer is not None
     tip = answer["position"][answer["pieces"] * building.STEPS]
     assert np.asarray(tip) == pytest.approx(expected.tip_position, abs=1e-12)

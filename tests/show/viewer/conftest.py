@@ -26,17 +26,22 @@ def address() -> Iterator[str]:
 
 
 @pytest.fixture(scope="session")
-def context() -> Iterator[Any]:
-    """A browser with an empty profile."""
+def context(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser with a new profile, in which it keeps the page as it was compiled for the first tabs."""
     if CHROMIUM is None:
         pytest.skip("NOT TESTED: the viewer's page needs Chromium (apt-get install chromium)")
     api = pytest.importorskip("playwright.sync_api", reason="NOT TESTED: the viewer's page needs playwright")
     with api.sync_playwright() as player:
-        browser = player.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        context = browser.new_context(viewport={"width": 900, "height": 620}, device_scale_factor=0.5)
+        context = player.chromium.launch_persistent_context(
+            tmp_path_factory.mktemp("profile"),
+            executable_path=CHROMIUM,
+            args=FLAGS,
+            viewport={"width": 900, "height": 620},
+            device_scale_factor=0.5,
+        )
         context.add_init_script(LITTLE_DRAWING)
         yield context
-        browser.close()
+        context.close()
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,16 +26,22 @@ def numbers(words: str) -> list[float]:
     return [float(each) for each in NUMBER.findall(words)]
 
 
+@cache
 def turned() -> Session:
     session, _ = move_joint(open_session(THESIS), 0, TURNED[0])
     return session
+
+
+@cache
+def gently_pushed() -> Session:
+    return push_on(turned(), Load((-0.01, 0, 0)))
 
 
 def test_a_growing_force_snaps_the_robot_where_its_limit_is() -> None:
     session = turned()
     limit = find_load_limit(THESIS, TURNED, None, Load((-0.01, 0, 0)), equilibrium=session.equilibrium)
     assert limit is not None
-    gentle = push_on(session, Load((-0.01, 0, 0)))
+    gentle = gently_pushed()
     assert not gentle.last
     assert gentle.equilibrium.margin < session.equilibrium.margin
     past = push_on(gentle, Load((-0.03, 0, 0)))
@@ -74,7 +81,7 @@ def test_joints_move_under_the_load() -> None:
 
 
 def test_what_a_load_does_in_a_sentence() -> None:
-    here = push_on(turned(), Load((-0.01, 0, 0))).equilibrium
+    here = gently_pushed().equilibrium
     found = bearing_of(here)
     assert found is not None
     assert found.limit is not None
@@ -93,7 +100,7 @@ def test_what_a_load_does_in_a_sentence() -> None:
 def test_a_force_that_is_typed_and_a_snap_by_it(tab: Tab) -> None:
     """As `test_a_growing_force_snaps_the_robot_where_its_limit_is`, by hand."""
     start = turned().equilibrium
-    gentle = push(start, Load((-0.01, 0, 0))).equilibria[-1]
+    gentle = gently_pushed().equilibrium
     tab.type("rotation of tube 1", 200)
     tab.wait_for_tip(start.tip_position)
     tab.tab("Load")

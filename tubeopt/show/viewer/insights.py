@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
+from ...robots.robot import Robot
 from ...stability import Branch, StabilityMap, snap_free_certificate, stability_map, trace_branch
 from .panel import Panel
 from .plots import map_plot, s_curve_plot
@@ -20,6 +22,16 @@ MAP_SAMPLES = 13
 
 WIDEST = 2 * np.pi
 """S-curves are traced no farther than a turn from home, where limits are wider."""
+
+
+CURVES = 16
+"""S-curves that are remembered, for all tabs: a robot often comes back to where it was."""
+
+Place = tuple[Robot, tuple[float, ...]]
+"""A robot and its translations, m."""
+
+Way = tuple[Place, int, tuple[float, ...]]
+"""A place, a tube that turns, and the rotations of the others, rad."""
 
 
 class _InterruptedError(Exception):
@@ -68,12 +80,12 @@ class Insights:
         if self._map and self._map[1] is not None and self._map[0] == self._at():
             self._panel.map(map_plot(self._map[1], here))
 
-    def _at(self) -> object:
+    def _at(self) -> Place:
         """What certificate and map depend on."""
         session = self._session()
         return session.robot, tuple(session.equilibrium.translations.tolist())
 
-    def _way(self) -> object:
+    def _way(self) -> Way:
         """What the S-curve depends on."""
         here = self._session().equilibrium
         return self._at(), self.tube, tuple(np.delete(here.rotations, self.tube).tolist())
@@ -100,12 +112,8 @@ class Insights:
             return
         if self._curve and self._curve[0] == key:
             return
-        session = self._session()
-        low, high = np.clip(session.robot.limits.rotations[self.tube], -WIDEST, WIDEST)
-        start, end = session.equilibrium.rotations.copy(), session.equilibrium.rotations.copy()
-        start[self.tube], end[self.tube] = low, high
         try:
-            self._curve = key, trace_branch(session.robot, start, end, session.equilibrium.translations)
+            self._curve = key, _s_curve(*key)
         except (InputError, SolveError) as error:
             self._curve = key, None
             self._panel.curve(f"no S-curve here: {error}", text=True)
@@ -133,3 +141,12 @@ class Insights:
             return
         self._map = key, chart
         self.plot()
+
+
+@lru_cache(maxsize=CURVES)
+def _s_curve(place: Place, tube: int, others: tuple[float, ...]) -> Branch:
+    """The branch along a turn of one tube, from one limit to the other; raises as `trace_branch` does."""
+    robot, shift = place
+    ends = np.clip(robot.limits.rotations[tube], -WIDEST, WIDEST)
+    start, end = (np.insert(np.array(others), tube, angle) for angle in ends)
+    return trace_branch(robot, start, end, np.array(shift))

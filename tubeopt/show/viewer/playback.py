@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from os import PathLike
 
 import numpy as np
@@ -103,8 +104,9 @@ def paced(rotations: Array, translations: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(turn, slide), 1e-3))])
 
 
+@lru_cache(maxsize=4)
 def make_playback(robot: Robot, waypoints: Waypoints) -> Playback:
-    """Follow the waypoints, from their start.
+    """Follow the waypoints, from their start; once for all tabs that have them.
 
     Raises:
         SolveError: the branch was lost on the way.
