@@ -51,6 +51,10 @@ class SheathedRobot(BaseRobot):
     @property
     def home_translations(self) -> Array:
         """(3 k,) translations at which every segment begins where the next outer one ends, m."""
+        return self._home.copy()
+
+    @cached_property
+    def _home(self) -> Array:
         reach = np.cumsum([0.0] + [tube.curved_length for tube in reversed(self.held)])[:-1]
         return np.repeat(reach[::-1], 3)
 
