@@ -385,7 +385,7 @@ def test_c_for_other_compilers_has_no_word_of_gcc(tmp_path: Path) -> None:
     ]
     for text in texts:
         seen = preprocessed(text, tmp_path)
-        assert "fmax(" in seen or "int main(" in seen
+        assert "double " in seen
         words = r"\bclock_gettime\b|\b__(?!declspec)\w+|\b_Complex\b|\btypeof\b|\basm\b|\balloca\b|\bM_PI\b|\(\{"
         assert not re.findall(words, seen)
 

@@ -162,7 +162,7 @@ static int softest(const Unknowns *q, const State *state, double *h, double *z) 
     anywhere(z, q->size);
     second_variation(q, state, h);
     if (!cholesky(h, q->size, STRIDE)) return 0;
-    least_eigenvalue(h, q->size, STRIDE, ROUGH_ERROR, z);
+    least_eigenvalue(h, q->size, STRIDE, ROUGH_ERROR, 0, z);
     return 1;
 }
 
@@ -221,7 +221,7 @@ static double margin_of(const Method *method, const Unknowns *fine, const Unknow
     if (!(dot(z, z, fine->size) > 1e-30)) anywhere(z, fine->size);
     second_variation(fine, state, h);
     if (!cholesky(h, fine->size, STRIDE)) return -1;
-    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, EIGENVALUE_ERROR, z));
+    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, EIGENVALUE_ERROR, 0, z));
 }
 
 /* Where to start from: samples of another arm along its arc length, or, where that has the same collocation points, what

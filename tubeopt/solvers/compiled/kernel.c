@@ -35,9 +35,8 @@
 
 typedef struct {
     Layout layout;
-    Unknowns coarse, fine;
+    Unknowns coarse, fine; /* off the centreline fine ones are of all tubes present, curved or not */
 #if ECCENTRIC
-    Unknowns all;
     Stretch stretch;
 #endif
     State state, trial;
@@ -51,17 +50,11 @@ typedef struct {
 #endif
 } Workspace;
 
-#if ECCENTRIC
-#define UNKNOWNS(w) (&(w)->all)
-#else
-#define UNKNOWNS(w) (&(w)->fine)
-#endif
-
 /* Newton on the fine points from rotations `theta` there. */
 static int newton_from(double theta[][N], const double *alpha, Workspace *w, int most, int *iterations, double *ratio) {
-    to_unknowns(UNKNOWNS(w), alpha, theta, w->state.z);
+    to_unknowns(&w->fine, alpha, theta, w->state.z);
 #if ECCENTRIC
-    return newton_stretched(&w->all, alpha, &w->state, &w->stretch, w->matrix, most, iterations, ratio);
+    return newton_stretched(&w->fine, alpha, &w->state, &w->stretch, w->matrix, most, iterations, ratio);
 #else
     return newton(&w->fine, alpha, &w->state, w->matrix, most, iterations, ratio);
 #endif
@@ -77,14 +70,14 @@ static int from_untwisted(const Method *method, const double *alpha, Workspace *
     const State *state = descend(&w->coarse, alpha, &w->state, &w->trial, w->matrix, COARSE_STEP, iterations);
     if (!state) return DECLINED;
     integrate(&w->coarse, alpha, state, &w->arm);
-    interpolate(&w->coarse, &w->arm, UNKNOWNS(w), method->twice, theta);
+    interpolate(&w->coarse, &w->arm, &w->fine, method->twice, theta);
     return newton_from(theta, alpha, w, MOST_ITERATIONS, iterations, ratio);
 }
 
 /* Newton from a guess, with the largest change of an unknown rotation from it. */
 static int from_guess(const Guess *guess, const double *alpha, Workspace *w, int *iterations, Answer *out) {
     double theta[MOST_POINTS][N];
-    const Unknowns *q = UNKNOWNS(w);
+    const Unknowns *q = &w->fine;
     sample(q, guess, theta);
     if (newton_from(theta, alpha, w, MOST_WARM_ITERATIONS, iterations, &out->contraction)) return DECLINED;
     for (int i = 0; i < N; i++)
@@ -98,12 +91,14 @@ static int from_guess(const Guess *guess, const double *alpha, Workspace *w, int
 /* Profile, residual, energy and margin of the solved state. */
 static void judge(const Method *method, const double *alpha, Workspace *w, Answer *out) {
     State *state = &w->state;
-    integrate(UNKNOWNS(w), alpha, state, &w->arm);
+    integrate(&w->fine, alpha, state, &w->arm);
 #if ECCENTRIC
-    out->residual = largest(w->stretch.residual, w->all.size);
-    out->energy = state->energy + stretched_torsion(&w->all, state, &w->stretch, &w->arm);
-    double most = most_softening(method, &w->all, &w->coarse, alpha, &w->arm, &w->trial, w->matrix);
-    out->margin = most < 0 ? -1 : stretched_margin(&w->all, state, &w->stretch, most, w->matrix);
+    out->residual = largest(w->stretch.residual, w->fine.size);
+    out->energy = state->energy + stretched_torsion(&w->fine, state, &w->stretch, &w->arm);
+    out->margin = 1;
+    if (!w->fine.size || never_stretched(&w->fine, state, &w->stretch)) return;
+    double most = most_softening(method, &w->fine, &w->coarse, alpha, &w->arm, &w->trial, w->matrix);
+    out->margin = most < 0 ? -1 : stretched_margin(&w->fine, state, &w->stretch, most, w->matrix);
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;
@@ -117,11 +112,8 @@ static int solve_one(const Tubes *tubes, const Method *method, const double *alp
                      const Guess *guess, Workspace *w, Answer *out) {
     int iterations = 0, failed;
     if (!lay_out(tubes, shift, &w->layout)) return DECLINED;
-    if (!pose_unknowns(&w->fine, &w->layout, tubes, &method->fine, 0)) return DECLINED;
+    if (!pose_unknowns(&w->fine, &w->layout, tubes, &method->fine, ECCENTRIC)) return DECLINED;
     if (!pose_unknowns(&w->coarse, &w->layout, tubes, &method->coarse, 0)) return DECLINED;
-#if ECCENTRIC
-    if (!pose_unknowns(&w->all, &w->layout, tubes, &method->fine, 1)) return DECLINED;
-#endif
     out->contraction = out->largest_change = 0;
     failed = guess ? from_guess(guess, alpha, w, &iterations, out)
                    : from_untwisted(method, alpha, w, &iterations, &out->contraction);
@@ -129,7 +121,7 @@ static int solve_one(const Tubes *tubes, const Method *method, const double *alp
     judge(method, alpha, w, out);
     if (!(out->margin > 0)) return DECLINED;
     out->iterations = iterations;
-    finish(UNKNOWNS(w), &w->state, &w->arm, out);
+    finish(&w->fine, &w->state, &w->arm, out);
     return SOLVED;
 }
 

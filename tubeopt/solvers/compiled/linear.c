@@ -150,10 +150,11 @@ static void lu_solve(const double *restrict a, int n, int stride, const int *piv
 }
 
 /* Largest eigenvalue of the symmetric tridiagonal matrix (d, e) of n rows, e not 0: Laguerre's method on its
-   characteristic polynomial, which from above all roots comes down to the largest one without passing it. */
-static double largest_of_tridiagonal(const double *d, const double *e, int n) {
-    double x = d[0];
-    for (int i = 0; i < n; i++) x = fmax(x, d[i] + (i ? fabs(e[i - 1]) : 0) + (i + 1 < n ? fabs(e[i]) : 0));
+   characteristic polynomial, which from above all roots comes down to the largest one without passing it. `before`: that
+   of the matrix without its last row, which bounds this one as if all of that row pulled at its eigenvector. */
+static double largest_of_tridiagonal(const double *d, const double *e, int n, double before) {
+    if (n == 1) return d[0];
+    double apart = (before - d[n - 1]) / 2, x = before - apart + sqrt(apart * apart + e[n - 2] * e[n - 2]);
     for (int step = 0; step < 60; step++) {
         /* q: ratio of successive leading minors of x - T; a, b: q'/q, q''/q; sums are those of p'/p and of its slope. */
         double a = 0, b = 0, inverse = 0, first = 0, second = 0;
@@ -212,7 +213,7 @@ typedef struct {
    Without coupling all eigenvalues are 1, and with it they gather there: the square of the residual over the distance
    from 1, but at least `apart`, tells how far off the largest is. It ends when that is less than `small` of it. */
 ALWAYS_INLINE double least_of(Lanczos *l, double *vector) {
-    double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value, *basis = l->basis;
+    double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value = 0, *basis = l->basis;
     int n = l->n, stride = l->stride, steps = n < l->most ? n : l->most, m = 0;
     double norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[k] = vector[k] / norm;
@@ -230,7 +231,7 @@ ALWAYS_INLINE double least_of(Lanczos *l, double *vector) {
             }
             beside[m] = sqrt(dot(next, next, n));
         } while (beside[m] * beside[m] < 1e-2 * whole && beside[m] > 1e-13);
-        value = largest_of_tridiagonal(diagonal, beside, m + 1);
+        value = largest_of_tridiagonal(diagonal, beside, m + 1, value);
         vector_of_tridiagonal(diagonal, beside, m + 1, value, y);
         double residual = beside[m] * y[m];
         l->settled = m + 1 == n || beside[m] < 1e-13 || residual * residual < l->small * value * fmax(value - 1, l->apart);
@@ -254,10 +255,10 @@ static void by_factor(const void *of, double *x) {
 }
 
 /* Least eigenvalue of A = R'R (cholesky), as `least_of`. */
-static double least_eigenvalue(const double *r, int n, int stride, double small, double *vector) {
+static double least_eigenvalue(const double *r, int n, int stride, double small, double apart, double *vector) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS];
     Factored of = {r, n, stride};
-    Lanczos lanczos = {by_factor, &of, n, LANCZOS, MOST_UNKNOWNS, 0, small, 0, basis[0]};
+    Lanczos lanczos = {by_factor, &of, n, LANCZOS, MOST_UNKNOWNS, 0, small, apart, basis[0]};
     return least_of(&lanczos, vector);
 }
 

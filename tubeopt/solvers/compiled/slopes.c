@@ -124,7 +124,7 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
         double all[MOST_UNKNOWNS], part = 0.3 * sqrt(dot(mode, mode, q->size) / q->size);
         anywhere(all, q->size);
         for (int r = 0; r < q->size; r++) mode[r] += part * all[r];
-        double least = least_eigenvalue(h, q->size, STRIDE, MODE_ERROR, mode);
+        double least = least_eigenvalue(h, q->size, STRIDE, MODE_ERROR, 0, mode);
         lean_of_margin(q, state, mode, 1 - out->margin, a);
         if (!asked->either && shared(h, q->size, mode, least)) a->form = NAN;
     }

@@ -133,7 +133,7 @@ static double most_softening(const Method *method, const Unknowns *all, const Un
     if (!stable_softened(coarse, rough, 1 / (1 + FAR_BELOW), h)) return -1;
     if (!coarse->size) return FAR_BELOW;
     anywhere(z, coarse->size);
-    double least = least_eigenvalue(h, coarse->size, STRIDE, SOFTENING_ERROR, z);
+    double least = least_eigenvalue(h, coarse->size, STRIDE, SOFTENING_ERROR, SOFTENING_ERROR, z);
     double most = fmax((1 + SOFTENING_ERROR) * (1 + FAR_BELOW) * (1 - least), SOFTENING_ERROR);
     while (most + FAR_BELOW < 1 && !stable_softened(coarse, rough, 1 / most, h)) most *= 2;
     return fmin(most + FAR_BELOW, 1);
@@ -169,7 +169,8 @@ static int factorised(const Unknowns *q, const State *state, Stretch *e, double 
        (1 - mu) y' A^-1 (1 - P w g') y = -y' M' y,   A = (|beta| + P g W) / kt,
 
    y' A^-1 y >= y'y / most, and what w g' takes away is at most a fraction f of it, since A >= P P' thin / kt: the root of
-   turned most / thin. So 1 - mu is at most excess most / (1 - f) where M' > -excess at every point. */
+   turned most / thin. So 1 - mu of every mode is at most excess most / (1 - f) where M' > -excess at every point: none
+   passed infinity either. */
 static int never_stretched(const Unknowns *q, const State *state, const Stretch *e) {
     double most = 0, thick = 1, thin = 1, turned = 0;
     for (int i = 0; i < N; i++) {
@@ -212,7 +213,6 @@ static int never_stretched(const Unknowns *q, const State *state, const Stretch 
 static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double most, double *h) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS], small[LANCZOS * LANCZOS], y[LANCZOS], value = 1;
     int n = q->size, steps = n < LANCZOS ? n : LANCZOS, check = 4;
-    if (!n || never_stretched(q, state, e)) return 1;
     if (!factorised(q, state, e, 1 / most, h)) {
         if (most == 1 || !factorised(q, state, e, 1, h)) return -1;
         most = 1;

@@ -16,7 +16,7 @@ HERE = Path(__file__).parent
 def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
     """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
     constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
-    return f"{constants}{(HERE / 'sine.c').read_text()}\n{generator.dump()}\n{with_included(HERE / file)}"
+    return f"{constants}{(HERE / 'elementary.c').read_text()}\n{generator.dump()}\n{with_included(HERE / file)}"
 
 
 def with_included(file: Path) -> str:

@@ -1,10 +1,18 @@
-/* Sine and cosine of one angle together, within 1.8e-16 of the truth for angles up to 1e5 rad.
+/* Functions of the C library in line, where a call costs more than what it does.
+
+   Sine and cosine of one angle together, within 1.8e-16 of the truth for angles up to 1e5 rad.
 
    Quarter turns are taken off in two parts (Cody and Waite, 1980); the rest r goes into polynomials through the Chebyshev
    nodes of (sin r / r - 1) / r^2 and (cos r - 1 + r^2 / 2) / r^4 in r^2 up to (pi / 4)^2. Without fused multiplication the
    first step would lose digits, and the functions of the library stay. Not in line: there are hundreds of calls, which
    would take the compiler longer; of two with the same angle it makes one. */
 #include <math.h>
+
+/* As the library's, where one is NaN too. */
+static inline double larger(double x, double y) { return x > y || y != y ? x : y; }
+static inline double smaller(double x, double y) { return x < y || y != y ? x : y; }
+#define fmax(x, y) larger(x, y)
+#define fmin(x, y) smaller(x, y)
 
 #if (defined(__GNUC__) || defined(__clang__)) && !defined(TUBEOPT_PORTABLE) && \
     (defined(FP_FAST_FMA) || defined(__FMA__) || defined(__ARM_FEATURE_FMA))
