@@ -13,10 +13,9 @@ import numpy as np
 
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from .counts import most_count
+from .counts import Counts, most_count, sum_up_rounding
 from .rates import State, at_rest
 from .rig import COUNTS, Rig
-from .schedule import Counts, sum_up_rounding
 from .simulation import advance
 from .spec import HeatingSpec
 from .thermal import ThermalModel, joined

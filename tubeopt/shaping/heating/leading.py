@@ -148,11 +148,8 @@ def _best_shift(plan: HeatingPlan, low: Array, high: Array, top: Array) -> tuple
 
 def corrected(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, history: LoopHistory) -> LoopHistory:
     """Temperatures of a fleet with what the fine grid adds to the first member, at every slot of the schedule."""
-    alone = Fleet(thermal_model(plan.tube, plan.rig, FINE), np.zeros(1))
-    fine = run_loop(alone, law, replace(sensor, noise=0.0), seed=0)
-    coarse = run_loop(
-        Fleet(thermal_model(plan.tube, plan.rig, ENSEMBLE), np.zeros(1)), law, replace(sensor, noise=0.0), seed=0
-    )
+    models = (thermal_model(plan.tube, plan.rig, grid) for grid in (FINE, ENSEMBLE))
+    fine, coarse = (run_loop(Fleet(model, np.zeros(1)), law, replace(sensor, noise=0.0)) for model in models)
 
     def added(name: str) -> Array:
         slots = range(len(law.planned) + 1)

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
-from ...physics.heat_functions import CHARGE, DRAWN
+from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
+from .counts import Counts
 from .cures import Cure
 from .feedback import Feedback
-from .outcome import Outcome, hold_slots, outcome_of, remarks
+from .outcome import Outcome, hold_slots, remarks
 from .rates import stored
 from .rig import COUNTS, Rig
-from .schedule import Counts
-from .simulation import History, clamp_temperature
+from .schedule import Schedule
 from .spec import HeatingSpec
 from .thermal import ThermalModel, thermal_data
 
@@ -90,21 +90,6 @@ class Energies:
     """Heat in tube, mold and clamps at the end, J."""
     energy_error: float
     """Energy unaccounted for in the re-simulation, as a fraction."""
-
-
-@dataclass(frozen=True, eq=False)
-class Computed:
-    """What a plan is told from: model, beginning of the hold (s), counts and ideal mean duties, what both do to the
-    tube (that of the counts from `resimulate`), error of the mesh (K), iterations."""
-
-    model: ThermalModel
-    start: float
-    counts: Counts
-    levels: Array
-    checked: History
-    exact: History
-    mesh_error: float
-    iterations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,27 +237,29 @@ class HeatingPlan(Displayed):
         return end + max(end - self.tube.straight_length, 0.0)
 
     @classmethod
-    def of(cls, tube: Tube, rig: Rig, spec: HeatingSpec, computed: Computed, *, cures: tuple[Cure, ...] = ()) -> Self:
-        """The plan from what was computed."""
-        model, start, history = computed.model, computed.start, computed.checked
-        outcome = outcome_of(model, rig, spec, history, start, computed.mesh_error)
-        _, last = hold_slots(spec, start)
+    def of(
+        cls, tube: Tube, spec: HeatingSpec, found: Schedule, iterations: int, *, cures: tuple[Cure, ...] = ()
+    ) -> Self:
+        """The plan of a schedule, and the iterations that it took."""
+        run, history, outcome = found.run, found.checked, found.outcome
+        rig, model = run.rig, run.model
+        _, last = hold_slots(spec, run.start)
         row = history.tube[last, 0]
         covered = model.zone >= LEAD
         walls = history.walls[:, 0][:, covered, 0]
         course = Course(
             time=history.time,
-            duty=np.append(computed.counts, 0),
+            duty=np.append(found.counts, 0),
             temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
             position=model.full_position,
             curved=np.concatenate([model.curved, model.curved[::-1]]),
             zone=np.concatenate([model.zone, model.zone[::-1]]),
-            ideal_duty=np.append(COUNTS * computed.levels, 0.0),
-            ideal_temperature=_mirrored(computed.exact.tube[:, 0]) - ZERO_CELSIUS,
+            ideal_duty=np.append(COUNTS * run.levels, 0.0),
+            ideal_temperature=_mirrored(run.exact.tube[:, 0]) - ZERO_CELSIUS,
             voltage=history.voltage[:, 0],
             current=history.current[:, 0],
             charge=rig.battery.state_of_charge - history.lumped[:, 0, CHARGE],
-            clamp_temperature=clamp_temperature(history)[:, 0] - ZERO_CELSIUS,
+            clamp_temperature=history.lumped[:, 0, CLAMP] - ZERO_CELSIUS,
             mold_temperature=walls.max(1) - ZERO_CELSIUS,
         )
         held = float(stored(model, history.final)[0])
@@ -283,13 +270,13 @@ class HeatingPlan(Displayed):
             course=course,
             outcome=outcome,
             energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
-            hold_start=start,
-            mesh_error=computed.mesh_error,
+            hold_start=run.start,
+            mesh_error=run.error,
             problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
             quench_time=quench_time(tube, spec, float(row.max())),
             growth=_growth(tube, model, row),
-            iterations=computed.iterations,
+            iterations=iterations,
         )
 
 
