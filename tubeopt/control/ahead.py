@@ -142,10 +142,7 @@ class PredictiveServo:
     def _knots(self, aim: Aim) -> Knots | None:
         """The way to an aim as it is; None where no joint values are known for it."""
         here = self._guard.here
-        begin, floor = (
-            self._chart.of(here.equilibrium),
-            min(self._floor, here.margin),
-        )
+        begin, floor = self._chart.of(here.equilibrium), min(self._floor, here.margin)
         if self._new(aim):
             self._aim, end = aim, self._goal(aim)
             self._way = None

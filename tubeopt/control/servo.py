@@ -9,7 +9,7 @@ bodies by theirs. The guard then lets as much of it pass as is safe.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
 from math import hypot
 
@@ -81,6 +81,13 @@ class Servo:
         self.guard = Guard(robot, seed, limits, obstacles, self.options)
         self.space = self.guard.space
         self._least_squares = least_squares_of(robot)
+        groups = [tuple(group.split("+")) for group in self.options.priorities]
+        self._groups = groups if self.options.objective is None else [*groups, ()]
+        """Names of what is asked at each priority; at the last of them nothing, for the objective."""
+        unit = np.eye(len(self.space.scale))
+        self._sides = np.vstack([unit, -unit, self.space.rows * self.space.scale])
+        """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
+        self._twice, self._damping = np.tile(self.space.scale, 2), DAMPING * unit
         if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
             raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
 
@@ -115,28 +122,6 @@ class Servo:
     def undo(self) -> None:
         """Take the last step back, which was not sent."""
         self.guard.here = self.guard.before
-
-    @cached_property
-    def _groups(self) -> list[tuple[str, ...]]:
-        """Names of what is asked at each priority; at the last of them nothing, for the objective."""
-        groups = [tuple(group.split("+")) for group in self.options.priorities]
-        return groups if self.options.objective is None else [*groups, ()]
-
-    @cached_property
-    def _sides(self) -> Array:
-        """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
-        unit = np.eye(len(self.space.scale))
-        return np.vstack([unit, -unit, self.space.rows * self.space.scale])
-
-    @cached_property
-    def _twice(self) -> Array:
-        """(2m,) the joints' scales, for both ends of each."""
-        return np.tile(self.space.scale, 2)
-
-    @cached_property
-    def _damping(self) -> Array:
-        """(m, m) rows of the damping."""
-        return DAMPING * np.eye(len(self.space.scale))
 
     def _rate(self, dt: float) -> Array:
         """(m,) most that each joint moves in a step."""
