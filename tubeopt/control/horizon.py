@@ -220,7 +220,7 @@ def _program(n: int, m: int, rows: int) -> ca.Function:
 
 def _pattern(mask: Mask) -> ca.Sparsity:
     rows, columns = np.nonzero(mask)
-    return ca.Sparsity.triplet(*mask.shape, rows.tolist(), columns.tolist())
+    return ca.Sparsity.triplet(mask.shape[0], mask.shape[1], rows.tolist(), columns.tolist())
 
 
 def _sparse(pattern: ca.Sparsity, dense: Array) -> ca.DM:

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -18,19 +18,6 @@ from ..heating.law import HeatingLaw, begin, decide
 from .simulated import SimulatedRig
 
 BAUD = 115200
-
-
-class Line(Protocol):
-    """A line to a rig."""
-
-    def send(self, do: str, **more: Any) -> None:
-        """Send a command."""
-
-    def receive(self) -> dict[str, Any] | None:
-        """The next report, or None where none came within a second."""
-
-    def close(self) -> None:
-        """Let go of it."""
 
 
 @contextlib.contextmanager
@@ -189,3 +176,7 @@ class SimulatedLine:
             "dry": self._dry,
             "led": bool(self._lead),
         }
+
+
+Line = SerialLine | SimulatedLine
+"""A line to a rig."""

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import choice
 from ...files.units import TO_MM
 from ...typing import Array
-from .groove import Arc, Line, Piece, Point, way_to_edge
+from .groove import Arc, Line, Piece, Point, leads_to_edge
 from .mold import Clamp, Groove, Mold
 
 LAYERS = ("OUTLINE", "GROOVE", "CENTERLINE", "HOLES", "TEXT")
@@ -50,7 +50,6 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
             "OUTLINE": outline,
             "GROOVE": walls if base else (),
             "CENTERLINE": centre,
-            "HOLES": (),
             "TEXT": jaws if base else (),
         },
         circles=tuple(((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM), hole.diameter * TO_MM) for hole in holes),
@@ -60,20 +59,8 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
 
 def groove_walls(groove: Groove, size: Point) -> tuple[Piece, ...]:
     """Both walls of a groove (m), lead, bend, lead, from plate edge to plate edge."""
-    walls: list[Piece] = []
-    for side in (1, -1):
-        wall = groove.centreline.offset(side * groove.width / 2)
-        tangents = [wall.lead_in.tangent(np.zeros(1))[0], wall.lead_out.tangent(np.zeros(1))[0]]
-        before = way_to_edge(wall.lead_in.end, -tangents[0], size)
-        after = way_to_edge(wall.lead_out.start, tangents[1], size)
-        start = wall.lead_in.point(np.array([wall.lead_in.length - before]))[0]
-        end = wall.lead_out.point(np.array([after]))[0]
-        walls += [
-            Line((float(start[0]), float(start[1])), wall.lead_in.end),
-            *wall.bend,
-            Line(wall.lead_out.start, (float(end[0]), float(end[1]))),
-        ]
-    return tuple(walls)
+    walls = (groove.centreline.offset(side * groove.width / 2) for side in (1, -1))
+    return tuple(piece for wall in walls for piece in leads_to_edge(wall.bend, size).pieces)
 
 
 def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:

@@ -149,10 +149,7 @@ class Centreline:
 
     def lengthened(self, extra: float) -> Centreline:
         """With both leads `extra` (m) longer, outwards."""
-        a, b = self.lead_in, self.lead_out
-        start = a.point(np.array([-extra]))[0]
-        end = b.point(np.array([b.length + extra]))[0]
-        return Centreline(Line(_point(start), a.end), self.bend, Line(b.start, _point(end)))
+        return with_leads(self.bend, self.lead_in.length + extra, self.lead_out.length + extra)
 
     def sample(self, step: float) -> Array:
         """(N, 2) points (m) at most `step` (m) apart, with the ends of all pieces."""

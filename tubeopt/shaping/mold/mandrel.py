@@ -24,6 +24,7 @@ from .checks import (
     refuse_failed,
     springback_remarks,
 )
+from .groove import way_to_edge
 from .heat import ColdEnd
 from .setting import bend_direction, tube_from_mold
 from .spec import MoldSpec
@@ -230,7 +231,9 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
         inner = turned.points[turned.bend]
         low[0], high[0] = min(low[0], inner[:, 0].min() - rim), max(high[0], inner[:, 0].max() + rim)
         low[1], high[1] = low[1] - rim, high[1] + rim
-        ways = [_way_out(turned.points[k], sign * turned.tangents[k], low, high) for k, sign in ((0, -1), (-1, 1))]
+        sides = tuple(high[:2] - low[:2])
+        ends = [(turned.points[k, :2] - low[:2], sign * turned.tangents[k, :2]) for k, sign in ((0, -1), (-1, 1))]
+        ways = [max(way_to_edge(end, way, sides), 0.0) for end, way in ends]
         low[2] -= width / 2 + spec.groove.floor
         high[2] += width / 2
         size = high - low
@@ -273,14 +276,6 @@ def _meets_itself(curve: Winding, up: Array, width: float) -> bool:
         if apart.any() and np.linalg.norm(seen[k:][apart] - seen[k], axis=1).min() < width:
             return True
     return False
-
-
-def _way_out(point: Array, direction: Array, low: Array, high: Array) -> float:
-    """Length (m) of the way from a point to the sides of a block, along a unit direction that is not upright."""
-    ways = [
-        ((high if direction[k] > 0 else low)[k] - point[k]) / direction[k] for k in (0, 1) if abs(direction[k]) > 1e-12
-    ]
-    return float(max(min(ways), 0.0))
 
 
 def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:

@@ -96,10 +96,7 @@ def values(quantity: Quantity, s: Array) -> Array:
 
 
 def _stretched(quantity: Quantity, factor: float) -> Quantity:
-    """A quantity along a stretch that is `factor` times as long."""
-    if not isinstance(quantity, Series):
-        return quantity
-    return Series(tuple(s * factor for s in quantity.breaks), quantity.coefficients)
+    return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
 
 
 def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:

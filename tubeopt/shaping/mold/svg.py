@@ -41,7 +41,7 @@ def svg_of(drawing: Drawing) -> str:
     groups = []
     for layer in LAYERS:
         dash = ' stroke-dasharray="3 0.7 0.5 0.7"' if layer == "CENTERLINE" else ""
-        body = [f'<path d="{_path(piece)}"/>' for piece in drawing.pieces[layer]]
+        body = [f'<path d="{_path(piece)}"/>' for piece in drawing.pieces.get(layer, ())]
         if layer == "HOLES":
             body += [f'<circle cx="{x:.6f}" cy="{y:.6f}" r="{d / 2:.6f}"/>' for (x, y), d in drawing.circles]
         if layer == "TEXT":
