@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 from ...errors import InputError
 from ...robots.tubes import Tube
-from .groove import Point
+from .groove import Arc, Point
 from .heat import ColdEnd, cold_end
+from .nesting import Blank
 from .setting import tube_in_mold
 from .spec import EndMill, MoldSpec
 
@@ -95,16 +96,12 @@ def pressing_strain(tube: Tube, mold_curvature: float) -> float:
     return tube.outer_diameter / 2 * abs(mold_curvature)
 
 
-def tube_checks(
-    number: int, held: Tube, radius: float, *, mill: EndMill, width: float, spec: MoldSpec
-) -> tuple[Check, ...]:
-    """The conditions on one groove that do not depend on where it lies.
-
-    Args:
-        held: the tube as the groove holds it. radius: the least of the groove's arcs, m.
-    """
-    tube, depth = held, groove_depth(held, spec)
-    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
+def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
+    """The conditions on one groove that do not depend on where it lies."""
+    number, tube, mill, width = blank.number, blank.held, blank.mill, blank.width
+    depth = groove_depth(tube, spec)
+    radius = min((piece.radius for piece in blank.bend if isinstance(piece, Arc)), default=math.inf)
+    strain, most = pressing_strain(tube, tube.curvature), spec.most_strain or tube.material.superelastic_strain
     floor = spec.plate.thickness - depth
     return (
         Check(

@@ -9,7 +9,6 @@ import numpy as np
 
 from ...errors import choice
 from ...files.units import TO_MM
-from ...typing import Array
 from .groove import Arc, Line, Piece, Point, leads_to_edge
 from .mold import Clamp, Groove, Mold
 
@@ -69,10 +68,10 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
     across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
     near, far = np.asarray(clamp.face), np.asarray(clamp.face) + along * mold.spec.clamps.grip
     corners = [near - across, far - across, far + across, near + across]
-    lines = [_line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+    lines = [Line.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
     if clamp.slides:
         beyond = far + along * clamp.travel
-        lines.append(_line(beyond - across, beyond + across))
+        lines.append(Line.between(beyond - across, beyond + across))
     return lines
 
 
@@ -102,10 +101,6 @@ def lowest_mm(mold: Mold) -> float:
         y for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold) for _, y in (line.start,)
     ]
     return min(0.0, *ends) * TO_MM
-
-
-def _line(a: Array, b: Array) -> Line:
-    return Line((float(a[0]), float(a[1])), (float(b[0]), float(b[1])))
 
 
 def rectangle(width: float, height: float) -> tuple[Piece, ...]:

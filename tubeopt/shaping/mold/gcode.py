@@ -235,8 +235,7 @@ def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Line]:
     half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side / count)
     for k in range(count):
         middle = (k + 0.5) / count * side
-        first, last = Line(start, end).point(np.array([middle - half, middle + half]))
-        yield Line((float(first[0]), float(first[1])), (float(last[0]), float(last[1])))
+        yield Line.between(*Line(start, end).point(np.array([middle - half, middle + half])))
 
 
 def _above(place: Point, spec: MoldSpec) -> Iterator[str]:

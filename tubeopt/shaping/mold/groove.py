@@ -13,9 +13,6 @@ from ...typing import Array
 
 Point = tuple[float, float]
 
-STRAIGHT = 1e-9
-"""Curvature (1/m) below which a bend is drawn as a straight line: its radius would exceed a million kilometres."""
-
 
 @dataclass(frozen=True)
 class Line:
@@ -23,6 +20,11 @@ class Line:
 
     start: Point
     end: Point
+
+    @classmethod
+    def between(cls, start: Array, end: Array) -> Line:
+        """From one point (2,) to another."""
+        return cls(_point(start), _point(end))
 
     @property
     def length(self) -> float:
@@ -42,7 +44,7 @@ class Line:
         """The parallel piece at `distance` (m) to the left."""
         (tx, ty) = self.tangent(np.zeros(1))[0]
         shift = np.array([-ty, tx]) * distance
-        return Line(_point(np.asarray(self.start) + shift), _point(np.asarray(self.end) + shift))
+        return Line.between(self.start + shift, self.end + shift)
 
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the piece."""
@@ -168,17 +170,6 @@ class Centreline:
         return np.asarray(np.min([piece.distance(points) for piece in self.pieces], axis=0))
 
 
-def bend_at(curvature: float, length: float) -> Piece:
-    """A bend of this curvature (1/m, its size counts) and length (m), symmetric about the vertical; its top is at 0.
-
-    It runs from left to right and turns right; one that is straight runs along x.
-    """
-    if abs(curvature) <= STRAIGHT:
-        return Line((-length / 2, 0.0), (length / 2, 0.0))
-    radius, angle = 1 / abs(curvature), length * abs(curvature)
-    return Arc((0.0, -radius), radius, math.pi / 2 + angle / 2, -angle)
-
-
 def with_leads(bend: Sequence[Piece], lead_in: float, lead_out: float) -> Centreline:
     """The bend with tangent leads of these lengths (m)."""
     first, last = _end_tangents(bend)
@@ -235,22 +226,25 @@ def crosses_itself(curve: Centreline, width: float) -> bool:
     """
     sweeps = [piece.sweep if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
     ends = np.concatenate([[0.0], np.cumsum(sweeps)])
-    if np.ptp(ends) <= math.pi / 2:
-        return False
     points, headings, step = [], [], 1.5e-3
     for piece, before, after in zip(curve.pieces, ends[:-1], ends[1:], strict=True):
         s = spaced(piece.length, step)
         points.append(piece.point(s))
         headings.append(np.linspace(before, after, len(s)))
-    at, heading = np.vstack(points), np.concatenate(headings)
-    # From row to column, the range of headings on the way.
-    later = np.triu(np.ones((len(at), len(at)), dtype=bool))
-    high = np.maximum.accumulate(np.where(later, heading, -np.inf), axis=1)
-    low = np.minimum.accumulate(np.where(later, heading, np.inf), axis=1)
-    apart = later & (high - low > math.pi / 2)
-    square = (at[:, None, 0] - at[None, :, 0]) ** 2 + (at[:, None, 1] - at[None, :, 1]) ** 2
     # Between two samples a curve may come nearer by half a step.
-    return bool((square[apart] < width**2 + step**2 / 4).any())
+    return comes_back(np.vstack(points), np.concatenate(headings), math.hypot(width, step / 2))
+
+
+def comes_back(at: Array, heading: Array, distance: float) -> bool:
+    """Whether a planar curve, by points (N, 2) and headings (N,), comes nearer than this (m) to where it has been,
+    having turned by more than a quarter."""
+    if np.ptp(heading) <= math.pi / 2:
+        return False
+    for k in range(len(at) - 1):
+        apart = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
+        if (((at[k:][apart] - at[k]) ** 2).sum(1) < distance**2).any():
+            return True
+    return False
 
 
 def polygon(curve: Centreline, width: float, sagitta: float = 1e-6) -> Array:

@@ -24,7 +24,7 @@ from .checks import (
     refuse_failed,
     springback_remarks,
 )
-from .groove import way_to_edge
+from .groove import comes_back, way_to_edge
 from .heat import ColdEnd
 from .setting import bend_direction, tube_from_mold
 from .spec import MoldSpec
@@ -269,13 +269,7 @@ def _meets_itself(curve: Winding, up: Array, width: float) -> bool:
     steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     if (np.abs(np.diff(heading)) > 2 * steps / width).any():
         return True
-    if np.ptp(heading) <= math.pi / 2:
-        return False
-    for k in range(0, len(seen) - 1, 2):
-        apart = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
-        if apart.any() and np.linalg.norm(seen[k:][apart] - seen[k], axis=1).min() < width:
-            return True
-    return False
+    return comes_back(seen, heading, width)
 
 
 def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:

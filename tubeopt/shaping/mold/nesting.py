@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from ...errors import InputError
+from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import (
     Arc,
@@ -24,19 +25,29 @@ from .groove import (
     least_distance,
     with_leads,
 )
-from .spec import MoldSpec
+from .heat import ColdEnd
+from .spec import EndMill, MoldSpec
 
 DIRECTIONS = {"one above the other": (0.0, 1.0), "side by side": (1.0, 0.0)}
 
 
 @dataclass(frozen=True)
 class Blank:
-    """A groove before it has a place: tube number, bend with its top at y = 0, least lead and width (m)."""
+    """A groove before it has a place.
+
+    Attributes:
+        number, tube, held, cold, mill, width: as of a `Groove`.
+        bend: with its top at y = 0. least_lead: m.
+    """
 
     number: int
+    tube: Tube
+    held: Tube
+    cold: ColdEnd
+    mill: EndMill
+    width: float
     bend: tuple[Piece, ...]
     least_lead: float
-    width: float
 
     @cached_property
     def core(self) -> Centreline:
