@@ -43,10 +43,7 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple
     """Changes that let everything be kept, or at least nearly; the best first, the search ends at the first that cures.
 
     Changes for the window that leave nothing of the rig free are first tried by the soonest schedule; the others, and
-    those that it does not keep, by the program alone, and what seems to cure is confirmed.
-
-    Args:
-        best: the best schedule without any change.
+    those that it does not keep, by the program alone, and what seems to cure is confirmed. `best`: without any change.
     """
     plain = replace(spec, objective="time")
     if best.outcome.shortfall <= 0:

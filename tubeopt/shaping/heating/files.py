@@ -40,11 +40,7 @@ def schedule_csv(plan: HeatingPlan) -> str:
 
 
 def arduino_header(plan: HeatingPlan) -> str:
-    """A C header with the duties as bytes, for `analogWrite` every SLOT_MS milliseconds.
-
-    Raises:
-        InputError: the slot is not a whole number of milliseconds.
-    """
+    """A C header with the duties as bytes, for `analogWrite` every SLOT_MS ms; errors as `slot_milliseconds`."""
     return duty_header(plan.duty.tolist(), plan.spec.slot, plan.rig.battery.voltage)
 
 

@@ -68,14 +68,14 @@ class Sensor(Displayed):
         return np.asarray(np.round(value / self.quantum) * self.quantum) if self.quantum else value
 
 
-def _at(model: ThermalModel, tube: Array, places: tuple[float, ...]) -> Array:
-    """(B,) mean temperature, degC, of the tube (B, n), K, at distances from the middle of the curved part, m."""
-    wanted = model.half_length - np.abs(np.array(places))
+def tube_at(model: ThermalModel, state: State, places: ArrayLike) -> Array:
+    """(B, S) temperatures, degC, of the tube at distances (S,) from the middle of the curved part, m."""
+    tube, wanted = state.cells[:, :, 0], model.half_length - np.abs(places)
     grid = np.append(model.position, model.half_length)
     index = np.clip(np.searchsorted(grid, wanted), 1, len(grid) - 1)
     part = (wanted - grid[index - 1]) / (grid[index] - grid[index - 1])
     whole = np.concatenate([tube, tube[:, -1:]], axis=1)
-    return np.asarray(((1 - part) * whole[:, index - 1] + part * whole[:, index]).mean(1)) - ZERO_CELSIUS
+    return np.asarray((1 - part) * whole[:, index - 1] + part * whole[:, index]) - ZERO_CELSIUS
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Thermocouple(Sensor):
                 f"position of the thermocouple is {self.position * 1e3:g} mm from the middle of the tube; it must lie "
                 "on the tube"
             )
-        return _at(model, state.cells[:, :, 0], (self.position,))
+        return tube_at(model, state, (self.position,)).mean(1)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Camera(Sensor):
         """(B,) mean temperature of the places that it sees."""
         if not self.positions or max(abs(place) for place in self.positions) >= model.half_length:
             raise InputError("positions of the camera must be places on the tube, at least one")
-        return _at(model, state.cells[:, :, 0], self.positions)
+        return tube_at(model, state, self.positions).mean(1)
 
 
 @dataclass(frozen=True)

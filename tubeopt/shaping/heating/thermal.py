@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, volume_shapes, zones
+from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, zones
 from ...physics.heat_functions import volumes_function
 from ...robots.materials import ThermalData
 from ...robots.tubes import Tube
@@ -126,23 +126,6 @@ class ThermalModel:
         return np.asarray(self.zone == CURVED)
 
     @property
-    def to_air(self) -> Array:
-        """(B, n) from the cells to the air, without radiation, W/K."""
-        return self._coefficient("to_air")
-
-    @property
-    def to_mold(self) -> Array:
-        """(B, n) from the cells into the first shell, W/K."""
-        covered = self._coefficient("to_mold")
-        return np.pad(covered, ((0, 0), (self.resolution.cells - self.resolution.covered, 0)))
-
-    def _coefficient(self, name: str) -> Array:
-        shapes = volume_shapes(self.resolution)
-        sizes = [rows * columns for rows, columns in shapes.values()]
-        first = sum(sizes[: list(shapes).index(name)])
-        return self.volumes[:, first : first + math.prod(shapes[name])]
-
-    @property
     def full_position(self) -> Array:
         """(2n,) positions of the cells of the whole tube, m."""
         return np.concatenate([self.position, 2 * self.half_length - self.position[::-1]])
@@ -197,8 +180,11 @@ def bare_transfer(tube: Tube, rig: Rig) -> float:
 
 def gap_of(tube: Tube, rig: Rig) -> float:
     """Even gap of air (m) that conducts as much as that of the groove: the rig's own, or of the groove as milled."""
-    if rig.mold.gap is not None:
-        return rig.mold.gap
+    return own_gap(tube, rig) if rig.mold.gap is None else rig.mold.gap
+
+
+def own_gap(tube: Tube, rig: Rig) -> float:
+    """The even gap (m) of a square groove with the rig's side clearance."""
     side = tube.outer_diameter + 2 * rig.mold.play
     return groove_gap(tube, rig, side, side)
 
@@ -207,11 +193,6 @@ def groove_gap(tube: Tube, rig: Rig, width: float, depth: float) -> float:
     """The even gap (m) that conducts as much as the air of a groove of this width and depth, m, in the rig's mold."""
     ratio = rig.mold.material.conductivity / air_conductivity(rig.ambient + 0.5 * HOT)
     return even_gap(tube.outer_diameter, Lie.leaning(tube.outer_diameter, width, depth), ratio)
-
-
-def with_gap(tube: Tube, rig: Rig) -> Rig:
-    """The rig with its even gap as a number, to be scaled."""
-    return replace(rig, mold=replace(rig.mold, gap=gap_of(tube, rig)))
 
 
 def gap_transfer(tube: Tube, rig: Rig) -> float:
@@ -278,11 +259,7 @@ def model_numbers(tube: Tube, rig: Rig, shells: int) -> tuple[Array, tuple[Array
 
 
 def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> ThermalModel:
-    """The numbers of the model for one tube on one rig.
-
-    Raises:
-        InputError: the tube has no curved part or its material no thermal data, or the mold is too small.
-    """
+    """The numbers of the model for one tube on one rig."""
     numbers, shells = model_numbers(tube, rig, resolution.shells)
     width = cell_widths(tube, rig, resolution)
     vent = vent_profile(rig, covered_fraction(tube, rig, resolution))

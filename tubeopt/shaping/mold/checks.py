@@ -65,9 +65,6 @@ def choose_mill(number: int, tube: Tube, spec: MoldSpec) -> tuple[EndMill, float
 
     The smallest mill as wide as tube and clearance, where it is not wider than the greatest clearance allows: one cut.
     Else the largest of those that are smaller, and a groove of exactly tube and clearance, cut along both walls.
-
-    Raises:
-        InputError: every end mill at hand is wider than the groove may be.
     """
     least = tube.outer_diameter + spec.groove.clearance
     most = max(tube.outer_diameter + spec.groove.most_clearance, least)
@@ -158,11 +155,7 @@ def wall_check(least_wall: float, spec: MoldSpec) -> Check:
 
 
 def as_held(number: int, tube: Tube, spec: MoldSpec) -> tuple[Tube, ColdEnd]:
-    """A tube as its mold holds it, and its cold end, whose length is that of the specification where one is given.
-
-    Raises:
-        InputError: no mold yields the tube's largest curvature.
-    """
+    """A tube as its mold holds it, and its cold end, whose length is that of the specification where one is given."""
     try:
         held = tube_in_mold(tube, spec.springback)
     except InputError as error:

@@ -31,9 +31,6 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     """The drawing of the lower plate ("base") or the top plate ("lid"), both seen from above, as they lie when closed.
 
     Centrelines are on both, grooves only on the base, vents only on the lid; clamps are drawn with the texts.
-
-    Raises:
-        InputError: no such part.
     """
     choice("part", part, PARTS)
     width, height = (extent * TO_MM for extent in mold.size)

@@ -24,18 +24,13 @@ TOLERANCE = 1e-6
 
 
 def write_dxf(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
-    """Write a plate of the mold as DXF (R2010, mm), whole or not at all, and return the path.
-
-    Raises:
-        InputError: no such part, the file cannot be written, or ezdxf is not installed.
-        SolveError: the centreline read back lies more than 1 um from the mold's.
-    """
+    """Write a plate of the mold as DXF (R2010, mm), whole or not at all, and return the path; it is read back."""
     own = [piece for groove in mold.grooves for piece in groove.centreline.pieces]
     return write_drawing(draw_plate(mold, part), own, path)
 
 
 def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: str | PathLike[str]) -> Path:
-    """Write a drawing as DXF whose centreline is to be these pieces (m); errors as `write_dxf`."""
+    """Write a drawing as DXF; raises SolveError where its centreline, read back, lies 1 um or more from these."""
     ezdxf = extra("ezdxf", "fabrication", "DXF files")
     document = ezdxf.new("R2010")
     document.header["$INSUNITS"] = 4  # mm
@@ -60,11 +55,7 @@ def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: str | Pat
 
 
 def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
-    """The lines and arcs on layer CENTERLINE of a DXF file, in m.
-
-    Raises:
-        InputError: the file cannot be read, or ezdxf is not installed.
-    """
+    """The lines and arcs on layer CENTERLINE of a DXF file, in m."""
     ezdxf = extra("ezdxf", "fabrication", "DXF files")
     try:
         document = ezdxf.readfile(path)

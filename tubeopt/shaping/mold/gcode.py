@@ -58,12 +58,8 @@ class Stage:
 
 
 def write_gcode(mold: Mold, directory: Path) -> list[Path]:
-    """Write the programs of both plates, and return their paths.
-
-    Raises:
-        InputError: a file cannot be written.
-        SolveError: read again, a cutter leaves its way by more than 10 um, or moves where it must not.
-    """
+    """Write the programs of both plates, and return their paths; raises SolveError where, read again, a cutter
+    leaves its way by more than 10 um, or moves where it must not."""
     written = []
     for part in PARTS:
         for name, text in programs(mold, part).items():
@@ -111,11 +107,7 @@ def as_milled(mold: Mold, part: str) -> Relief:
 
 
 def programs(mold: Mold, part: str) -> dict[str, str]:
-    """The programs of a plate by the names of their files: one, or one for each tool where there is no touch plate.
-
-    Raises:
-        InputError: no such part.
-    """
+    """The programs of a plate by the names of their files: one, or one for each tool where there is no touch plate."""
     title = f"{part} of a mold, {mold.spec.material.name}"
     return files_of(part, title, clear_room(mold), mold.spec, stages_of(mold, part))
 

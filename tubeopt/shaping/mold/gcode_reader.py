@@ -65,11 +65,7 @@ class _Machine:
 
 
 def read_gcode(text: str) -> tuple[Motion, ...]:
-    """The moves of a program.
-
-    Raises:
-        InputError: a line that is no words of a letter and a number, or an arc whose ends are not on one circle.
-    """
+    """The moves of a program."""
     machine = _Machine()
     found: list[Motion] = []
     for number, line in enumerate(text.splitlines(), start=1):

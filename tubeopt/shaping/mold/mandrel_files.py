@@ -48,13 +48,10 @@ def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path
         stl = out / "mandrel.stl"
         paths.append(write_solid(_solid(mandrel), stl, lambda path: check_mandrel_stl(mandrel, path, name=str(stl))))
     if isinstance(mandrel.body, Cylinder):
-        text = mandrel_gcode(mandrel)
-        for path, content, rows in (
-            (out / "mandrel.csv", _csv(mandrel), None),
-            (out / "mandrel.nc", text, read_rotary(text)),
-        ):
-            read = np.loadtxt(io.StringIO(content), delimiter=",", skiprows=1)[:, 1:] if rows is None else rows
-            _must_follow(mandrel, read, path)
+        table, text = _csv(mandrel), mandrel_gcode(mandrel)
+        read = np.loadtxt(io.StringIO(table), delimiter=",", skiprows=1)[:, 1:]
+        for path, content, rows in ((out / "mandrel.csv", table, read), (out / "mandrel.nc", text, read_rotary(text))):
+            _must_follow(mandrel, rows, path)
             write_text(path, content)
             paths.append(path)
     return paths
@@ -142,11 +139,7 @@ def _must_follow(mandrel: Mandrel, rows: Array, path: Path) -> None:
 
 
 def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str = "") -> float:
-    """Greatest deviation (m) of the groove in an STL file: its bottom lies half a width from every point of the bend.
-
-    Raises:
-        SolveError: the solid is not watertight, or the groove lies more than 10 um from the curve.
-    """
+    """Greatest deviation (m) of the groove in an STL file: its bottom lies half a width from the bend everywhere."""
     mesh = trimesh().load_mesh(str(path), file_type="stl")
     if not mesh.is_watertight:
         raise SolveError(f"{name or path}: the solid of the mandrel is not watertight")

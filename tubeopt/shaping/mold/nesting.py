@@ -75,12 +75,7 @@ class Layout:
 
 
 def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
-    """The arrangement with the smallest plate in which all grooves reach the edge and none meets another.
-
-    Raises:
-        InputError: a groove crosses itself, the grooves do not fit on a plate of the given size, or they cross one
-            another however they are arranged.
-    """
+    """The arrangement with the smallest plate in which all grooves reach the edge and none meets another."""
     for blank in blanks:
         # Where the plate is free the leads are at least as long as this, and a plate only makes them longer.
         if crosses_itself(blank.core, blank.width + spec.groove.wall):

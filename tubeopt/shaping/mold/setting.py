@@ -31,11 +31,7 @@ _INTERPOLATE = np.linalg.inv(chebyshev.chebvander(_NODES, ORDER))
 
 def tube_in_mold(tube: Tube, back: Springback) -> Tube:
     """The tube as its mold holds it: every curvature that springs back to the tube's, the curved part longer by what
-    it shrinks. The natural twist is as given, since trials of planar bends say nothing about it.
-
-    Raises:
-        InputError: no mold yields the tube's largest curvature.
-    """
+    it shrinks. The natural twist is as given, since trials of planar bends say nothing about it."""
     return _changed(tube, back.mold, 1 / (1 - back.shrinkage), even=back.slope == 0)
 
 
@@ -156,11 +152,7 @@ def _sampled(piece: Piece) -> Array:
 
 def signed_curvature(tube: Tube) -> list[tuple[float, Array]]:
     """Of a planar tube: per panel of its curved part the length (m) and Chebyshev coefficients of the curvature (1/m),
-    positive about the bend direction.
-
-    Raises:
-        InputError: the tube is a space curve.
-    """
+    positive about the bend direction."""
     direction = bend_direction(tube)
     if direction is None:
         raise InputError("the tube is a space curve; a groove in a plate holds planar bends only")

@@ -24,11 +24,7 @@ ABOVE = 1e-3
 def write_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
     """Write a plate of the mold as binary STL in mm, whole or not at all, and return the path.
 
-    The upper face of the base lies at z = 0, and the lid on it.
-
-    Raises:
-        InputError: no such part, the file cannot be written, or manifold3d or trimesh is not installed.
-        SolveError: the solid read back is not watertight, or its volume is off by more than 0.1 %.
+    The upper face of the base lies at z = 0, and the lid on it. It is read back and checked.
     """
     choice("part", part, PARTS)
     solid = _base(mold) if part == "base" else _lid(mold)
@@ -47,12 +43,8 @@ def write_solid(solid: Any, path: str | PathLike[str], check: Callable[[Path], o
 
 
 def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name: str = "") -> float:
-    """The relative difference of an STL file's volume from that of the plate.
-
-    Raises:
-        InputError: no such part, or trimesh is not installed.
-        SolveError: the solid is not watertight, or its volume is off by more than 0.1 %.
-    """
+    """The relative difference of an STL file's volume from that of the plate; raises SolveError where that is more than
+    0.1 %, or the solid is not watertight."""
     choice("part", part, PARTS)
     mesh = trimesh().load_mesh(str(path), file_type="stl")
     if not mesh.is_watertight:

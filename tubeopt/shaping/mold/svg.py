@@ -17,11 +17,7 @@ MARGIN_MM = 25.0
 
 
 def write_svg(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
-    """Write a plate of the mold as SVG in its true size, whole or not at all, and return the path.
-
-    Raises:
-        InputError: no such part, or the file cannot be written.
-    """
+    """Write a plate of the mold as SVG in its true size, whole or not at all, and return the path."""
     write_text(path, svg_of(draw_plate(mold, part)))
     return Path(path)
 
