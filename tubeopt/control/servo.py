@@ -9,7 +9,6 @@ bodies by theirs. The guard then lets as much of it pass as is safe.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import pairwise
 from math import hypot
 
@@ -125,13 +124,10 @@ class Servo:
 
     def _rate(self, dt: float) -> Array:
         """(m,) most that each joint moves in a step."""
-        options, length = self.options, self.space.length
-        return _rates(
-            self.space.robot.n_tubes,
-            len(self.space.scale),
-            min(options.turn_rate * dt, TURN),
-            min(options.shift_rate * dt, SHIFT * length),
-        )
+        options, space = self.options, self.space
+        rate = np.full(len(space.scale), min(options.shift_rate * dt, SHIFT * space.length))
+        rate[: space.robot.n_tubes] = min(options.turn_rate * dt, TURN)
+        return rate
 
     def _hedges(self, here: Posture, rate: Array) -> tuple[Array, Array, list[tuple[int, Why]]]:
         """Rows and bounds of a step over the joints' scales, and from which row on they stand for what; what is missed
@@ -281,14 +277,6 @@ class Servo:
         size = float(np.linalg.norm(pull))
         longest = self.options.push * min(self.options.turn_rate * dt, TURN)
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
-
-
-@lru_cache(maxsize=64)
-def _rates(n: int, m: int, turn: float, shift: float) -> Array:
-    """(m,) that of n rotations, then of translations."""
-    rate = np.full(m, shift)
-    rate[:n] = turn
-    return rate
 
 
 def _softness(at: Posture, turn: float = 1e-4) -> Array:

@@ -48,7 +48,7 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple
     plain = replace(spec, objective="time")
     if best.outcome.shortfall <= 0:
         return _ordered(_for_limits(tube, rig, plain, best.outcome))
-    found: list[Cure | None] = []
+    found: list[Cure] = []
     said, limited = best.program, bool(best.outcome.broken)
     assert said is not None
     near = said
@@ -127,8 +127,8 @@ def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: boo
     return replace(cure, shortfall=outcome.shortfall, broken=outcome.broken)
 
 
-def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
-    return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
+def _ordered(cures: Sequence[Cure]) -> tuple[Cure, ...]:
+    return tuple(sorted(cures, key=lambda cure: (not cure.cures, cure.shortfall)))
 
 
 def _tried(change: Change, tube: Tube, spec: HeatingSpec, near: Programmed) -> tuple[Cure, Ideal] | None:
@@ -162,30 +162,29 @@ def _chosen(rig: Rig, other: Rig) -> str:
     return ", ".join(parts[:-1]) + " and " * (len(parts) > 1) + "".join(parts[-1:])
 
 
-def _confirmed(change: Change, tube: Tube) -> Cure | None:
-    """What whole counts make of a change; None where there is no schedule."""
+def _confirmed(change: Change, tube: Tube) -> list[Cure]:
+    """What whole counts make of a change; nothing where there is no schedule."""
     words, rig, asked = change
-    for spec in _slower(tube, rig, asked)[:-1]:
-        if (outcome := foreseen(tube, rig, spec)) is not None and outcome.kept:
-            return Cure(words, 0.0)
+    if (kept := _kept(change, tube, False)) is not None:
+        return [kept]
     try:
-        found = best_schedule(tube, rig, asked)
+        outcome = best_schedule(tube, rig, asked).outcome
     except SolveError:
-        return None
-    return Cure(words, found.outcome.shortfall, found.outcome.broken)
+        return []
+    return [Cure(words, outcome.shortfall, outcome.broken)]
 
 
-def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure | None]:
+def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure]:
     """Changes where the window is held but ramp or currents are not: less current, or another limit."""
     now, count = full_current(tube, rig), count_rate(tube, rig)
     # One count should warm the tube by less than half of the ramp, and the peak stay below the circuit's.
     most = min(now * math.sqrt(min(0.4 * spec.ramp / count, 1.0)), 0.95 * rig.circuit.peak_limit)
-    found: list[Cure | None] = []
+    found: list[Cure] = []
     if most < now:
         ohm = 1e-3 * math.ceil(rig.battery.voltage * (1 / most - 1 / now) / 1e-3)
         circuit = replace(rig.circuit, cable_resistance=rig.circuit.cable_resistance + ohm)
         change = f"a resistor of {1e3 * ohm:.0f} mohm in series", replace(rig, circuit=circuit), spec
-        found.append(_confirmed(change, tube))
+        found += _confirmed(change, tube)
     if outcome.steepest > spec.ramp:
         # The schedule that breaks the limit keeps another one.
         faster = replace(spec, ramp=float(5 * math.ceil(outcome.steepest / 5 + 1e-9)))

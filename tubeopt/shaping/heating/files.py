@@ -41,16 +41,11 @@ def schedule_csv(plan: HeatingPlan) -> str:
 
 def arduino_header(plan: HeatingPlan) -> str:
     """A C header with the duties as bytes, for `analogWrite` every SLOT_MS ms; errors as `slot_milliseconds`."""
-    return duty_header(plan.duty.tolist(), plan.spec.slot, plan.rig.battery.voltage)
-
-
-def duty_header(duty: list[int], slot: float, voltage: float) -> str:
-    """The header of `arduino_header` from duties (0-255), their slot (s), and the battery's voltage at rest (V)."""
-    milliseconds = slot_milliseconds(slot)
+    duty, milliseconds = plan.duty.tolist(), slot_milliseconds(plan.spec.slot)
     lines = [", ".join(f"{d:3d}" for d in duty[k : k + PER_LINE]) for k in range(0, len(duty), PER_LINE)]
     body = ",\n".join(f"    {line}" for line in lines)
     return f"""/* Heating schedule for a shape-setting rig: duty (0-255) of the PWM, one byte for every slot.
-   For a battery of {voltage:.2f} V at rest. The last duty is 0: the tube is off. */
+   For a battery of {plan.rig.battery.voltage:.2f} V at rest. The last duty is 0: the tube is off. */
 #ifndef HEATING_SCHEDULE_H
 #define HEATING_SCHEDULE_H
 

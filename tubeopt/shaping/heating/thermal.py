@@ -171,13 +171,6 @@ def half_lengths(tube: Tube, rig: Rig) -> tuple[float, float, float, float]:
     return rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, 0.5 * tube.curved_length
 
 
-def bare_transfer(tube: Tube, rig: Rig) -> float:
-    """Convective heat transfer of bare tube, W/(m^2 K), without the rig's loss factor."""
-    if rig.convection is not None:
-        return rig.convection
-    return natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
-
-
 def gap_of(tube: Tube, rig: Rig) -> float:
     """Even gap of air (m) that conducts as much as that of the groove: the rig's own, or of the groove as milled."""
     return own_gap(tube, rig) if rig.mold.gap is None else rig.mold.gap
@@ -215,6 +208,7 @@ def properties(tube: Tube, rig: Rig) -> Properties:
     data, section, girth = thermal_data(tube), tube.cross_section, math.pi * tube.outer_diameter
     mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
     factor, lengths, leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
+    bare = rig.convection or natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
     return {
         "heat": data.density * section * data.heat_capacity,
         "heat_slope": data.heat_capacity_slope,
@@ -224,7 +218,7 @@ def properties(tube: Tube, rig: Rig) -> Properties:
         "resistance": rig.resistivity_factor * data.resistivity / section,
         "resistance_slope": data.resistivity_slope,
         "to_clamp": clamps.contact_conductance * girth,
-        "to_air": bare_transfer(tube, rig) * girth * factor,
+        "to_air": bare * girth * factor,
         "radiating": data.emissivity * STEFAN_BOLTZMANN * girth * factor,
         "gap": gap_transfer(tube, rig) * girth * factor,
         "mold_k": factor * mold.conductivity,

@@ -15,7 +15,7 @@ from numpy.polynomial import chebyshev
 
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import Arc, Line, Piece, chain_bounds
+from .groove import Arc, Line, Piece, bounds
 from .setting import signed_curvature
 from .settings import DEFAULT_MOLD, MoldSolver
 
@@ -41,7 +41,7 @@ def bend_of(held: Tube, solver: MoldSolver = DEFAULT_MOLD) -> tuple[Piece, ...]:
         pieces += stretch.arcs(solver)
         end = np.array([length])
         at, heading = stretch.points(end)[0], float(stretch.headings(end)[0])
-    low, high = chain_bounds(pieces)
+    low, high = bounds(pieces)
     middle = (-(low[0] + high[0]) / 2, -high[1])
     return tuple(piece.moved(middle) for piece in pieces)
 

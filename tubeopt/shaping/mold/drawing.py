@@ -88,16 +88,9 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
             f"{groove.stock_length * TO_MM:.1f} mm"
         )
     step = 1.6 * TEXT_HEIGHT_MM
-    below = -max(3 * TEXT_HEIGHT_MM, -lowest_mm(mold) + 2 * TEXT_HEIGHT_MM)
+    jaws = (line for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
+    below = min(-3 * TEXT_HEIGHT_MM, min(line.start[1] for line in jaws) * TO_MM - 2 * TEXT_HEIGHT_MM)
     return [((0.0, below - k * step), line) for k, line in enumerate(lines)]
-
-
-def lowest_mm(mold: Mold) -> float:
-    """Lowest y (mm) of plate and clamps."""
-    ends = [
-        y for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold) for _, y in (line.start,)
-    ]
-    return min(0.0, *ends) * TO_MM
 
 
 def rectangle(width: float, height: float) -> tuple[Piece, ...]:

@@ -197,12 +197,7 @@ def way_to_edge(start: Point, direction: Array, size: Point) -> float:
     return float(min(ways))
 
 
-def bounds(curve: Centreline) -> tuple[Point, Point]:
-    """Least and greatest coordinates of the centreline, exact for arcs."""
-    return chain_bounds(curve.pieces)
-
-
-def chain_bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
+def bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
     """Least and greatest coordinates of pieces, exact for arcs."""
     points = [end for piece in pieces for end in (piece.start, piece.end)]
     for piece in pieces:

@@ -194,13 +194,8 @@ def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: 
     fan = np.column_stack([np.zeros(m - 2, int), np.arange(1, m - 1), np.arange(2, m)])
     faces = np.vstack([sides, grid[0][fan][:, ::-1], grid[-1][fan]])
     corners = rings.reshape(-1, 3) * TO_MM
-    if _volume(corners, faces) < 0:
+    if trimesh().Trimesh(corners, faces, process=False).volume < 0:
         faces = faces[:, ::-1]
     library = manifold()
     mesh = library.Mesh(vert_properties=corners.astype(np.float32), tri_verts=np.ascontiguousarray(faces, np.uint32))
     return library.Manifold(mesh)
-
-
-def _volume(corners: Array, faces: Array) -> float:
-    p, q, r = (corners[faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", p, np.cross(q, r))) / 6

@@ -19,7 +19,6 @@ from .groove import (
     Piece,
     Point,
     bounds,
-    chain_bounds,
     crosses_itself,
     leads_to_edge,
     least_distance,
@@ -57,7 +56,7 @@ class Blank:
     @cached_property
     def boxes(self) -> tuple[Array, Array]:
         """(2, 2) least and greatest coordinates of the bend, and of the core."""
-        return np.array(chain_bounds(self.bend)), np.array(bounds(self.core))
+        return np.array(bounds(self.bend)), np.array(bounds(self.core.pieces))
 
     @property
     def turn(self) -> float:

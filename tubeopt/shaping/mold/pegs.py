@@ -207,7 +207,7 @@ def _stiffness(tube: Tube) -> float:
 
 def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Centreline]:
     """Size of the board and the curve in its middle."""
-    low, high = bounds(curve)
+    low, high = bounds(curve.pieces)
     need = [b - a + 4 * spec.pegs.pitch for a, b in zip(low, high, strict=True)]
     if spec.pegs.board is None:
         step = spec.pegs.pitch

@@ -27,7 +27,8 @@ def write_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> P
     The upper face of the base lies at z = 0, and the lid on it. It is read back and checked.
     """
     choice("part", part, PARTS)
-    solid = _base(mold) if part == "base" else _lid(mold)
+    above = (*mold.holes, *mold.vents)
+    solid = _base(mold) if part == "base" else _plate(mold, above, mold.spec.plate.lid_thickness, 0.0)
     return write_solid(solid, path, lambda written: check_stl(mold, written, part=part, name=str(path)))
 
 
@@ -67,10 +68,6 @@ def _base(mold: Mold) -> Any:
         cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
         solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
     return solid
-
-
-def _lid(mold: Mold) -> Any:
-    return _plate(mold, (*mold.holes, *mold.vents), mold.spec.plate.lid_thickness, 0.0)
 
 
 def _plate(mold: Mold, holes: Sequence[Hole], thickness: float, bottom: float) -> Any:
