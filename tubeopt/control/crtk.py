@@ -108,17 +108,10 @@ class CrtkRobot:
         if not isinstance(name, str) or name not in KEYS:
             raise InputError(f"op is {name!r}; it must be one of {', '.join(KEYS)}")
         _check_keys(name, message)
-        known: dict[str, Callable[[Mapping[str, Any]], Command]] = {
-            "servo_cp": self._pose,
-            "servo_cv": _twist,
-            "servo_jp": self._joints,
-            "move_cp": self._pose,
-            "move_jp": self._joints,
-        }
         if name == "state_command":
             self._change(message.get("command"))
         else:
-            wanted = known[name](message)
+            wanted = {"cp": self._pose, "cv": _twist, "jp": self._joints}[name[-2:]](message)
             if self.state != "ENABLED":
                 raise InputError(f"{name} is refused: the robot is {self.state}; enable it first")
             self._goal = _Goal(wanted, now, name.startswith("servo"), closer=now)

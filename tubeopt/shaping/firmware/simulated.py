@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...physics.heat import PROPERTIES
-from ..heating.rates import State, at_rest, current
+from ..heating.rates import State, current
 from ..heating.rig import COUNTS
-from ..heating.sensors import Sensor
-from ..heating.simulation import advance
+from ..heating.sensors import Felt, Sensor
 from ..heating.thermal import ThermalModel
 
 
@@ -27,27 +26,26 @@ class SimulatedRig:
     hot: float = 550.0
     seed: int = 0
     time: float = field(default=0.0, init=False)
-    state: State = field(init=False)
 
     def __post_init__(self) -> None:
-        self.state = at_rest(self.model)
-        self._target = self._lagged = self.sensor.target(self.model, self.state)
-        self._cold = float(self._target[0])
+        self._felt = Felt.at_rest(self.model, self.sensor)
+        self._ends = float(self._felt.target[0]), self.hot
         self._rng = np.random.default_rng(self.seed)
+
+    @property
+    def state(self) -> State:
+        """Temperatures, and what else the model remembers."""
+        return self._felt.state
 
     def pass_time(self, count: int, span: float) -> None:
         """Let `span` seconds go by with the switch at `count`."""
-        self.state = advance(self.model, self.state, count / COUNTS, span)
-        now = self.sensor.target(self.model, self.state)
-        self._lagged, self._target = self.sensor.followed(self._lagged, self._target, now, span), now
+        self._felt = self._felt.after(self.model, self.sensor, count / COUNTS, span)
         self.time += span
 
     @property
     def reading(self) -> float:
         """What the sensor shows, degC."""
-        part = np.clip((self._lagged - self._cold) / (self.hot - self._cold), 0.0, 1.0)
-        noise = self.sensor.noise * self._rng.standard_normal(1)
-        return float(self.sensor.told(self._lagged + self.bias * part + noise)[0])
+        return float(self.sensor.shown(self._felt.lagged, self.bias, self._ends, self._rng)[0])
 
     def electrics(self, conducting: bool) -> tuple[float, float]:
         """Voltage of the battery, V, and current, A, while the switch conducts or while it does not."""

@@ -8,9 +8,7 @@ import numpy as np
 import scipy
 
 from ...typing import Array
-from .rates import at_rest
-from .sensors import Sensor
-from .simulation import advance
+from .sensors import Felt, Sensor
 from .thermal import ThermalModel
 
 PROBE = 0.02
@@ -31,15 +29,10 @@ class Response:
 
 def readings(model: ThermalModel, sensor: Sensor, slot: float, duty: Array) -> Array:
     """(T + 1, B) degC that a sensor without bias and noise shows under duties (T,) in [0, 1]."""
-    state = at_rest(model)
-    target = sensor.target(model, state)
-    lagged, rows = target, [target]
+    felt = [Felt.at_rest(model, sensor)]
     for level in duty:
-        state = advance(model, state, level, slot)
-        now = sensor.target(model, state)
-        lagged, target = sensor.followed(lagged, target, now, slot), now
-        rows.append(lagged)
-    return np.array(rows)
+        felt.append(felt[-1].after(model, sensor, level, slot))
+    return np.array([now.lagged for now in felt])
 
 
 def response(model: ThermalModel, sensor: Sensor, slot: float, duty: Array, hold: tuple[int, int]) -> Response:
