@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
 from .law import HeatingLaw, begin, decide
-from .rates import State
 from .rig import COUNTS
 from .sensors import Felt, Sensor
-from .thermal import ThermalModel, joined
+from .thermal import ThermalModel, seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +75,7 @@ def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, di
         place = memory.place
         count, memory = decide(law, memory, reading)
         count = np.where(dead, 0, count)
-        rows.append((reading, count, place, *_seen(model, felt.state)))
+        rows.append((reading, count, place, *seen(model, felt.state.cells[:, :, 0])))
         if (memory.place > len(law.planned)).all() or k == slots:
             break
         felt = felt.after(model, sensor, count / COUNTS, law.slot)
@@ -85,10 +83,3 @@ def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, di
     columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     finished = (memory.place >= len(law.planned)) & ~dead
     return LoopHistory(np.asarray(law.slot * np.arange(len(rows))), finished=finished, **columns)
-
-
-def _seen(model: ThermalModel, state: State) -> tuple[Array, Array, Array]:
-    """(B,) coldest and hottest of the curved part, and the hottest point, degC."""
-    tube = state.cells[:, :, 0]
-    curved = joined(model, tube)
-    return curved.min(1) - ZERO_CELSIUS, curved.max(1) - ZERO_CELSIUS, tube.max(1) - ZERO_CELSIUS

@@ -120,6 +120,20 @@ class Structure:
         return (self.mesh.heating + self.mesh.hold) * self.mesh.degree
 
     @property
+    def unknowns(self) -> dict[str, tuple[int, int]]:
+        """Shapes of the unknowns by their names, in order."""
+        intervals = self.mesh.heating + self.mesh.hold
+        return {
+            "z": (self.states, self.points),
+            "circuit": (2, self.points),
+            "drive": (1, intervals + 1),
+            "durations": (1, self.mesh.heating),
+            "misses": (1, self.points),
+            "design": (2 + VENTS, 1),
+            "copies": (len(self.copied), intervals - 1),
+        }
+
+    @property
     def holding_points(self) -> int:
         """Points of the hold, with the one at which it begins."""
         return self.mesh.hold * self.mesh.degree + 1
@@ -193,23 +207,12 @@ class _Unknowns:
     @classmethod
     def of(cls, s: Structure) -> _Unknowns:
         """New symbols."""
-        mesh = s.mesh
-        sizes = {
-            "z": (s.states, s.points),
-            "circuit": (2, s.points),
-            "drive": (1, mesh.heating + mesh.hold + 1),
-            "durations": (1, mesh.heating),
-            "misses": (1, s.points),
-            "design": (2 + VENTS, 1),
-            "copies": (len(s.copied), mesh.heating + mesh.hold - 1),
-        }
-        return cls(**{name: ca.MX.sym(name, *shape) for name, shape in sizes.items()})
+        return cls(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()})
 
     @property
     def column(self) -> Any:
         """All unknowns."""
-        parts = self.z, self.circuit, self.drive, self.durations, self.misses, self.design, self.copies
-        return ca.veccat(*parts)
+        return ca.veccat(*vars(self).values())
 
     def designs(self, s: Structure) -> Any:
         """(2 + VENTS, N) design at every point: that of its interval."""

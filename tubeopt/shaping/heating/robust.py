@@ -9,7 +9,6 @@ import numpy as np
 
 from ...errors import InputError
 from ...physics.heat import Resolution
-from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
 from .counts import Counts, guarded_counts, sum_up_rounding
 from .outcome import hold_slots
@@ -18,7 +17,7 @@ from .rates import State, current
 from .rig import COUNTS
 from .schedule import Run, checked
 from .simulation import resimulate, simulate, simulate_feedback
-from .thermal import FINE, ThermalModel, joined, thermal_model
+from .thermal import FINE, ThermalModel, seen, thermal_model
 from .uncertainty import Uncertainty
 
 ENSEMBLE = Resolution(2, 4, 6, 8, 6)
@@ -118,16 +117,11 @@ def assess(
 def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
     spec = plan.spec
     history = simulate(model, spec.slot, counts / COUNTS)
-    curved = joined(model, history.tube) - ZERO_CELSIUS
-    coldest, hottest = curved.min(2), curved.max(2)
-    top = history.tube.max(2) - ZERO_CELSIUS
-    # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
     reference = thermal_model(plan.tube, plan.rig, FINE)
     fine = resimulate(reference, spec.slot, counts / COUNTS)
-    exact = joined(reference, fine.tube[:, 0]) - ZERO_CELSIUS
-    coldest = coldest[:, 1:] + (exact.min(1) - coldest[:, 0])[:, None]
-    hottest = hottest[:, 1:] + (exact.max(1) - hottest[:, 0])[:, None]
-    top = top[:, 1:] + (fine.tube[:, 0].max(1) - ZERO_CELSIUS - top[:, 0])[:, None]
+    # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
+    both = zip(seen(model, history.tube), seen(reference, fine.tube[:, 0]), strict=True)
+    coldest, hottest, top = (rough[:, 1:] + (exact - rough[:, 0])[:, None] for rough, exact in both)
     first, last = hold_slots(spec, plan.hold_start)
     lowest, highest = coldest[first : last + 1].min(0), hottest[first : last + 1].max(0)
     cold = lowest < spec.window_degC[0]

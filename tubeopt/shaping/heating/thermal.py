@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, zones
 from ...physics.heat_functions import volumes_function
-from ...robots.materials import ThermalData
+from ...robots.materials import ZERO_CELSIUS, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
 from .groove_air import Lie, even_gap
@@ -279,3 +279,9 @@ def joined(model: ThermalModel, tube: Array) -> Array:
     before, after = model.width[first - 1], model.width[first]
     edge = (after * tube[..., first - 1] + before * tube[..., first]) / (before + after)
     return np.concatenate([edge[..., None], tube[..., first:]], axis=-1)
+
+
+def seen(model: ThermalModel, tube: Array) -> tuple[Array, Array, Array]:
+    """(...,) coldest and hottest of the curved part, and the hottest point, degC, where the cells have (..., n), K."""
+    curved = joined(model, tube) - ZERO_CELSIUS
+    return curved.min(-1), curved.max(-1), tube.max(-1) - ZERO_CELSIUS

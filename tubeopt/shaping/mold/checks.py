@@ -88,6 +88,16 @@ def groove_depth(tube: Tube, spec: MoldSpec) -> float:
     return math.ceil((tube.outer_diameter + spec.groove.clearance) / step - 1e-9) * step
 
 
+def strain_check(number: int, held: Tube, spec: MoldSpec, how: str, when: str, remedy: str) -> Check:
+    """The condition on the strain of a straight tube that is bent as its mold holds it: how, when, and what to do."""
+    strain, most = pressing_strain(held, held.curvature), spec.most_strain or held.material.superelastic_strain
+    failure = (
+        f"tube {number} is strained {strain * 100:.3g} % {when}, beyond the {most * 100:.3g} % that "
+        f"{held.material.name} springs back from; {remedy}"
+    )
+    return Check(f"tube {number}: strain when {how}", strain, most, "1", True, failure)
+
+
 def pressing_strain(tube: Tube, mold_curvature: float) -> float:
     """Largest surface strain of a straight tube pressed into a groove of this curvature (1/m): OD/2 * curvature."""
     return tube.outer_diameter / 2 * abs(mold_curvature)
@@ -98,19 +108,11 @@ def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
     number, tube, mill, width = blank.number, blank.held, blank.mill, blank.width
     depth = groove_depth(tube, spec)
     radius = min((piece.radius for piece in blank.bend if isinstance(piece, Arc)), default=math.inf)
-    strain, most = pressing_strain(tube, tube.curvature), spec.most_strain or tube.material.superelastic_strain
+    pressed = f"when it is pressed straight into the mold (radius {radius * 1e3:.4g} mm)"
+    remedy = "set it in steps, in molds of smaller and smaller radius"
     floor = spec.plate.thickness - depth
     return (
-        Check(
-            f"tube {number}: strain when pressed into the groove",
-            strain,
-            most,
-            "1",
-            True,
-            f"tube {number} is strained {strain * 100:.3g} % when it is pressed straight into the mold (radius "
-            f"{radius * 1e3:.4g} mm), beyond the {most * 100:.3g} % that {tube.material.name} springs back from; set "
-            "it in steps, in molds of smaller and smaller radius",
-        ),
+        strain_check(number, tube, spec, "pressed into the groove", pressed, remedy),
         Check(
             f"tube {number}: radius of the bend over that of its inner wall's cutter",
             radius,

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
-
 from ...errors import InputError, SolveError, extra
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from .drawing import LAYERS, TEXT_HEIGHT_MM, Drawing, draw_plate
-from .groove import Arc, Line, Piece, spaced
+from .groove import Arc, Line, Piece, farthest
 from .mold import Mold
 
 COLOURS = {"OUTLINE": 7, "GROOVE": 5, "CENTERLINE": 1, "HOLES": 3, "TEXT": 8}
@@ -78,12 +76,7 @@ def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str]) -> float:
     read = read_centreline(path)
     if not read:
         return math.inf
-    return max(_farthest(own, read), _farthest(read, own))
-
-
-def _farthest(pieces: Sequence[Piece], others: Sequence[Piece]) -> float:
-    points = np.vstack([piece.point(spaced(piece.length, 1e-3)) for piece in pieces])
-    return float(np.min([other.distance(points) for other in others], axis=0).max())
+    return max(farthest(own, read), farthest(read, own))
 
 
 def _add(space: object, piece: Piece, layer: str) -> None:

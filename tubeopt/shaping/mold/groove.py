@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -212,6 +212,12 @@ def least_distance(first: Centreline, second: Centreline) -> float:
     """Least distance (m) between two centrelines, from samples of the first, half a millimetre apart, to the second:
     too large by less than a quarter, so that curves which cross are at most that far apart."""
     return float(second.distance(first.sample(5e-4)).min())
+
+
+def farthest(pieces: Iterable[Piece], others: Iterable[Piece]) -> float:
+    """Greatest distance (m) of pieces, sampled every millimetre, from others."""
+    points = np.vstack([piece.point(spaced(piece.length, 1e-3)) for piece in pieces])
+    return float(np.min([other.distance(points) for other in others], axis=0).max())
 
 
 def crosses_itself(curve: Centreline, width: float) -> bool:

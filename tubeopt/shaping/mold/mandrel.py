@@ -20,9 +20,9 @@ from .checks import (
     as_held,
     choose_mill,
     material_remarks,
-    pressing_strain,
     refuse_failed,
     springback_remarks,
+    strain_check,
 )
 from .groove import comes_back, way_to_edge
 from .heat import ColdEnd
@@ -131,18 +131,8 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     if bend_direction(tube) is not None:
         raise InputError(f"tube {number} is bent in a plane; it takes a plate, not a mandrel")
     held, cold = as_held(number, tube, spec)
-    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
-    checks = [
-        Check(
-            f"tube {number}: strain when wound into the groove",
-            strain,
-            most,
-            "1",
-            True,
-            f"tube {number} is strained {strain * 100:.3g} % when it is wound into the groove, beyond the "
-            f"{most * 100:.3g} % that {tube.material.name} springs back from; set it in steps",
-        )
-    ]
+    wound = "wound into the groove"
+    checks = [strain_check(number, held, spec, wound, f"when it is {wound}", "set it in steps")]
     refuse_failed(checks)
     found = helix_of(held)
     width = tube.outer_diameter + spec.groove.clearance

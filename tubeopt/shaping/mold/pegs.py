@@ -21,7 +21,7 @@ from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array, Sentence
 from .arcs import bend_of
-from .checks import pressing_strain
+from .checks import refuse_failed, strain_check
 from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd
 from .held import Held, held_between
@@ -189,12 +189,8 @@ def _to_be_held(tube: Tube, spec: MoldSpec, number: int) -> Tube:
     if bend_direction(tube) is None:
         raise InputError(f"tube {number} is a space curve; pegs hold planar bends only: it takes a mandrel")
     held = tube_in_mold(tube, spec.springback)
-    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
-    if strain > most:
-        raise InputError(
-            f"tube {number} is strained {strain * 100:.3g} % between its pegs, beyond the {most * 100:.3g} % that "
-            f"{tube.material.name} springs back from; set it in steps, on wider curves first"
-        )
+    remedy = "set it in steps, on wider curves first"
+    refuse_failed([strain_check(number, held, spec, "between its pegs", "between its pegs", remedy)])
     return held
 
 
