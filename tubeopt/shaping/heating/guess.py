@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...block.transcription.tableau import tableau
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE as USED
 from ...physics.heat_functions import CLAMP
@@ -57,9 +56,7 @@ def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float)
         return duty_for(model, state, wanted, slot, rig.circuit.current_limit)
 
     history, duties = simulate_feedback(model, slot, count, controller)
-    heating, holding = s.mesh.fractions
-    faces = np.concatenate([planned * heating, planned + hold * holding[1:]])
-    points = (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", s.mesh.degree).nodes).ravel()
+    faces, points = s.mesh.times(planned, hold)
     found = _unknowns(model, history, duties, points, faces)
     durations = np.full(s.mesh.heating, planned / DURATION)
     return np.concatenate([*found, durations]), _start_miss(made, model, spec, found[0])

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ...block.transcription.tableau import tableau
 from ...errors import SolveError
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
@@ -253,10 +252,7 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
     Z, circuit, u, duration, miss, design = (part.full() for part in made.split(x))
     heating = DURATION * float(duration[0, 0])
     hold = spec.covered_time
-    first, second = made.structure.mesh.fractions
-    faces = np.concatenate([heating * first, heating + hold * second[1:]])
-    nodes = tableau("radau", made.structure.mesh.degree).nodes
-    points = (faces[:-1, None] + np.diff(faces)[:, None] * nodes).ravel()
+    faces, points = made.structure.mesh.times(heating, hold)
     # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
     fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.duty_points)]))
     ampere = AMPERE * np.interp(fine, points, circuit[0])

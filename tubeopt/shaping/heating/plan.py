@@ -23,7 +23,7 @@ from .rates import stored
 from .rig import COUNTS, Rig
 from .schedule import Schedule
 from .spec import HeatingSpec
-from .thermal import ThermalModel, thermal_data
+from .thermal import thermal_data
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
@@ -249,6 +249,7 @@ class HeatingPlan(Displayed):
         rig, model = run.rig, run.model
         _, last = hold_slots(spec, run.start)
         row = history.tube[last, 0]
+        rise = (row - model.ambient) * model.width
         covered = model.zone >= LEAD
         walls = history.walls[:, 0][:, covered, 0]
         course = Course(
@@ -279,7 +280,7 @@ class HeatingPlan(Displayed):
             problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
             quench_time=quench_time(tube, spec, float(row.max())),
-            growth=_growth(tube, model, row),
+            growth=float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum()),
             iterations=iterations,
         )
 
@@ -287,11 +288,6 @@ class HeatingPlan(Displayed):
 def _mirrored(half: Array) -> Array:
     """(T, 2n) along the whole tube from (T, n) along its half."""
     return np.concatenate([half, half[:, ::-1]], axis=1)
-
-
-def _growth(tube: Tube, model: ThermalModel, row: Array) -> float:
-    rise = (row - model.ambient) * model.width
-    return float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum())
 
 
 def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:

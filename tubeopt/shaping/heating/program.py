@@ -75,6 +75,12 @@ class TimeMesh:
         up, on = np.linspace(0.0, 1.0, self.heating + 1), np.linspace(0.0, 1.0, self.hold + 1)
         return 1 - np.sinh(1.5 * up[::-1]) / math.sinh(1.5), np.sinh(4.0 * on) / math.sinh(4.0)
 
+    def times(self, heating: float, hold: float) -> tuple[Array, Array]:
+        """Faces of the intervals, and collocation points (N,), s, where heating and hold take so long."""
+        first, second = self.fractions
+        faces = np.concatenate([heating * first, heating + hold * second[1:]])
+        return faces, (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", self.degree).nodes).ravel()
+
 
 MESH = TimeMesh()
 

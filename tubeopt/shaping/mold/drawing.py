@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import choice
 from ...files.units import TO_MM
+from ...typing import Array
 from .groove import Arc, Line, Piece, Point, leads_to_edge
 from .mold import Clamp, Groove, Mold
 
@@ -64,8 +66,7 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
     along = np.asarray(clamp.direction)
     across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
     near, far = np.asarray(clamp.face), np.asarray(clamp.face) + along * mold.spec.clamps.grip
-    corners = [near - across, far - across, far + across, near + across]
-    lines = [Line.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+    lines = _around([near - across, far - across, far + across, near + across])
     if clamp.slides:
         beyond = far + along * clamp.travel
         lines.append(Line.between(beyond - across, beyond + across))
@@ -79,14 +80,13 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
     lines = [
         f"{part} plate, {spec.material.name}, {mold.size[0] * TO_MM:g} x {mold.size[1] * TO_MM:g} x {thickness:g} mm"
     ]
-    for groove in mold.grooves:
-        lines.append(
-            f"tube {groove.number}: OD {groove.tube.outer_diameter * TO_MM:g}, "
-            f"mold radius {groove.radius * TO_MM:.3f}, bend {math.degrees(groove.bend_angle):.3f} deg, "
-            f"groove {groove.width * TO_MM:.3f} wide "
-            f"{groove.depth * TO_MM:.3f} deep, end mill {groove.mill.diameter * TO_MM:g}, cut tube to "
-            f"{groove.stock_length * TO_MM:.1f} mm"
-        )
+    lines += [
+        f"tube {groove.number}: OD {groove.tube.outer_diameter * TO_MM:g}, mold radius {groove.radius * TO_MM:.3f}, "
+        f"bend {math.degrees(groove.bend_angle):.3f} deg, groove {groove.width * TO_MM:.3f} wide "
+        f"{groove.depth * TO_MM:.3f} deep, end mill {groove.mill.diameter * TO_MM:g}, cut tube to "
+        f"{groove.stock_length * TO_MM:.1f} mm"
+        for groove in mold.grooves
+    ]
     step = 1.6 * TEXT_HEIGHT_MM
     jaws = (line for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
     below = min(-3 * TEXT_HEIGHT_MM, min(line.start[1] for line in jaws) * TO_MM - 2 * TEXT_HEIGHT_MM)
@@ -95,8 +95,11 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
 
 def rectangle(width: float, height: float) -> tuple[Piece, ...]:
     """The outline of a plate whose lower left corner is the origin."""
-    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
-    return tuple(Line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True))
+    return tuple(_around(np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])))
+
+
+def _around(corners: Sequence[Array] | Array) -> list[Line]:
+    return [Line.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
 
 
 def in_mm(piece: Piece) -> Piece:

@@ -16,7 +16,7 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...typing import Array
 from .checks import overrun
-from .groove import Arc, Centreline, Line, Piece, Point, farthest
+from .groove import Arc, Centreline, Line, Piece, Point, farthest, spaced
 from .mold import Groove, Mold
 
 PER_MINUTE = 60.0
@@ -179,11 +179,7 @@ def milled(size: Point, cuts: list[tuple[str, float]]) -> Relief:
 def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float) -> None:
     """Take away what a cutter of this radius reaches in one move, as deep as the lower of its ends."""
     piece = motion.piece
-    way = (
-        piece.point(np.linspace(0.0, piece.length, max(2, math.ceil(piece.length / 0.5e-3))))
-        if piece.length
-        else (np.array([piece.start]))
-    )
+    way = piece.point(spaced(piece.length, 0.5e-3)) if piece.length else np.array([piece.start])
     low, high = way.min(0) - radius, way.max(0) + radius
     window = tuple(
         slice(*np.searchsorted(axis, [a, b])) for axis, a, b in zip(axes[::-1], low[::-1], high[::-1], strict=True)

@@ -144,7 +144,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
         mill, width = choose_mill(number, tube, spec)
         if abs(mill.diameter - width) > 1e-9:
             special = [f"none of the end mills at hand is {width * 1e3:g} mm wide; the groove takes a tool ground so"]
-        body, winding = _cylinder(number, held, found, width, spec)
+        body, winding = _cylinder(held, found, width, spec)
         checks += _turns_apart(number, held, found, body, width, spec)
     else:
         lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
@@ -162,19 +162,16 @@ def predict_wound_tube(mandrel: Mandrel, *, springback: Springback | None = None
     return tube_from_mold(mandrel.held, springback or mandrel.spec.springback)
 
 
-def _cylinder(
-    number: int, held: Tube, helix: tuple[float, float], width: float, spec: MoldSpec
-) -> tuple[Cylinder, Winding]:
+def _cylinder(held: Tube, helix: tuple[float, float], width: float, spec: MoldSpec) -> tuple[Cylinder, Winding]:
     """The helix about x from angle 0, and tangent leads until they have left the cylinder."""
     curvature, torsion = helix
     size = curvature**2 + torsion**2
     radius, lead, bent = curvature / size, torsion / size, math.sqrt(size)
-    outer = radius + width / 2
     # A straight lead leaves at the radius where its groove's bottom is the surface.
     out = math.sqrt((radius + width) ** 2 - radius**2) / (radius * bent)
     advance = abs(lead) * bent
     first = SHANK + spec.plate.margin + out * advance
-    last = first + abs(lead) * bent * held.curved_length + out * advance + spec.plate.margin
+    last = first + (held.curved_length + out) * advance + spec.plate.margin
     count = math.ceil(held.curved_length * bent / math.radians(2.0)) + 1
     s = np.linspace(0.0, held.curved_length, count)
     side = math.copysign(1.0, lead)
@@ -183,7 +180,7 @@ def _cylinder(
     around = side * radius * bent
     tangents = np.column_stack([np.full(count, advance), -around * np.sin(angle), around * np.cos(angle)])
     bend = Winding(s, points, tangents, slice(0, count))
-    return Cylinder(outer, last, radius, lead), bend.with_leads(out, out)
+    return Cylinder(radius + width / 2, last, radius, lead), bend.with_leads(out, out)
 
 
 def _turns_apart(
@@ -207,9 +204,8 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
     bend = bend_in_space(held, spec.solver).with_leads(lead, lead)
     best: tuple[float, Block, Winding] | None = None
     for up in _sides(bend.points, spec.solver.block_sides):
-        if np.abs(bend.tangents @ up).max() > spec.solver.block_slope or _meets_itself(
-            bend, up, width + spec.groove.wall
-        ):
+        steep = np.abs(bend.tangents @ up).max() > spec.solver.block_slope
+        if steep or _meets_itself(bend, up, width + spec.groove.wall):
             continue
         along = bend.points[-1] - bend.points[0]
         x = along - (along @ up) * up

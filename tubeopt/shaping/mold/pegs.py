@@ -155,10 +155,8 @@ def _pegged(
             if found[-1][0] <= pegging.most_deviation:
                 break
     good = [one for one in found if one[0] <= pegging.most_deviation]
-    touching = [(one, int((one[3].force > 0).sum())) for one in good]
-    worst, placed, pegs, lying = (
-        min(touching, key=lambda pair: pair[1])[0] if good else min(found, key=lambda one: one[0])
-    )
+    fewest = min(good, key=lambda one: int((one[3].force > 0).sum()), default=None)
+    worst, placed, pegs, lying = fewest or min(found, key=lambda one: one[0])
     force = lying.force * _stiffness(tube)
     some = tuple(replace(peg, force=float(f)) for peg, f in zip(pegs, force, strict=True) if f > 0)
     return worst, placed, some, lying

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -45,13 +45,7 @@ def _changed(tube: Tube, curve: Callable[[float], float], factor: float, *, even
     largest = curve(tube.curvature)
     if not tube.general:
         return replace(tube, curvature=largest, curved_length=tube.curved_length * factor)
-    pieces = tuple(_changed_piece(piece, curve, factor, even=even) for piece in tube.pieces)
-    return with_pieces(tube, pieces)
-
-
-def with_pieces(tube: Tube, pieces: Iterable[Piece]) -> Tube:
-    """The tube with other pieces in place of its own."""
-    chain = tuple(pieces)
+    chain = tuple(_changed_piece(piece, curve, factor, even=even) for piece in tube.pieces)
     length = math.fsum(piece.length for piece in chain)
     return replace(tube, curved_length=length, curvature=max(piece.largest_curvature for piece in chain), pieces=chain)
 

@@ -133,11 +133,8 @@ def calibrate_springback(
     distinct = len(np.unique(np.round(molds, 9)))
     if model == "linear" and distinct < 2:
         raise InputError("model is linear; that needs trials in molds of at least 2 different radii")
-    constant = _least_squares(kappa, lost, 1)
-    chosen = constant
-    if model == "linear":
-        chosen = _least_squares(kappa, lost, 2)
-    elif model == "auto" and distinct >= 2 and len(molds) >= 4:
+    chosen = _least_squares(kappa, lost, 2 if model == "linear" else 1)
+    if model == "auto" and distinct >= 2 and len(molds) >= 4:
         linear = _least_squares(kappa, lost, 2)
         excludes = linear.intervals is not None and linear.intervals[1, 0] * linear.intervals[1, 1] > 0
         if excludes and abs(linear.values[1]) * np.ptp(kappa) > ROUND_OFF:
