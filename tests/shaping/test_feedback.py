@@ -15,13 +15,11 @@ from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Ther
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.leader import Leader
-from tubeopt.shaping.firmware.line import SimulatedLine
-from tubeopt.shaping.firmware.simulated import SimulatedRig
+from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
 from tubeopt.shaping.heating.feedback import wilson
-from tubeopt.shaping.heating.gains import RESET, Response, regulator
 from tubeopt.shaping.heating.ideal import solve_ideal
 from tubeopt.shaping.heating.law import begin, decide
-from tubeopt.shaping.heating.leading import fleet_of, nominal_law
+from tubeopt.shaping.heating.leading import RESET, Response, fleet_of, nominal_law, regulator
 from tubeopt.shaping.heating.loop import Fleet, run_loop
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.rates import at_rest

@@ -15,8 +15,8 @@ import scipy
 
 from ...typing import Array
 from .counts import most_count
-from .gains import Response, response
 from .law import HeatingLaw
+from .leading import Response, response
 from .plan import HeatingPlan
 from .rates import State
 from .rig import COUNTS
@@ -58,7 +58,7 @@ class Rest:
 def planner_for(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor) -> Planner:
     """The planner for a rig that a law leads."""
     model = thermal_model(plan.tube, plan.rig, PROGRAM)
-    found = response(model, sensor, law.slot, (law.planned + law.lost * (law.planned > 0)) / COUNTS, law.hold)
+    found = response(model, sensor, law)
     return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise, plan.spec.solver))
 
 
