@@ -179,7 +179,7 @@ def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: A
     return tuple(sorted(found, key=lambda item: -item.deviation))
 
 
-# --- gains: a linear-quadratic regulator of what the reading does after a share of power -------------------------------
+# --- gains: a linear-quadratic regulator of what the reading does after a share of power ------------------------------
 
 
 @dataclass(frozen=True)

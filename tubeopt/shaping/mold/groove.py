@@ -155,7 +155,15 @@ class Centreline:
 
     def sample(self, step: float) -> Array:
         """(N, 2) points (m) at most `step` (m) apart, with the ends of all pieces."""
-        return np.vstack([piece.point(spaced(piece.length, step)) for piece in self.pieces])
+        return self.along(step)[1]
+
+    def along(self, step: float) -> tuple[Array, Array, Array]:
+        """Arc lengths (N,), m, points (N, 2) and unit tangents (N, 2) of a sample."""
+        begins = np.cumsum([0.0, *(piece.length for piece in self.pieces)])
+        places = [spaced(piece.length, step) for piece in self.pieces]
+        both = list(zip(self.pieces, places, strict=True))
+        points, tangents = np.vstack([p.point(s) for p, s in both]), np.vstack([p.tangent(s) for p, s in both])
+        return np.concatenate([begin + s for begin, s in zip(begins, places, strict=False)]), points, tangents
 
     def bend_point(self, s: Array) -> Array:
         """(N, 2) points at arc lengths `s` (N,) of the bend, m."""
@@ -225,15 +233,10 @@ def crosses_itself(curve: Centreline, width: float) -> bool:
 
     Only points between which it turns by more than a quarter are compared, those a bend parts, however tight it is.
     """
-    sweeps = [piece.sweep if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
-    ends = np.concatenate([[0.0], np.cumsum(sweeps)])
-    points, headings, step = [], [], 1.5e-3
-    for piece, before, after in zip(curve.pieces, ends[:-1], ends[1:], strict=True):
-        s = spaced(piece.length, step)
-        points.append(piece.point(s))
-        headings.append(np.linspace(before, after, len(s)))
+    step = 1.5e-3
+    _, points, tangents = curve.along(step)
     # Between two samples a curve may come nearer by half a step.
-    return comes_back(np.vstack(points), np.concatenate(headings), math.hypot(width, step / 2))
+    return comes_back(points, np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0])), math.hypot(width, step / 2))
 
 
 def comes_back(at: Array, heading: Array, distance: float) -> bool:

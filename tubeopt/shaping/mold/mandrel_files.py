@@ -61,24 +61,10 @@ def rotation_table(mandrel: Mandrel) -> Array:
     """(N, 4) arc length from the bend's proximal end (m), feed (m), rotation (rad), radius of the tool's tip (m)."""
     if not isinstance(mandrel.body, Cylinder):
         raise InputError("the mandrel is printed; only a turned one has a table of rotation and feed")
-    winding = mandrel.winding
-    bend = winding.arc_length[winding.bend]
-    before, after = winding.arc_length[0], winding.arc_length[-1]
-    lead = np.arange(FINE, -before, FINE)
-    s = np.concatenate([[before], -lead[::-1], bend, bend[-1] + lead, [after]])
-    first, last = winding.bend.start, winding.bend.stop - 1
-    p = winding.points[winding.bend]
-    points = np.vstack(
-        [
-            winding.points[first] + s[s < 0][:, None] * winding.tangents[first],
-            p,
-            winding.points[last] + (s[s > bend[-1]] - bend[-1])[:, None] * winding.tangents[last],
-        ]
-    )
-    angle = np.unwrap(np.arctan2(points[:, 2], points[:, 1]))
-    angle -= angle[np.searchsorted(s, 0.0)]
-    radius = np.hypot(points[:, 1], points[:, 2])
-    return np.column_stack([s, points[:, 0], angle, radius - mandrel.width / 2])
+    fine = mandrel.winding.lengthened(0.0, FINE)
+    feed, y, z = fine.points.T
+    angle = np.unwrap(np.arctan2(z, y))
+    return np.column_stack([fine.arc_length, feed, angle - angle[fine.bend.start], np.hypot(y, z) - mandrel.width / 2])
 
 
 def _csv(mandrel: Mandrel) -> str:
@@ -161,9 +147,7 @@ def _solid(mandrel: Mandrel) -> Any:
         heights = np.maximum(body.radius + mandrel.width - away, mandrel.width)
         return solid - channel(w.points, w.tangents, radial / away[:, None], heights, mandrel.width / 2, sagitta)
     solid = library.cube(tuple(x * TO_MM for x in body.size))
-    beyond = w.with_leads(
-        -w.arc_length[0] + 10 * mandrel.width, w.arc_length[-1] - w.arc_length[w.bend][-1] + 10 * mandrel.width
-    )
+    beyond = w.lengthened(10 * mandrel.width)
     ups = np.tile([0.0, 0.0, 1.0], (len(beyond.points), 1))
     heights = np.maximum(body.size[2] - beyond.points[:, 2], 0.0) + mandrel.width
     return solid - channel(beyond.points, beyond.tangents, ups, heights, mandrel.width / 2, sagitta)
