@@ -9,7 +9,6 @@ bodies by theirs. The guard then lets as much of it pass as is safe.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from math import hypot
 
 import numpy as np
@@ -244,12 +243,11 @@ class Servo:
     def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         """The arm where it passes the point closest is to come to it, across its tangent."""
         arm = at.equilibrium
-        along = [
-            float(np.clip((pivot - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-300), 0, 1))
-            for a, b in pairwise(arm.position)
-        ]
-        feet = [a + x * (b - a) for x, (a, b) in zip(along, pairwise(arm.position), strict=True)]
-        k = int(np.argmin([np.linalg.norm(pivot - foot) for foot in feet]))
+        start, way = arm.position[:-1], np.diff(arm.position, axis=0)
+        square = np.maximum((way**2).sum(1), 1e-300)
+        along = np.clip(((pivot - start) * way).sum(1) / square, 0, 1)
+        feet = start + along[:, None] * way
+        k = int(np.argmin(((pivot - feet) ** 2).sum(1)))
         moved = (1 - along[k]) * at.along[k] + along[k] * at.along[k + 1]
         across = arm.frame[k][:, :2].T / self.space.length
         gap = across @ (pivot - feet[k])

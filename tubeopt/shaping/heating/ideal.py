@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ...errors import SolveError
 from ...robots.materials import ZERO_CELSIUS
@@ -66,13 +67,9 @@ class Ideal:
     def duty(self, slot: float, count: int) -> Array:
         """(count,) mean duty in every slot from the start; the last duty goes on after the end."""
         edges = slot * np.arange(count + 1)
-        time, duty = self.node_time, self.node_duty
-        if edges[-1] > time[-1]:
-            time, duty = np.append(time, edges[-1] + slot), np.append(duty, duty[-1])
-        integral = np.concatenate([[0.0], np.cumsum(np.diff(time) * 0.5 * (duty[1:] + duty[:-1]))])
-        k = np.clip(np.searchsorted(time, edges, side="right") - 1, 0, len(time) - 2)
-        value = np.interp(edges, time, duty)
-        total = integral[k] + 0.5 * (edges - time[k]) * (duty[k] + value)
+        both = np.union1d(self.node_time, edges)
+        duty = np.interp(both, self.node_time, self.node_duty)
+        total = scipy.integrate.cumulative_trapezoid(duty, both, initial=0.0)[np.searchsorted(both, edges)]
         return np.asarray(np.clip(np.diff(total) / slot, 0.0, 1.0))
 
 
