@@ -8,7 +8,6 @@ from ...errors import InputError
 from ...files.csv_file import to_csv
 from .plan import HeatingPlan
 
-COLUMNS = ("time_s", "duty", "ideal_duty", "coldest_degC", "hottest_degC", "limit_point_degC", "voltage_V", "current_A")
 PER_LINE = 16
 
 
@@ -19,24 +18,22 @@ def schedule_csv(plan: HeatingPlan) -> str:
     voltage and current are those while the MOSFET conducts.
     """
     curved = plan.temperature[:, plan.curved]
-    rows = [
-        (
-            f"{plan.time[k]:.3f}",
-            int(plan.duty[k]),
-            f"{plan.ideal_duty[k]:.3f}",
-            f"{curved[k].min():.2f}",
-            f"{curved[k].max():.2f}",
-            f"{plan.temperature[k].max():.2f}",
-            f"{plan.voltage[k]:.3f}",
-            f"{plan.current[k]:.2f}",
-        )
-        for k in range(len(plan.time))
-    ]
+    columns = {
+        "time_s": (plan.time, ".3f"),
+        "duty": (plan.duty, "d"),
+        "ideal_duty": (plan.ideal_duty, ".3f"),
+        "coldest_degC": (curved.min(1), ".2f"),
+        "hottest_degC": (curved.max(1), ".2f"),
+        "limit_point_degC": (plan.temperature.max(1), ".2f"),
+        "voltage_V": (plan.voltage, ".3f"),
+        "current_A": (plan.current, ".2f"),
+    }
+    rows = zip(*([f"{value:{form}}" for value in values] for values, form in columns.values()), strict=True)
     comment = (
         f"{plan.rig.name or 'rig'}: every duty holds for {plan.spec.slot:g} s; hold from {plan.hold_start:g} to "
         f"{plan.hold_end:g} s; battery at {plan.rig.battery.voltage:.2f} V at rest"
     )
-    return to_csv(COLUMNS, rows, comment)
+    return to_csv(tuple(columns), rows, comment)
 
 
 def arduino_header(plan: HeatingPlan) -> str:

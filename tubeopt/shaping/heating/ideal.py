@@ -36,7 +36,7 @@ class Ideal:
     """The ideal schedule.
 
     Attributes:
-        heating: time at which the hold begins, s. hold: its length, s.
+        heating: time at which the hold begins, s.
         node_time, node_duty: (K,) between which the duty is linear, s and fraction.
         miss: by how much the window, narrowed by the reserve, is missed, K; below 0 only for "margin".
         rig: with clearance, lead and vents as chosen.
@@ -47,7 +47,6 @@ class Ideal:
     """
 
     heating: float
-    hold: float
     node_time: Array
     node_duty: Array
     miss: float
@@ -248,8 +247,7 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
 def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iterations: int) -> Ideal:
     Z, circuit, u, duration, miss, design = (part.full() for part in made.split(x))
     heating = DURATION * float(duration[0, 0])
-    hold = spec.covered_time
-    faces, points = made.structure.mesh.times(heating, hold)
+    faces, points = made.structure.mesh.times(heating, spec.covered_time)
     # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
     fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.duty_points)]))
     ampere = AMPERE * np.interp(fine, points, circuit[0])
@@ -266,7 +264,6 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
     first_held = made.structure.mesh.heating * made.structure.mesh.degree - 1
     return Ideal(
         heating=heating,
-        hold=hold,
         node_time=fine,
         node_duty=np.clip(duty, 0.0, 1.0),
         miss=float(miss[0, 0]),
