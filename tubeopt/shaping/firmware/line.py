@@ -54,7 +54,7 @@ class SerialLine:
             self._port.write((json.dumps({"do": do, **more}, separators=(",", ":")) + "\n").encode())
 
     def receive(self) -> dict[str, Any] | None:
-        """The next report, or None where none came within a second; what is none is passed over; as `send`."""
+        """The next report, {} for what is none, None where nothing came within a second; errors as `send`."""
         with _lost():
             self._rest += self._port.readline()
         if not self._rest.endswith(b"\n"):
