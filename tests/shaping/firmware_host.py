@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tubeopt.robots.materials import ZERO_CELSIUS
-from tubeopt.shaping.firmware.simulated import SimulatedRig
+from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.heating.thermal import joined
 from tubeopt.typing import Array
 

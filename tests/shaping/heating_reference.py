@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
+from tubeopt.physics.heat import volume_shapes
 from tubeopt.physics.heat_functions import LUMPED
 from tubeopt.robots.materials import NITINOL
 from tubeopt.shaping.heating.rates import State, at_rest, rates
@@ -53,6 +54,12 @@ def ideal_tube(**thermal: float) -> Tube:
 def thesis_plan() -> HeatingPlan:
     """The plan for the thesis' tube; made once."""
     return plan_heating(TUBE, thesis_rig(), HeatingSpec())
+
+
+def conductance(model: ThermalModel, name: str) -> Array:
+    """What `physics.heat.Volumes` calls so, of the first member of a model; from the cells, W/K."""
+    sizes = {key: rows * columns for key, (rows, columns) in volume_shapes(model.resolution).items()}
+    return dict(zip(sizes, np.split(model.volumes[0], np.cumsum(list(sizes.values()))[:-1]), strict=True))[name]
 
 
 def section(tube: Tube) -> float:

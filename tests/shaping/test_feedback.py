@@ -15,18 +15,17 @@ from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Ther
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.leader import Leader
-from tubeopt.shaping.firmware.line import SimulatedLine
-from tubeopt.shaping.firmware.simulated import SimulatedRig
+from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
 from tubeopt.shaping.heating.feedback import wilson
-from tubeopt.shaping.heating.gains import RESET, Response, regulator
 from tubeopt.shaping.heating.ideal import solve_ideal
 from tubeopt.shaping.heating.law import begin, decide
-from tubeopt.shaping.heating.leading import fleet_of, nominal_law
+from tubeopt.shaping.heating.leading import RESET, Response, fleet_of, nominal_law, regulator
 from tubeopt.shaping.heating.loop import Fleet, run_loop
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.rates import at_rest
 from tubeopt.shaping.heating.replanning import planner_for
 from tubeopt.shaping.heating.robust import ENSEMBLE
+from tubeopt.shaping.heating.sensors import followed
 from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 
@@ -104,7 +103,7 @@ def test_the_law_waits_for_a_cold_tube_and_gives_up_in_the_end() -> None:
 def test_a_sensor_lags_as_its_equation_says() -> None:
     sensor = Thermocouple(lag=0.7)
     exact = solve_ivp(lambda t, y: (20 + 30 * t - y) / 0.7, (0, 0.5), [5.0], rtol=1e-10, atol=1e-10).y[0, -1]
-    (found,) = sensor.followed(np.array([5.0]), np.array([20.0]), np.array([35.0]), 0.5)
+    (found,) = followed(sensor.lag, np.array([5.0]), np.array([20.0]), np.array([35.0]), 0.5)
     assert abs(found - exact) < 1e-8
 
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from tubeopt import HeatingPlan, HeatingSpec, InputError, Material, Rig, Tube, plan_heating
 from tubeopt.physics.heat import GRIP
-from tubeopt.shaping.heating.files import arduino_header, duty_header, header_duties, schedule_csv
+from tubeopt.shaping.heating.counts import sum_up_rounding
+from tubeopt.shaping.heating.files import arduino_header, header_duties, schedule_csv
 from tubeopt.shaping.heating.outcome import outcome_of
 from tubeopt.shaping.heating.rates import warming
 from tubeopt.shaping.heating.rig import Battery, Circuit, Clamps, MoldBed
 from tubeopt.shaping.heating.robust import Uncertainty, assess, at_charge, charge_tables, most_likely
-from tubeopt.shaping.heating.schedule import sum_up_rounding
 from tubeopt.shaping.heating.simulation import History, resimulate
 from tubeopt.shaping.heating.thermal import FINE, ThermalModel, joined, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, MDF
@@ -347,7 +347,7 @@ def test_a_header_needs_whole_milliseconds() -> None:
     with pytest.raises(
         InputError, match=r"slot is 0.0333333 s; for an Arduino it must be a whole number of milliseconds"
     ):
-        duty_header([1], 1 / 30, 12.0)
+        arduino_header(replace(thesis_plan(), spec=HeatingSpec(slot=1 / 30)))
     with pytest.raises(InputError, match="holds no HEATING_DUTY"):
         header_duties("int x;")
 

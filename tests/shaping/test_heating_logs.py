@@ -11,11 +11,11 @@ from scipy.stats import norm
 
 from tubeopt import InputError
 from tubeopt.runs.rig_file import load_camera, load_colours, load_heating_log, load_heating_trials
-from tubeopt.shaping.firmware.simulated import SimulatedRig
-from tubeopt.shaping.heating.ageing import ageing, ageing_words
+from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.heating.calibration import FACTORS, calibrate, predict
 from tubeopt.shaping.heating.colours import NITINOL_COLOURS, Colour, ColourTable
 from tubeopt.shaping.heating.logged import HeatingLog, believable, step_of, unexplained
+from tubeopt.shaping.heating.plan import ageing, ageing_words
 from tubeopt.shaping.heating.sensors import Thermocouple
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model

@@ -121,7 +121,14 @@ class PredictiveServo:
         """Improve the way; what the knots lack as they are."""
         assert self._aim is not None
         contacts = knots.contacts(self._guard.scene, self._clearance, self.solver)
-        self._improve(knots, improvement(knots, self._aim, contacts, self._trust, self.solver))
+        change = improvement(knots, self._aim, contacts, self._trust, self.solver)
+        if change is None:  # it is begun anew
+            self._aim = None
+        else:
+            undone = float((change * self._last).sum()) < 0
+            self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), self.solver.calm, self.solver.trust))
+            self._last = change
+            self._way = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
         lacking = Why(0)
         if knots.fields[1:].min() < -self.solver.lacking:
             lacking |= Why.MARGIN
@@ -129,23 +136,10 @@ class PredictiveServo:
             lacking |= Why.OBSTACLE
         return lacking
 
-    def _improve(self, knots: Knots, change: Array | None) -> None:
-        """The way after a change (N, m), over the scales, of all knots but the first; without one it is begun anew."""
-        if change is None:
-            self._aim = None
-            return
-        undone = float((change * self._last).sum()) < 0
-        self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), self.solver.calm, self.solver.trust))
-        self._last = change
-        self._way = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
-
     def _knots(self, aim: Aim) -> Knots | None:
         """The way to an aim as it is; None where no joint values are known for it."""
         here = self._guard.here
-        begin, floor = (
-            self._chart.of(here.equilibrium),
-            min(self._floor, here.margin),
-        )
+        begin, floor = self._chart.of(here.equilibrium), min(self._floor, here.margin)
         if self._new(aim):
             self._aim, end = aim, self._goal(aim)
             self._way = None

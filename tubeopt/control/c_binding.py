@@ -194,11 +194,7 @@ def servo_of(
     robot: Robot, seed: Configuration, *, obstacles: Sequence[Obstacle] = (), options: ServoOptions | None = None
 ) -> Servo | CServo:
     """The fastest servo that there is: that of the robot's C library, a tenth of a millisecond per step, or, where the
-    library cannot do what is asked or cannot be made here, `Servo`.
-
-    Raises:
-        InputError, SolveError: as `Servo`.
-    """
+    library cannot do what is asked or cannot be made here, `Servo`, with its errors."""
     servo = Servo(robot, seed, obstacles=obstacles, options=options)
     if obstacles:
         return servo

@@ -43,11 +43,7 @@ typedef struct {
 
 
 def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
-    """The C text of `tubeopt_load.c`; `shifts`: translations (n,) of some configurations.
-
-    Raises:
-        InputError: tubes off the centreline, or of unknown weight.
-    """
+    """The C text of `tubeopt_load.c`; `shifts`: translations (n,) of some configurations."""
     home = robot.assembly(robot.home_translations)
     if home.eccentric:
         raise InputError("loads are asked for; no model has them on tubes off the centreline, so a C library has none")

@@ -11,15 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, nearest, vector
 from ..files.units import TO_MM
-from ..inverse.joints import JointSpace
 from ..typing import Array
-from .servo import Command, ServoOptions
+from .c_binding import CServo
+from .servo import Command, Servo
 from .why import Why
 
 ARRIVED = 1e-6
@@ -54,21 +54,8 @@ TRANSITIONS = {
 """What `state_command` may say, and the state that follows."""
 
 
-class Led(Protocol):
-    """What leads a robot: `Servo`, or `CServo` of a C library."""
-
-    options: ServoOptions
-    space: JointSpace
-
-    @property
-    def equilibrium(self) -> Any:
-        """Where the robot is."""
-
-    def step(self, command: Command, dt: float) -> Any:
-        """One step of `dt` seconds."""
-
-    def undo(self) -> None:
-        """Take the last step back."""
+Led = Servo | CServo
+"""What leads a robot."""
 
 
 @dataclass
@@ -121,17 +108,10 @@ class CrtkRobot:
         if not isinstance(name, str) or name not in KEYS:
             raise InputError(f"op is {name!r}; it must be one of {', '.join(KEYS)}")
         _check_keys(name, message)
-        known: dict[str, Callable[[Mapping[str, Any]], Command]] = {
-            "servo_cp": self._pose,
-            "servo_cv": _twist,
-            "servo_jp": self._joints,
-            "move_cp": self._pose,
-            "move_jp": self._joints,
-        }
         if name == "state_command":
             self._change(message.get("command"))
         else:
-            wanted = known[name](message)
+            wanted = {"cp": self._pose, "cv": _twist, "jp": self._joints}[name[-2:]](message)
             if self.state != "ENABLED":
                 raise InputError(f"{name} is refused: the robot is {self.state}; enable it first")
             self._goal = _Goal(wanted, now, name.startswith("servo"), closer=now)

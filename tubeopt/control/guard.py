@@ -31,12 +31,7 @@ HALVINGS = 4
 
 
 class Guard:
-    """Where a robot is, and whether it may go on from there.
-
-    Raises:
-        InputError: the seed is outside the limits, or closer to a snap than the floor of the margin.
-        SolveError: no stable equilibrium is found at the seed.
-    """
+    """Where a robot is, and whether it may go on from there; arguments and errors as of `Servo`."""
 
     def __init__(
         self,

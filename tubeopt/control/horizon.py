@@ -128,10 +128,28 @@ def improvement(
 ) -> Array | None:
     """(N, m) the change over the scales of all knots but the first by one quadratic program, each at most `trust`; None
     where the solver finds no answer."""
-    count, m = knots.z.shape
-    matrix, least = _rows(knots, contacts)
-    program = _program(count - 1, m, matrix.shape[1])
-    return program.solve(_way(knots, aim, solver), (matrix, least), _range(knots, trust), solver)
+    (way, right), (rows, least) = _way(knots, aim, solver), _rows(knots, contacts)
+    n, count, width = rows.shape
+    m = width - 1
+    hessian, matrix = np.zeros((n * width, n * width)), np.zeros((n, count, n, width))
+    own = (np.arange(n)[:, None] * width + np.arange(m)).ravel()
+    hessian[np.ix_(own, own)] = way.T @ way + solver.damping * np.eye(n * m)
+    gradient = np.full((n, width), solver.slack_price)
+    gradient[:, :m] = -(right @ way).reshape(n, m)
+    matrix[np.arange(n), :, np.arange(n)] = rows
+    lower, upper = np.zeros((n, width)), np.full((n, width), np.inf)
+    lower[:, :m], upper[:, :m] = _range(knots, trust)
+    program = _program(n, m, count)
+    found = program(
+        h=_sparse(program.sparsity_in("h"), hessian),
+        a=_sparse(program.sparsity_in("a"), matrix.reshape(n * count, n * width)),
+        g=gradient.ravel(),
+        lba=least.ravel(),
+        lbx=lower.ravel(),
+        ubx=upper.ravel(),
+    )
+    answer = np.asarray(found["x"]).reshape(n, width)[:, :m]
+    return answer if program.stats()["success"] and np.isfinite(answer).all() else None
 
 
 def _way(knots: Knots, aim: Aim, solver: HorizonSolver) -> tuple[Array, Array]:
@@ -190,62 +208,20 @@ def _range(knots: Knots, trust: float) -> tuple[Array, Array]:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Program:
-    """The quadratic program of N knots of m coordinates and a slack each, and where its numbers are."""
-
-    solver: ca.Function
-    hessian: ca.Sparsity
-    matrix: ca.Sparsity
-
-    def solve(
-        self,
-        wanted: tuple[Array, Array],
-        kept: tuple[Array, Array],
-        change: tuple[Array, Array],
-        settings: HorizonSolver,
-    ) -> Array | None:
-        """(N, m) the best change over the scales: rows and right-hand sides in least squares, rows and what they are at
-        least, least and largest change."""
-        (way, right), (rows, least) = wanted, kept
-        n, count, width = rows.shape
-        m = width - 1
-        hessian, matrix = np.zeros((n * width, n * width)), np.zeros((n, count, n, width))
-        own = (np.arange(n)[:, None] * width + np.arange(m)).ravel()
-        hessian[np.ix_(own, own)] = way.T @ way + settings.damping * np.eye(n * m)
-        gradient = np.full((n, width), settings.slack_price)
-        gradient[:, :m] = -(right @ way).reshape(n, m)
-        matrix[np.arange(n), :, np.arange(n)] = rows
-        lower, upper = np.zeros((n, width)), np.full((n, width), np.inf)
-        lower[:, :m], upper[:, :m] = change
-        flat = matrix.reshape(n * count, n * width)
-        found = self.solver(
-            h=ca.DM(self.hessian, hessian[_places(self.hessian)]),
-            a=ca.DM(self.matrix, flat[_places(self.matrix)]),
-            g=gradient.ravel(),
-            lba=least.ravel(),
-            lbx=lower.ravel(),
-            ubx=upper.ravel(),
-        )
-        answer = np.asarray(found["x"]).reshape(n, width)[:, :m]
-        return answer if self.solver.stats()["success"] and np.isfinite(answer).all() else None
-
-
-def _places(pattern: ca.Sparsity) -> tuple[list[int], list[int]]:
-    rows, columns = pattern.get_triplet()
-    return rows, columns
-
-
 @lru_cache(maxsize=16)
-def _program(n: int, m: int, rows: int) -> _Program:
-    """That of N knots."""
+def _program(n: int, m: int, rows: int) -> ca.Function:
+    """The solver of the quadratic program of N knots, of m coordinates and a slack each, and of rows for each."""
     near = np.abs(np.arange(n)[:, None] - np.arange(n)) <= 1
     moved = np.append(np.ones(m, dtype=bool), False)
     hessian = _pattern(np.kron(near, np.outer(moved, moved)))
     matrix = _pattern(np.kron(np.eye(n, dtype=bool), np.ones((rows, m + 1), dtype=bool)))
-    return _Program(ca.conic("ahead", SOLVER, {"h": hessian, "a": matrix}, QUIET), hessian, matrix)
+    return ca.conic("ahead", SOLVER, {"h": hessian, "a": matrix}, QUIET)
 
 
 def _pattern(mask: Mask) -> ca.Sparsity:
     rows, columns = np.nonzero(mask)
     return ca.Sparsity.triplet(mask.shape[0], mask.shape[1], rows.tolist(), columns.tolist())
+
+
+def _sparse(pattern: ca.Sparsity, dense: Array) -> ca.DM:
+    return ca.DM(pattern, dense[pattern.get_triplet()])

@@ -160,14 +160,10 @@ class Observer:
         return turn, shift
 
     def _update(self, time: float, measured: Array, joints: tuple[Array, Array], grown: Array) -> Correction:
-        x: Array = self._x
-        noise: Array = self.options.noise**2 * np.eye(3)
-        before: Array = np.zeros(3)
-        gain: Array = np.zeros((len(x), 3))
-        slope: Array = np.zeros((3, len(x)))
+        x, noise = self._x, self.options.noise**2 * np.eye(3)
         for k in range(self.options.linearised):
             arm = self._arm_at(x, *joints)
-            slope = self._slope(arm, x)
+            slope = self._slope(arm)
             gap = measured - arm.tip_position - x[2 * self._n :]
             # What the tip would be at the old estimate, by the new derivatives.
             expected = gap + slope @ (x - self._x)
@@ -205,7 +201,7 @@ class Observer:
         near = one_step(robot, self._arm, turn, shift)
         return forward_kinematics(robot, turn, shift, guess=replace(self._arm, robot=robot)) if near is None else near
 
-    def _slope(self, arm: Equilibrium, x: Array) -> Array:
+    def _slope(self, arm: Equilibrium) -> Array:
         """(3, 2n + 3) of the measured tip by the parameters."""
         turn, bending, torsional = np.split(jacobian(arm, wrt=BY).position, 3, axis=1)
         kb, kt = (np.array([float(getattr(tube, name)) for tube in arm.robot.tubes]) for name in BY[1:])

@@ -9,8 +9,6 @@ bodies by theirs. The guard then lets as much of it pass as is safe.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
-from itertools import pairwise
 from math import hypot
 
 import numpy as np
@@ -81,6 +79,13 @@ class Servo:
         self.guard = Guard(robot, seed, limits, obstacles, self.options)
         self.space = self.guard.space
         self._least_squares = least_squares_of(robot)
+        groups = [tuple(group.split("+")) for group in self.options.priorities]
+        self._groups = groups if self.options.objective is None else [*groups, ()]
+        """Names of what is asked at each priority; at the last of them nothing, for the objective."""
+        unit = np.eye(len(self.space.scale))
+        self._sides = np.vstack([unit, -unit, self.space.rows * self.space.scale])
+        """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
+        self._twice, self._damping = np.tile(self.space.scale, 2), DAMPING * unit
         if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
             raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
 
@@ -116,37 +121,12 @@ class Servo:
         """Take the last step back, which was not sent."""
         self.guard.here = self.guard.before
 
-    @cached_property
-    def _groups(self) -> list[tuple[str, ...]]:
-        """Names of what is asked at each priority; at the last of them nothing, for the objective."""
-        groups = [tuple(group.split("+")) for group in self.options.priorities]
-        return groups if self.options.objective is None else [*groups, ()]
-
-    @cached_property
-    def _sides(self) -> Array:
-        """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
-        unit = np.eye(len(self.space.scale))
-        return np.vstack([unit, -unit, self.space.rows * self.space.scale])
-
-    @cached_property
-    def _twice(self) -> Array:
-        """(2m,) the joints' scales, for both ends of each."""
-        return np.tile(self.space.scale, 2)
-
-    @cached_property
-    def _damping(self) -> Array:
-        """(m, m) rows of the damping."""
-        return DAMPING * np.eye(len(self.space.scale))
-
     def _rate(self, dt: float) -> Array:
         """(m,) most that each joint moves in a step."""
-        options, length = self.options, self.space.length
-        return _rates(
-            self.space.robot.n_tubes,
-            len(self.space.scale),
-            min(options.turn_rate * dt, TURN),
-            min(options.shift_rate * dt, SHIFT * length),
-        )
+        options, space = self.options, self.space
+        rate = np.full(len(space.scale), min(options.shift_rate * dt, SHIFT * space.length))
+        rate[: space.robot.n_tubes] = min(options.turn_rate * dt, TURN)
+        return rate
 
     def _hedges(self, here: Posture, rate: Array) -> tuple[Array, Array, list[tuple[int, Why]]]:
         """Rows and bounds of a step over the joints' scales, and from which row on they stand for what; what is missed
@@ -263,12 +243,11 @@ class Servo:
     def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         """The arm where it passes the point closest is to come to it, across its tangent."""
         arm = at.equilibrium
-        along = [
-            float(np.clip((pivot - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-300), 0, 1))
-            for a, b in pairwise(arm.position)
-        ]
-        feet = [a + x * (b - a) for x, (a, b) in zip(along, pairwise(arm.position), strict=True)]
-        k = int(np.argmin([np.linalg.norm(pivot - foot) for foot in feet]))
+        start, way = arm.position[:-1], np.diff(arm.position, axis=0)
+        square = np.maximum((way**2).sum(1), 1e-300)
+        along = np.clip(((pivot - start) * way).sum(1) / square, 0, 1)
+        feet = start + along[:, None] * way
+        k = int(np.argmin(((pivot - feet) ** 2).sum(1)))
         moved = (1 - along[k]) * at.along[k] + along[k] * at.along[k + 1]
         across = arm.frame[k][:, :2].T / self.space.length
         gap = across @ (pivot - feet[k])
@@ -296,14 +275,6 @@ class Servo:
         size = float(np.linalg.norm(pull))
         longest = self.options.push * min(self.options.turn_rate * dt, TURN)
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
-
-
-@lru_cache(maxsize=64)
-def _rates(n: int, m: int, turn: float, shift: float) -> Array:
-    """(m,) that of n rotations, then of translations."""
-    rate = np.full(m, shift)
-    rate[:n] = turn
-    return rate
 
 
 def _softness(at: Posture, turn: float = 1e-4) -> Array:

@@ -16,8 +16,7 @@ from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file
 from ..shaping.firmware.leader import Leader
-from ..shaping.firmware.line import Line, SerialLine, SimulatedLine
-from ..shaping.firmware.simulated import SimulatedRig
+from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.law import HeatingLaw
 from ..shaping.heating.leading import lead_by

@@ -16,13 +16,12 @@ import numpy as np
 from ..errors import InputError
 from ..robots.materials import NITINOL, ZERO_CELSIUS
 from ..robots.tubes import Tube
-from .heating.ageing import ageing_words
 from .heating.counts import full_current
-from .heating.plan import HeatingPlan
+from .heating.plan import HeatingPlan, ageing_words
 from .heating.planning import plan_heating
 from .heating.rig import Rig
 from .heating.spec import HeatingSpec
-from .heating.thermal import gap_of, gap_transfer, groove_gap, vent_profile
+from .heating.thermal import gap_of, gap_transfer, groove_gap, own_gap, vent_profile
 from .mold.heat import HeatSpec
 from .mold.holes import open_area
 from .mold.mold import Groove, Mold, plan_mold
@@ -102,7 +101,8 @@ def plan_tube(
             return TubeFabrication(tube, drawn, on, plan, round_ - 1, f"{_needed(plan)}: {error}", remarks)
         drawn, before, on = following, on, rig_as_drawn(rig, following)
         if plan is None or not _alike(before, on, heating.solver.same_length):
-            plan = plan_heating(heated_tube(following.grooves[0]), on, heating)
+            # As it lies in its groove: bent so, its curved part as long as the bend.
+            plan = plan_heating(following.grooves[0].held, on, heating)
         elif _settled(drawn, plan):
             return TubeFabrication(tube, drawn, on, plan, round_, "", (*remarks, *ageing_words(plan)))
         known = _known(drawn.grooves[0], plan, heating)
@@ -186,11 +186,6 @@ def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
     return tuple((2 * vent_profile(rig, inward)).tolist())
 
 
-def heated_tube(groove: Groove) -> Tube:
-    """The tube as it lies in its groove: bent so, its curved part as long as the bend."""
-    return groove.held
-
-
 def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
     """The rig with a mold of one groove: leads, distance of the clamps, gap, plates and vents as they are drawn."""
     groove, plate = mold.grooves[0], mold.spec.plate
@@ -210,9 +205,8 @@ def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
 
 def _gap_as_drawn(rig: Rig, groove: Groove) -> float:
     """Even gap (m) of the groove as drawn; a gap that the rig's file says keeps its ratio to that of its own groove."""
-    tube, side = groove.tube, groove.tube.outer_diameter + 2 * rig.mold.play
-    drawn = groove_gap(tube, rig, groove.width, groove.depth)
-    return drawn if rig.mold.gap is None else rig.mold.gap * drawn / groove_gap(tube, rig, side, side)
+    drawn = groove_gap(groove.tube, rig, groove.width, groove.depth)
+    return drawn if rig.mold.gap is None else rig.mold.gap * drawn / own_gap(groove.tube, rig)
 
 
 def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
@@ -244,8 +238,7 @@ def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
 
 def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
     """Whether the even gap that the rig's file says is that of its groove."""
-    said, side = gap_of(tube, rig), tube.outer_diameter + 2 * rig.mold.play
-    computed = groove_gap(tube, rig, side, side)
+    said, computed = gap_of(tube, rig), own_gap(tube, rig)
     if abs(said / computed - 1) < 0.25:
         return ()
     return (

@@ -5,6 +5,16 @@
 #define LOAD_TURN 1e-4     /* rad, of differences */
 #define LOAD_SHIFT 2e-5    /* of the longest tube */
 
+static void keep_loaded(tubeopt_memory *m) {
+    m->first_loaded = m->loaded;
+    if (m->bears) tubeopt_bearing_keep(room_of(m));
+}
+
+static void return_loaded(tubeopt_memory *m) {
+    m->loaded = m->first_loaded;
+    if (m->bears) tubeopt_bearing_return(room_of(m));
+}
+
 static void accept_loaded(tubeopt_memory *m, const tubeopt_joints *joints) {
     if (!m->bears) return;
     tubeopt_bearing_accept(room_of(m), joints);
@@ -21,8 +31,7 @@ static int grow_anew(tubeopt_memory *m, const tubeopt_load *load) {
 /* From the load that is borne to another one, in parts that keep the branch. */
 static int change_load(tubeopt_memory *m, const tubeopt_load *to) {
     tubeopt_load from = m->load, at;
-    tubeopt_pose first = m->loaded;
-    tubeopt_bearing_keep(room_of(m));
+    keep_loaded(m);
     for (double done = 0, part = 1; done < 1;) {
         double t = done + part >= 1 - 1e-12 ? 1 : done + part;
         for (int r = 0; r < 3; r++) {
@@ -34,8 +43,7 @@ static int change_load(tubeopt_memory *m, const tubeopt_load *to) {
             done = t;
             part *= 2;
         } else if ((part /= 4) < SHORTEST_LOAD) {
-            tubeopt_bearing_return(room_of(m));
-            m->loaded = first;
+            return_loaded(m);
             return 1;
         }
     }
@@ -60,16 +68,10 @@ tubeopt_status tubeopt_bear(tubeopt_memory *m, const tubeopt_load *load, tubeopt
     return TUBEOPT_DONE;
 }
 
-/* What the loaded equilibrium with an independent joint moved by `by` has more: position, frame, tip rotations, margin; 1
-   where there is none. */
-static int loaded_beside(tubeopt_memory *m, int joint, double by, double *more) {
-    tubeopt_joints there = m->joints;
+/* What the loaded equilibrium at joint values close by has more; 1 where there is none. */
+static int loaded_beside(tubeopt_memory *m, const tubeopt_joints *there, double *more) {
     tubeopt_pose side;
-    for (int i = 0; i < N; i++) {
-        if (i == joint) there.rotations[i] += by;
-        if (CARRIAGES[i] == joint - N) there.translations[i] += by;
-    }
-    if (!sensible(&there) || tubeopt_bearing_step(room_of(m), &m->load, &there, &side)) return 1;
+    if (tubeopt_bearing_step(room_of(m), &m->load, there, &side)) return 1;
     for (int r = 0; r < 3; r++) more[r] = side.position[r] - m->loaded.position[r];
     for (int r = 0; r < 9; r++) more[3 + r] = side.frame[r] - m->loaded.frame[r];
     for (int i = 0; i < N; i++) more[12 + i] = side.tip_rotations[i] - m->loaded.tip_rotations[i];
@@ -77,38 +79,16 @@ static int loaded_beside(tubeopt_memory *m, int joint, double by, double *more) 
     return 0;
 }
 
-/* Derivatives by a joint: of a rotation by differences to both sides, of a translation to the given one alone, since
-   breakpoints may coincide. 1 where that fails. */
-static int differ_loaded(tubeopt_memory *m, int joint, int side, double *slope) {
-    int turns = joint < N;
-    double by = side * (turns ? LOAD_TURN : LOAD_SHIFT * LONGEST_TUBE), one[13 + N], two[13 + N];
-    if (loaded_beside(m, joint, by, one)) return 1;
-    int both = !loaded_beside(m, joint, turns ? -by : 2 * by, two);
-    for (int k = 0; k < 13 + N; k++)
-        slope[k] = !both ? one[k] / by : turns ? (one[k] - two[k]) / (2 * by) : (4 * one[k] - two[k]) / (2 * by);
-    return 0;
-}
-
+/* By translations that grow, where these can, since breakpoints may coincide; of first order where no second is had. */
 static int loaded_slopes(tubeopt_memory *m, tubeopt_slopes *out) {
+    double slope[NUMBERS];
     for (int c = 0; c < JOINTS; c++) {
-        double slope[13 + N], turn[3] = {0};
-        int size = 0;
-        if (differ_loaded(m, c, 1, slope) && differ_loaded(m, c, -1, slope)) return 1;
-        for (int i = 0; i < N; i++) size += CARRIAGES[i] == c - N;
-        for (int r = 0; r < 3; r++) { /* the change of the frame R is turn x R */
-            int one = 3 * ((r + 1) % 3), two = 3 * ((r + 2) % 3);
-            turn[r] = (dot(slope + 3 + two, m->loaded.frame + one, 3) - dot(slope + 3 + one, m->loaded.frame + two, 3)) / 2;
-        }
-        for (int k = 0; k < 2 * N; k++) {
-            if (k < N ? k != c : CARRIAGES[k - N] != c - N) continue;
-            double share = 1. / (k < N ? 1 : size);
-            for (int r = 0; r < 3; r++) {
-                out->position[r][k] = share * slope[r];
-                out->turn[r][k] = share * turn[r];
-            }
-            for (int i = 0; i < N; i++) out->tip_rotations[i][k] = share * slope[12 + i];
-            out->margin[k] = share * slope[12 + N];
-        }
+        double by = c < N ? LOAD_TURN : LOAD_SHIFT * LONGEST_TUBE;
+        int failed = 1;
+        for (int exact = 1; exact >= 0 && failed; exact--)
+            failed = differ(m, loaded_beside, c, by, exact, slope) && differ(m, loaded_beside, c, -by, exact, slope);
+        if (failed) return 1;
+        put_slope(m->loaded.frame, slope, c, out);
     }
     tubeopt_bearing_compliance(room_of(m), 0, out->compliance[0]);
     return 0;

@@ -75,6 +75,8 @@ static double margin_here(const tubeopt_memory *m) { return m->answers[m->here].
 static double next_margin(const tubeopt_memory *m) { return m->answers[!m->here].margin; }
 #define bears(memory) 0
 #define bear_to(memory, joints) 0
+#define keep_loaded(memory)
+#define return_loaded(memory)
 #define accept_loaded(memory, joints)
 #endif
 
@@ -171,6 +173,9 @@ static tubeopt_joints between(const tubeopt_joints *from, const tubeopt_joints *
     return at;
 }
 
+#if TUBEOPT_LOADS || !SLOPES
+#include "sides.c"
+#endif
 #if TUBEOPT_LOADS
 #include "bearing.c"
 #endif
@@ -202,10 +207,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
     m->first = *last;
     m->origin = from;
-#if TUBEOPT_LOADS
-    m->first_loaded = m->loaded;
-    if (m->bears) tubeopt_bearing_keep(room_of(m));
-#endif
+    keep_loaded(m);
     for (int solves = 0; done < 1; solves++) {
         double t = done + step >= 1 - 1e-12 ? 1 : done + step;
         tubeopt_joints at = between(&from, joints, t);
@@ -221,10 +223,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
                 m->answers[m->here] = m->first;
                 take(m, &from);
                 m->fresh = 0;
-#if TUBEOPT_LOADS
-                m->loaded = m->first_loaded;
-                if (m->bears) tubeopt_bearing_return(room_of(m));
-#endif
+                return_loaded(m);
             }
             return TUBEOPT_SNAP;
         }
@@ -243,10 +242,7 @@ tubeopt_status tubeopt_undo(tubeopt_memory *m, tubeopt_pose *pose) {
     take(m, &m->origin);
     m->fresh = 0;
     m->before = NULL;
-#if TUBEOPT_LOADS
-    m->loaded = m->first_loaded;
-    if (m->bears) tubeopt_bearing_return(room_of(m));
-#endif
+    return_loaded(m);
     tell(m, pose);
     return TUBEOPT_DONE;
 }

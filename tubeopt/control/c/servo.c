@@ -163,10 +163,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
     if (look_ahead(m, 0)) return TUBEOPT_DECLINED;
     const Answer *here = m->answers + m->here;
     m->origin = m->joints;
-#if TUBEOPT_LOADS
-    m->first_loaded = m->loaded;
-    if (m->bears) tubeopt_bearing_keep(room_of(m));
-#endif
+    keep_loaded(m);
     aim_at(m, c, &aim, report);
     independent(&m->joints, q);
     floor = fmin(c->min_margin, margin_here(m)); /* what is below it does not get worse */

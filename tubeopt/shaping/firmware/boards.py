@@ -94,8 +94,6 @@ class Wiring:
 
     def __post_init__(self) -> None:
         check_fields(self, "the wiring")
-        choice("board", self.board, tuple(BOARDS))
-        choice("converter", self.converter, CONVERTERS)
 
     @property
     def known(self) -> Board:

@@ -1,4 +1,4 @@
-"""What a computer says to a rig and hears from it: one JSON object a line, over a port or from a simulation."""
+"""What a computer says to a rig and hears from it, one JSON object a line, over a port; and a rig in place of a rig."""
 
 from __future__ import annotations
 
@@ -7,30 +7,21 @@ import json
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ...errors import InputError, SolveError, extra
+from ...physics.heat import PROPERTIES
 from ...robots.materials import ZERO_CELSIUS
 from ..heating.law import HeatingLaw, begin, decide
-from .simulated import SimulatedRig
+from ..heating.rates import State, current
+from ..heating.rig import COUNTS
+from ..heating.sensors import Felt, Sensor
+from ..heating.thermal import ThermalModel
 
 BAUD = 115200
-
-
-class Line(Protocol):
-    """A line to a rig."""
-
-    def send(self, do: str, **more: Any) -> None:
-        """Send a command."""
-
-    def receive(self) -> dict[str, Any] | None:
-        """The next report, or None where none came within a second."""
-
-    def close(self) -> None:
-        """Let go of it."""
 
 
 @contextlib.contextmanager
@@ -63,11 +54,7 @@ class SerialLine:
             self._port.write((json.dumps({"do": do, **more}, separators=(",", ":")) + "\n").encode())
 
     def receive(self) -> dict[str, Any] | None:
-        """The next report, or None where none came within a second; what is no report is passed over.
-
-        Raises:
-            SolveError: the port is gone.
-        """
+        """The next report, {} for what is none, None where nothing came within a second; errors as `send`."""
         with _lost():
             self._rest += self._port.readline()
         if not self._rest.endswith(b"\n"):
@@ -82,6 +69,54 @@ class SerialLine:
     def close(self) -> None:
         """Let go of it."""
         self._port.close()
+
+
+@dataclass
+class SimulatedRig:
+    """One member of a thermal model that is switched and read like a rig.
+
+    model: one member. bias: K, of the sensor where `hot` degC are reached. noise: seed of the sensor's.
+    """
+
+    model: ThermalModel
+    sensor: Sensor
+    bias: float = 0.0
+    hot: float = 550.0
+    seed: int = 0
+    time: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        self._felt = Felt.at_rest(self.model, self.sensor)
+        self._ends = float(self._felt.target[0]), self.hot
+        self._rng = np.random.default_rng(self.seed)
+
+    @property
+    def state(self) -> State:
+        """Temperatures, and what else the model remembers."""
+        return self._felt.state
+
+    def pass_time(self, count: int, span: float) -> None:
+        """Let `span` seconds go by with the switch at `count`."""
+        self._felt = self._felt.after(self.model, self.sensor, count / COUNTS, span)
+        self.time += span
+
+    @property
+    def reading(self) -> float:
+        """What the sensor shows, degC."""
+        return float(self.sensor.shown(self._felt.lagged, self.bias, self._ends, self._rng)[0])
+
+    def electrics(self, conducting: bool) -> tuple[float, float]:
+        """Voltage of the battery, V, and current, A, while the switch conducts or while it does not."""
+        now = current(self.model, self.state.cells[:, :, 0], self.state.lumped)
+        volt, ampere = float(now.terminal_voltage[0]), float(now.total[0])
+        if conducting:
+            return volt, ampere
+        return volt + ampere * float(self.model.properties[0, PROPERTIES.index("internal")]), 0.0
+
+    @property
+    def hottest(self) -> float:
+        """Hottest point of the tube, K."""
+        return float(self.state.cells[:, :, 0].max())
 
 
 class SimulatedLine:
@@ -189,3 +224,7 @@ class SimulatedLine:
             "dry": self._dry,
             "led": bool(self._lead),
         }
+
+
+Line = SerialLine | SimulatedLine
+"""A line to a rig."""

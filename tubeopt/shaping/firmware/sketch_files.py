@@ -75,11 +75,7 @@ def _rows(name: str, values: Array) -> str:
 
 
 def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]]) -> str:
-    """schedule.h.   tables: voltage at rest, V, and counts of effect (T,) of every schedule, the fullest battery first.
-
-    Raises:
-        InputError: the slot is not a whole number of milliseconds.
-    """
+    """schedule.h.   tables: voltage at rest, V, and counts of effect (T,) of each, the fullest battery first."""
     law = tabled(feedback.law)
     slot = round(1000 * law.slot)
     if abs(slot - 1000 * law.slot) > 1e-9:

@@ -21,15 +21,16 @@ import scipy
 from ...display import Displayed
 from ...errors import InputError, choice, positive
 from ...physics.heat import LEAD, Resolution
+from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of, unexplained
 from .rates import State, at_rest, current
 from .rig import COUNTS, Rig
-from .sensors import followed
+from .sensors import followed, tube_at
 from .settings import DEFAULT_RIG_SOLVER, RigSolver
 from .simulation import advance
-from .thermal import COARSE, FINE, ThermalModel, stack, thermal_model, with_gap
+from .thermal import COARSE, FINE, ThermalModel, gap_of, stack, thermal_model
 
 BIAS = "bias"
 """What can be fitted besides factors: by how much every thermometer is off, K."""
@@ -111,9 +112,9 @@ def predict(
 
 
 def _touched(model: ThermalModel, state: State, log: HeatingLog) -> Array:
-    """(S, B) temperatures of the tube where the thermometers are."""
-    at = np.maximum(model.half_length - log.positions, float(model.position[model.zone == LEAD][0]))
-    return np.array([np.interp(at, model.position, row) for row in state.cells[:, :, 0]]).T
+    """(S, B) temperatures of the tube, K, where the thermometers are, or where the mold begins."""
+    farthest = model.half_length - float(model.position[model.zone == LEAD][0])
+    return tube_at(model, state, np.minimum(log.positions, farthest)).T + ZERO_CELSIUS
 
 
 def _seen(model: ThermalModel, state: State, shown: Array) -> Array:
@@ -202,7 +203,9 @@ class _Problem:
 
     def rig(self, names: Sequence[str], x: Array) -> Rig:
         """The rig with its factors exp(x)."""
-        rig = with_gap(self.tube, self.given) if "gap" in names else self.given
+        rig = self.given
+        if "gap" in names:
+            rig = replace(rig, mold=replace(rig.mold, gap=gap_of(self.tube, rig)))
         for name, value in zip(names, x, strict=True):
             if name in FACTORS:
                 rig = FACTORS[name](rig, float(np.exp(value)))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from ...errors import SolveError
 from ...robots.materials import ZERO_CELSIUS
@@ -15,43 +14,8 @@ from .counts import count_rate, full_current
 from .ideal import Ideal, Shift, solve_ideal
 from .outcome import Outcome, broken
 from .rig import Rig
+from .schedule import Programmed, Schedule, best_schedule, foreseen, realised
 from .spec import LONGEST, HeatingSpec
-
-
-@dataclass(frozen=True, eq=False)
-class Programmed:
-    """What the program said of a schedule.
-
-    Attributes:
-        ideal: its answer. shift: of its temperatures, by which it was corrected. reserve: kept from the window's ends,
-        K.
-    """
-
-    ideal: Ideal
-    shift: Shift | None
-    reserve: tuple[float, float]
-
-
-class Schedule(Protocol):
-    """What is asked of a schedule (`planning.Schedule`)."""
-
-    @property
-    def outcome(self) -> Outcome:
-        """What is kept."""
-
-    @property
-    def program(self) -> Programmed | None:
-        """What the program said of it; it is asked where the window is missed."""
-
-
-@dataclass(frozen=True)
-class Search:
-    """How schedules are found: the best one; what the soonest one keeps, None where it misses the window; and what
-    whole counts in the place of a program's answer keep."""
-
-    best: Callable[[Tube, Rig, HeatingSpec], Schedule]
-    soonest: Callable[[Tube, Rig, HeatingSpec], Outcome | None]
-    counted: Callable[[Tube, HeatingSpec, Ideal], Outcome]
 
 
 @dataclass(frozen=True)
@@ -75,19 +39,16 @@ class Cure:
 Change = tuple[str, Rig, HeatingSpec]
 
 
-def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Search) -> tuple[Cure, ...]:
+def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple[Cure, ...]:
     """Changes that let everything be kept, or at least nearly; the best first, the search ends at the first that cures.
 
     Changes for the window that leave nothing of the rig free are first tried by the soonest schedule; the others, and
-    those that it does not keep, by the program alone, and what seems to cure is confirmed.
-
-    Args:
-        best: the best schedule without any change.
+    those that it does not keep, by the program alone, and what seems to cure is confirmed. `best`: without any change.
     """
     plain = replace(spec, objective="time")
     if best.outcome.shortfall <= 0:
-        return _ordered(_for_limits(tube, rig, plain, best.outcome, by))
-    found: list[Cure | None] = []
+        return _ordered(_for_limits(tube, rig, plain, best.outcome))
+    found: list[Cure] = []
     said, limited = best.program, bool(best.outcome.broken)
     assert said is not None
     near = said
@@ -95,13 +56,13 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Sear
     for change in _candidates(rig, plain, said.ideal, said.shift)[: spec.solver.cures]:
         if _in_vain(change, answers):
             continue
-        cure = _kept(change, tube, by, limited)
+        cure = _kept(change, tube, limited)
         if cure is None and (tried := _tried(change, tube, spec, near)) is not None:
             answers.append((*change[1:], tried[1]))
             if change[2].free:
                 # What frees more begins with what less has made of it.
                 near = replace(near, ideal=tried[1])
-            cure = _settled(change, tube, tried, limited, by)
+            cure = _settled(change, tube, tried, limited)
         if cure is not None and cure.shortfall < (1 - spec.solver.cure_worth) * best.outcome.shortfall:
             found.append(cure)
             # No change for the window is one for limits.
@@ -122,7 +83,7 @@ def _in_vain(change: Change, answers: Sequence[tuple[Rig, HeatingSpec, Ideal]]) 
     )
 
 
-def _kept(change: Change, tube: Tube, by: Search, anyway: bool) -> Cure | None:
+def _kept(change: Change, tube: Tube, anyway: bool) -> Cure | None:
     """The cure that a change is by the soonest schedule; None where that does not keep everything, or, where limits of
     ramp and currents are broken `anyway`, the window.
 
@@ -131,7 +92,7 @@ def _kept(change: Change, tube: Tube, by: Search, anyway: bool) -> Cure | None:
     words, rig, asked = change
     found: Cure | None = None
     for spec in () if asked.free else _slower(tube, rig, asked):
-        outcome = by.soonest(tube, rig, spec)
+        outcome = foreseen(tube, rig, spec)
         if outcome is None or outcome.shortfall > 0:
             continue
         if outcome.kept:
@@ -151,23 +112,23 @@ def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
     return (replace(spec, slot=longer), spec) if swing < spec.solver.cure_swing * (high - low) else (spec,)
 
 
-def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: bool, by: Search) -> Cure:
+def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: bool) -> Cure:
     """What the program makes of a change, and whole counts of what it would cure."""
     cure, answer = tried
     if cure.shortfall >= change[2].solver.cure_miss:
         return cure
     fixed = replace(change[2], free=())
-    if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, by, limited)) is not None:
+    if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, limited)) is not None:
         return kept
     for asked in _slower(tube, answer.rig, fixed):
-        outcome = by.counted(tube, asked, answer)
+        outcome = realised(tube, asked, answer)
         if outcome.kept or (limited and outcome.shortfall <= 0):
             break
     return replace(cure, shortfall=outcome.shortfall, broken=outcome.broken)
 
 
-def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
-    return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
+def _ordered(cures: Sequence[Cure]) -> tuple[Cure, ...]:
+    return tuple(sorted(cures, key=lambda cure: (not cure.cures, cure.shortfall)))
 
 
 def _tried(change: Change, tube: Tube, spec: HeatingSpec, near: Programmed) -> tuple[Cure, Ideal] | None:
@@ -201,30 +162,29 @@ def _chosen(rig: Rig, other: Rig) -> str:
     return ", ".join(parts[:-1]) + " and " * (len(parts) > 1) + "".join(parts[-1:])
 
 
-def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
-    """What whole counts make of a change; None where there is no schedule."""
+def _confirmed(change: Change, tube: Tube) -> list[Cure]:
+    """What whole counts make of a change; nothing where there is no schedule."""
     words, rig, asked = change
-    for spec in _slower(tube, rig, asked)[:-1]:
-        if (outcome := by.soonest(tube, rig, spec)) is not None and outcome.kept:
-            return Cure(words, 0.0)
+    if (kept := _kept(change, tube, False)) is not None:
+        return [kept]
     try:
-        found = by.best(tube, rig, asked)
+        outcome = best_schedule(tube, rig, asked).outcome
     except SolveError:
-        return None
-    return Cure(words, found.outcome.shortfall, found.outcome.broken)
+        return []
+    return [Cure(words, outcome.shortfall, outcome.broken)]
 
 
-def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome, by: Search) -> list[Cure | None]:
+def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure]:
     """Changes where the window is held but ramp or currents are not: less current, or another limit."""
     now, count = full_current(tube, rig), count_rate(tube, rig)
     # One count should warm the tube by less than half of the ramp, and the peak stay below the circuit's.
     most = min(now * math.sqrt(min(0.4 * spec.ramp / count, 1.0)), 0.95 * rig.circuit.peak_limit)
-    found: list[Cure | None] = []
+    found: list[Cure] = []
     if most < now:
         ohm = 1e-3 * math.ceil(rig.battery.voltage * (1 / most - 1 / now) / 1e-3)
         circuit = replace(rig.circuit, cable_resistance=rig.circuit.cable_resistance + ohm)
         change = f"a resistor of {1e3 * ohm:.0f} mohm in series", replace(rig, circuit=circuit), spec
-        found.append(_confirmed(change, tube, by))
+        found += _confirmed(change, tube)
     if outcome.steepest > spec.ramp:
         # The schedule that breaks the limit keeps another one.
         faster = replace(spec, ramp=float(5 * math.ceil(outcome.steepest / 5 + 1e-9)))

@@ -8,7 +8,6 @@ from ...errors import InputError
 from ...files.csv_file import to_csv
 from .plan import HeatingPlan
 
-COLUMNS = ("time_s", "duty", "ideal_duty", "coldest_degC", "hottest_degC", "limit_point_degC", "voltage_V", "current_A")
 PER_LINE = 16
 
 
@@ -19,42 +18,31 @@ def schedule_csv(plan: HeatingPlan) -> str:
     voltage and current are those while the MOSFET conducts.
     """
     curved = plan.temperature[:, plan.curved]
-    rows = [
-        (
-            f"{plan.time[k]:.3f}",
-            int(plan.duty[k]),
-            f"{plan.ideal_duty[k]:.3f}",
-            f"{curved[k].min():.2f}",
-            f"{curved[k].max():.2f}",
-            f"{plan.temperature[k].max():.2f}",
-            f"{plan.voltage[k]:.3f}",
-            f"{plan.current[k]:.2f}",
-        )
-        for k in range(len(plan.time))
-    ]
+    columns = {
+        "time_s": (plan.time, ".3f"),
+        "duty": (plan.duty, "d"),
+        "ideal_duty": (plan.ideal_duty, ".3f"),
+        "coldest_degC": (curved.min(1), ".2f"),
+        "hottest_degC": (curved.max(1), ".2f"),
+        "limit_point_degC": (plan.temperature.max(1), ".2f"),
+        "voltage_V": (plan.voltage, ".3f"),
+        "current_A": (plan.current, ".2f"),
+    }
+    rows = zip(*([f"{value:{form}}" for value in values] for values, form in columns.values()), strict=True)
     comment = (
         f"{plan.rig.name or 'rig'}: every duty holds for {plan.spec.slot:g} s; hold from {plan.hold_start:g} to "
         f"{plan.hold_end:g} s; battery at {plan.rig.battery.voltage:.2f} V at rest"
     )
-    return to_csv(COLUMNS, rows, comment)
+    return to_csv(tuple(columns), rows, comment)
 
 
 def arduino_header(plan: HeatingPlan) -> str:
-    """A C header with the duties as bytes, for `analogWrite` every SLOT_MS milliseconds.
-
-    Raises:
-        InputError: the slot is not a whole number of milliseconds.
-    """
-    return duty_header(plan.duty.tolist(), plan.spec.slot, plan.rig.battery.voltage)
-
-
-def duty_header(duty: list[int], slot: float, voltage: float) -> str:
-    """The header of `arduino_header` from duties (0-255), their slot (s), and the battery's voltage at rest (V)."""
-    milliseconds = slot_milliseconds(slot)
+    """A C header with the duties as bytes, for `analogWrite` every SLOT_MS ms; errors as `slot_milliseconds`."""
+    duty, milliseconds = plan.duty.tolist(), slot_milliseconds(plan.spec.slot)
     lines = [", ".join(f"{d:3d}" for d in duty[k : k + PER_LINE]) for k in range(0, len(duty), PER_LINE)]
     body = ",\n".join(f"    {line}" for line in lines)
     return f"""/* Heating schedule for a shape-setting rig: duty (0-255) of the PWM, one byte for every slot.
-   For a battery of {voltage:.2f} V at rest. The last duty is 0: the tube is off. */
+   For a battery of {plan.rig.battery.voltage:.2f} V at rest. The last duty is 0: the tube is off. */
 #ifndef HEATING_SCHEDULE_H
 #define HEATING_SCHEDULE_H
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...block.transcription.tableau import tableau
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE as USED
 from ...physics.heat_functions import CLAMP
@@ -57,13 +56,10 @@ def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float)
         return duty_for(model, state, wanted, slot, rig.circuit.current_limit)
 
     history, duties = simulate_feedback(model, slot, count, controller)
-    heating, holding = s.mesh.fractions
-    faces = np.concatenate([planned * heating, planned + hold * holding[1:]])
-    points = (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", s.mesh.degree).nodes).ravel()
+    faces, points = s.mesh.times(planned, hold)
     found = _unknowns(model, history, duties, points, faces)
     durations = np.full(s.mesh.heating, planned / DURATION)
-    miss = _start_miss(made, model, spec, found["z"])
-    return np.concatenate([found["z"], found["circuit"], found["drive"], durations]), miss
+    return np.concatenate([*found, durations]), _start_miss(made, model, spec, found[0])
 
 
 def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array) -> float:
@@ -85,7 +81,7 @@ def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, curr
     return float(np.clip(need / (full[hot] - idle[hot]), 0.0, min(1.0, current_limit / now)))
 
 
-def _unknowns(model: ThermalModel, history: History, duties: Array, points: Array, faces: Array) -> dict[str, Array]:
+def _unknowns(model: ThermalModel, history: History, duties: Array, points: Array, faces: Array) -> list[Array]:
     """Scaled temperatures, currents and duties of a simulation at the collocation points and nodes."""
     covered = model.zone >= LEAD
     parts = [history.tube[:, 0], history.walls[:, 0][:, covered].reshape(len(history.time), -1)]
@@ -94,15 +90,7 @@ def _unknowns(model: ThermalModel, history: History, duties: Array, points: Arra
     z = np.column_stack(
         [scaled, (lumped[:, CLAMP] - model.ambient) / RISE, lumped[:, USED] / CHARGE, lumped[:, SAGGED] / SAG]
     )
-    at = [np.interp(points, history.time, column) for column in z.T]
+    circuit = np.column_stack([history.current[:, 0] / AMPERE, history.resistance[:, 0] / 2 / OHM])
+    at = [np.column_stack([np.interp(points, history.time, x) for x in table.T]).ravel() for table in (z, circuit)]
     middle = 0.5 * (history.time[1:] + history.time[:-1])
-    return {
-        "z": np.array(at).T.ravel(),
-        "circuit": np.column_stack(
-            [
-                np.interp(points, history.time, history.current[:, 0]) / AMPERE,
-                np.interp(points, history.time, history.resistance[:, 0] / 2) / OHM,
-            ]
-        ).ravel(),
-        "drive": np.interp(faces, middle, duties * history.current[:-1, 0] ** 2) / DRIVE,
-    }
+    return [*at, np.interp(faces, middle, duties * history.current[:-1, 0] ** 2) / DRIVE]

@@ -13,13 +13,12 @@ import numpy as np
 
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from .counts import most_count
+from .counts import Counts, most_count, sum_up_rounding
 from .rates import State, at_rest
 from .rig import COUNTS, Rig
-from .schedule import Counts, sum_up_rounding
 from .simulation import advance
 from .spec import HeatingSpec
-from .thermal import ThermalModel, joined
+from .thermal import ThermalModel, seen
 
 
 def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) -> tuple[Counts, Array, float] | None:
@@ -30,15 +29,15 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
         model: one member. reserve: kept from the window's ends and the limit, K.
     """
     low, high = spec.window_degC[0] + reserve, min(spec.window_degC[1], spec.limit) - reserve
-    state, counts, seen = at_rest(model), [], []
+    state, counts, looked = at_rest(model), [], []
     slots, apart = int(spec.longest_heating / spec.slot), max(round(spec.solver.stall / spec.slot), 1)
     for k in range(slots):
-        coldest = _curved(model, state)[0]
+        coldest = float(seen(model, state.cells[0, :, 0])[0])
         if coldest >= low:
             break
         if k % apart == 0:
-            seen.append(coldest)
-            if _stalls(seen, low, spec.solver.sooner * (slots - k) / apart):
+            looked.append(coldest)
+            if _stalls(looked, low, spec.solver.sooner * (slots - k) / apart):
                 return None
         most = most_count(model, state, spec, rig)
         count, state = _greatest(model, state, most, (spec.slot, high, spec.solver.probe))
@@ -77,25 +76,19 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
     levels: list[float] = []
     while len(levels) < spec.hold_slots:
         span = together * spec.slot
-        coldest, hottest = _curved(model, state)
+        coldest, hottest, top = seen(model, state.cells[0, :, 0])
         # A bare part may be hotter than the curved one.
-        target = min(middle + 0.5 * (hottest - coldest) + _hottest(state) - hottest, high)
+        target = min(float(middle + 0.5 * (hottest - coldest) + top - hottest), high)
         most = most_count(model, state, spec, rig)
         # One count is left for what changes within the slots that share a duty, but the tube need not cool for it.
         for spared in (1, 0):
             level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target, spec.solver.probe))
             after = advance(model, state, level, span)
-            if level < (most - spared) / COUNTS or _curved(model, after)[0] >= coldest:
+            if level < (most - spared) / COUNTS or seen(model, after.cells[0, :, 0])[0] >= coldest:
                 break
         levels += [level] * together
         state = after
     return np.array(levels[: spec.hold_slots])
-
-
-def _curved(model: ThermalModel, state: State) -> tuple[float, float]:
-    """Coldest and hottest of the curved part, degC."""
-    found = joined(model, state.cells[:, :, 0]) - ZERO_CELSIUS
-    return float(found.min()), float(found.max())
 
 
 def _hottest(state: State) -> float:

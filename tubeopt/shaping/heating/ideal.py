@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
-from ...block.transcription.tableau import tableau
 from ...errors import SolveError
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
@@ -35,7 +36,7 @@ class Ideal:
     """The ideal schedule.
 
     Attributes:
-        heating: time at which the hold begins, s. hold: its length, s.
+        heating: time at which the hold begins, s.
         node_time, node_duty: (K,) between which the duty is linear, s and fraction.
         miss: by how much the window, narrowed by the reserve, is missed, K; below 0 only for "margin".
         rig: with clearance, lead and vents as chosen.
@@ -46,7 +47,6 @@ class Ideal:
     """
 
     heating: float
-    hold: float
     node_time: Array
     node_duty: Array
     miss: float
@@ -66,13 +66,9 @@ class Ideal:
     def duty(self, slot: float, count: int) -> Array:
         """(count,) mean duty in every slot from the start; the last duty goes on after the end."""
         edges = slot * np.arange(count + 1)
-        time, duty = self.node_time, self.node_duty
-        if edges[-1] > time[-1]:
-            time, duty = np.append(time, edges[-1] + slot), np.append(duty, duty[-1])
-        integral = np.concatenate([[0.0], np.cumsum(np.diff(time) * 0.5 * (duty[1:] + duty[:-1]))])
-        k = np.clip(np.searchsorted(time, edges, side="right") - 1, 0, len(time) - 2)
-        value = np.interp(edges, time, duty)
-        total = integral[k] + 0.5 * (edges - time[k]) * (duty[k] + value)
+        both = np.union1d(self.node_time, edges)
+        duty = np.interp(both, self.node_time, self.node_duty)
+        total = scipy.integrate.cumulative_trapezoid(duty, both, initial=0.0)[np.searchsorted(both, edges)]
         return np.asarray(np.clip(np.diff(total) / slot, 0.0, 1.0))
 
 
@@ -136,7 +132,7 @@ def solve_ideal(
     structure = Structure(PROGRAM, clear=below and spec.objective == "margin", chosen=spec.free)
     made = program(structure, spec.solver.ipopt, spec.solver.again_iterations)
     x = guess.x if guess is not None else first_guess(made, tube, rig, spec)
-    lower, upper = _unknown_bounds(made, tube, rig, spec)
+    lower, upper = _unknown_bounds(structure, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
     if not structure.clear:
         tubes = upper[: structure.points * structure.states].reshape(structure.points, -1)[:, : PROGRAM.cells]
@@ -198,37 +194,36 @@ def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float
     return np.array([values[name] for name in WISHES])
 
 
-def _unknown_bounds(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Array, Array]:
-    s = made.structure
-    n_u = s.mesh.heating + s.mesh.hold + 1
-    cold = np.full((s.points, s.states), -np.inf)
+def _bounds(limits: Mapping[str, Sequence[Any]], sizes: Mapping[str, int]) -> tuple[Array, Array]:
+    """Lower and upper bounds of everything by name, in the order of the sizes."""
+    lower, upper = (
+        np.concatenate([np.broadcast_to(np.ravel(limits[name][side]), (size,)) for name, size in sizes.items()])
+        for side in (0, 1)
+    )
+    return lower, upper
+
+
+def _unknown_bounds(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Array, Array]:
     hot = np.full((s.points, s.states), np.inf)
     # What the battery holds is what can be drawn.
     hot[:, -2] = rig.battery.state_of_charge / CHARGE
-    design = [rig.clamps.clearance, rig.mold.lead]
-    ranges = [spec.clearance_range, spec.lead_range]
-    pairs = [
-        pair if name in spec.free else (value, value)
-        for name, value, pair in zip(("clearance", "lead"), design, ranges, strict=True)
-    ]
-    vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
-    vent_low, vent_high = (0 * vents, 0 * vents + spec.most_vent) if "vents" in spec.free else (vents, vents)
-    least_miss = -1e3 if spec.objective == "margin" else 0.0
-    tail = [np.array([pair[side] for pair in pairs]) / LENGTH for side in (0, 1)]
-    intervals, longest = s.mesh.heating, spec.longest_heating
     # The points of a long heating look at the ramp too late; at rest nothing is lost yet, and it bounds the drive.
-    drives = np.full(n_u, np.inf)
-    now = full_current(tube, rig, leaking=False)
-    drives[0] = spec.ramp / (COUNTS * count_rate(tube, rig)) * now**2 / DRIVE
-    lower = [
-        cold.ravel(), np.zeros(2 * s.points), np.zeros(n_u), np.full(intervals, 0.5 / DURATION),
-        np.full(s.points, least_miss), tail[0], vent_low, np.full(s.copies, -np.inf),
-    ]  # fmt: skip
-    upper = [
-        hot.ravel(), np.full(2 * s.points, np.inf), drives, np.full(intervals, longest / DURATION),
-        np.full(s.points, spec.solver.most_miss), tail[1], vent_high, np.full(s.copies, np.inf),
-    ]  # fmt: skip
-    return np.concatenate(lower), np.concatenate(upper)
+    drives = np.full(s.unknowns["drive"][1], np.inf)
+    drives[0] = spec.ramp / (COUNTS * count_rate(tube, rig)) * full_current(tube, rig, leaking=False) ** 2 / DRIVE
+    given = {"clearance": (rig.clamps.clearance, spec.clearance_range), "lead": (rig.mold.lead, spec.lead_range)}
+    lengths = np.array([ends if name in spec.free else (own, own) for name, (own, ends) in given.items()]) / LENGTH
+    vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
+    opened = (0 * vents, 0 * vents + spec.most_vent) if "vents" in spec.free else (vents, vents)
+    limits = {
+        "z": (-np.inf, hot),
+        "circuit": (0.0, np.inf),
+        "drive": (0.0, drives),
+        "durations": (0.5 / DURATION, spec.longest_heating / DURATION),
+        "misses": (-1e3 if spec.objective == "margin" else 0.0, spec.solver.most_miss),
+        "design": [np.concatenate(side) for side in zip(lengths.T, opened, strict=True)],
+        "copies": (-np.inf, np.inf),
+    }
+    return _bounds(limits, {name: rows * columns for name, (rows, columns) in s.unknowns.items()})
 
 
 def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array]:
@@ -243,11 +238,7 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
         limits["high"] = (-np.inf, -shift.held / WINDOW)
         if made.structure.clear:
             limits["limit"] = (-np.inf, -shift.tube / RISE)
-    lower, upper = (
-        np.concatenate([np.broadcast_to(np.ravel(limits[name][side]), (size,)) for name, size in made.sizes.items()])
-        for side in (0, 1)
-    )
-    return lower, upper
+    return _bounds(limits, made.sizes)
 
 
 # --- the answer ---------------------------------------------------------------------------------------------------
@@ -256,29 +247,23 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
 def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iterations: int) -> Ideal:
     Z, circuit, u, duration, miss, design = (part.full() for part in made.split(x))
     heating = DURATION * float(duration[0, 0])
-    hold = spec.covered_time
-    first, second = made.structure.mesh.fractions
-    faces = np.concatenate([heating * first, heating + hold * second[1:]])
-    nodes = tableau("radau", made.structure.mesh.degree).nodes
-    points = (faces[:-1, None] + np.diff(faces)[:, None] * nodes).ravel()
+    faces, points = made.structure.mesh.times(heating, spec.covered_time)
     # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
     fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.duty_points)]))
     ampere = AMPERE * np.interp(fine, points, circuit[0])
     duty = DRIVE * np.interp(fine, faces, u.ravel()) / ampere**2
-    changes: dict[str, Any] = {}
+    clamps, mold = rig.clamps, rig.mold
     if "clearance" in spec.free:
-        changes["clamps"] = replace(rig.clamps, clearance=LENGTH * float(design[0, 0]))
-    mold = rig.mold
+        clamps = replace(clamps, clearance=LENGTH * float(design[0, 0]))
     if "lead" in spec.free:
         mold = replace(mold, lead=LENGTH * float(design[1, 0]))
-    chosen = replace(rig, **changes, mold=mold)
     if "vents" in spec.free:
-        chosen = replace(chosen, mold=replace(mold, vents=tuple(np.clip(design[2:, 0], 0.0, 0.5).tolist())))
+        mold = replace(mold, vents=tuple(np.clip(design[2:, 0], 0.0, 0.5).tolist()))
+    chosen = replace(rig, clamps=clamps, mold=mold)
     temperature = rig.ambient + RISE * Z[: made.structure.resolution.cells].T
     first_held = made.structure.mesh.heating * made.structure.mesh.degree - 1
     return Ideal(
         heating=heating,
-        hold=hold,
         node_time=fine,
         node_duty=np.clip(duty, 0.0, 1.0),
         miss=float(miss[0, 0]),

@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from ...errors import InputError, instance
 from ...solvers.parallel.blas import small
 from ...typing import Array
 from .feedback import Contribution, Feedback
-from .gains import readings, regulator, response
 from .law import HeatingLaw, shifted
 from .loop import Fleet, LoopHistory, run_loop
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .robust import ENSEMBLE, assess
-from .sensors import Sensor
-from .thermal import FINE, thermal_model
+from .sensors import Felt, Sensor
+from .thermal import FINE, ThermalModel, thermal_model
 from .uncertainty import Uncertainty
 
 SHIFTS = np.linspace(-15.0, 15.0, 121)
 """Set-points that are looked at, K from the plan's."""
+
+PROBE = 0.02
+"""Share by which the planned duties are raised to see what the reading does."""
+
+RESET = 8.0
+"""Time, s, in which an error that stays weighs as much as one at once: that of the mold's first shells, which fill up
+and are why the tube needs less and less power."""
 
 
 @small
@@ -118,7 +125,7 @@ def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -
     """The law with the gains and the set-point that keep most of a fleet in the window, and that by most."""
     law = nominal_law(plan, sensor)
     nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
-    found = response(nominal, sensor, law.slot, (law.planned + law.lost * (law.planned > 0)) / COUNTS, law.hold)
+    found = response(nominal, sensor, law)
     fleet, _ = fleet_of(plan, sensor, unknown, plan.spec.solver.law_rigs, seed)
     best: tuple[float, HeatingLaw] | None = None
     for share in (0.002, 0.005, 0.01, 0.02, 0.04):  # per K, from gentle to quick
@@ -148,11 +155,8 @@ def _best_shift(plan: HeatingPlan, low: Array, high: Array, top: Array) -> tuple
 
 def corrected(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, history: LoopHistory) -> LoopHistory:
     """Temperatures of a fleet with what the fine grid adds to the first member, at every slot of the schedule."""
-    alone = Fleet(thermal_model(plan.tube, plan.rig, FINE), np.zeros(1))
-    fine = run_loop(alone, law, replace(sensor, noise=0.0), seed=0)
-    coarse = run_loop(
-        Fleet(thermal_model(plan.tube, plan.rig, ENSEMBLE), np.zeros(1)), law, replace(sensor, noise=0.0), seed=0
-    )
+    models = (thermal_model(plan.tube, plan.rig, grid) for grid in (FINE, ENSEMBLE))
+    fine, coarse = (run_loop(Fleet(model, np.zeros(1)), law, replace(sensor, noise=0.0)) for model in models)
 
     def added(name: str) -> Array:
         slots = range(len(law.planned) + 1)
@@ -173,3 +177,49 @@ def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: A
     slope = np.linalg.lstsq(columns, middle, rcond=None)[0][1:]
     found = [Contribution(name, float(abs(s) * w)) for name, s, w in zip(names, slope, spread, strict=True)]
     return tuple(sorted(found, key=lambda item: -item.deviation))
+
+
+# --- gains: a linear-quadratic regulator of what the reading does after a share of power ------------------------------
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the reading does after a share of power: towards `gain`, K, with a time constant, s."""
+
+    gain: float
+    time_constant: float
+
+
+def readings(model: ThermalModel, sensor: Sensor, slot: float, duty: Array) -> Array:
+    """(T + 1, B) degC that a sensor without bias and noise shows under duties (T,) in [0, 1]."""
+    felt = [Felt.at_rest(model, sensor)]
+    for level in duty:
+        felt.append(felt[-1].after(model, sensor, level, slot))
+    return np.array([now.lagged for now in felt])
+
+
+def response(model: ThermalModel, sensor: Sensor, law: HeatingLaw) -> Response:
+    """The response of the first member's reading in the hold to a share of what a law plans."""
+    first, last = law.hold
+    duty = (law.planned + law.lost * (law.planned > 0)) / COUNTS
+    plain = readings(model, sensor, law.slot, duty)[:, 0]
+    raised = readings(model, sensor, law.slot, np.where(np.arange(len(duty)) < first, duty, duty * (1 + PROBE)))[:, 0]
+    rise = (raised - plain)[first : last + 1] / PROBE
+    gain = float(rise[-1])
+    # The area between the step and its end is the time constant, whatever the shape is.
+    return Response(gain, float(max(law.slot * np.sum(1 - rise / gain), law.slot)))
+
+
+def regulator(found: Response, slot: float, share_per_kelvin: float) -> tuple[float, float]:
+    """Proportional (1/K) and integral gain (1/(K s)) that balance errors with the share that they cost.
+
+    The least sum over slots of e^2 + (sum of e / RESET)^2 + (share / share_per_kelvin)^2, the reading being the state:
+    the algebraic Riccati equation of error and integrated error.
+    """
+    kept = float(np.exp(-slot / found.time_constant))
+    A = np.array([[kept, 0.0], [slot, 1.0]])
+    B = np.array([[-found.gain * (1 - kept)], [0.0]])
+    Q, R = np.diag([1.0, 1 / RESET**2]), np.array([[1 / share_per_kelvin**2]])
+    P = scipy.linalg.solve_discrete_are(A, B, Q, R)
+    gains = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
+    return float(-gains[0]), float(-gains[1])

@@ -117,21 +117,23 @@ class HeatingLog:
                 f"to {self.time[-1]:g} s"
             )
         both = np.union1d(self.time, time[inside])
-        own, seen = np.searchsorted(both, self.time), np.searchsorted(both, time[inside])
-        before = [] if self.temperature is None else [self.temperature.reshape(len(self.time), -1)]
-        table = np.full((len(both), sum(part.shape[1] for part in before) + len(positions)), np.nan)
-        if before:
-            table[own, : before[0].shape[1]] = before[0]
-        table[seen, -len(positions) :] = temperature[inside]
-        spread = {name: getattr(self, name) for name in ("voltage", "current") if getattr(self, name) is not None}
-        for name, values in spread.items():
-            spread[name] = np.full(len(both), np.nan)
-            spread[name][own] = values
-        duty = self.duty[np.searchsorted(self.time, both, side="right") - 1]
+
+        def spread(at: Array, values: Array) -> Array:
+            table = np.full((len(both), *values.shape[1:]), np.nan)
+            table[np.searchsorted(both, at)] = values
+            return table
+
+        others = {name: spread(self.time, v) for name, v in self.channels.items() if name in ("voltage", "current")}
+        before = [] if self.temperature is None else [spread(self.time, self.temperature.reshape(len(self.time), -1))]
         known = self.positions if before else np.zeros(0)
-        places = np.concatenate([known, positions])
-        lags = np.concatenate([np.broadcast_to(self.lag, len(known)), np.zeros(len(positions))])
-        return HeatingLog(both, duty, temperature=table, position=places, lag=lags, **spread)
+        return HeatingLog(
+            both,
+            self.duty[np.searchsorted(self.time, both, side="right") - 1],
+            temperature=np.hstack([*before, spread(time[inside], temperature[inside])]),
+            position=np.concatenate([known, positions]),
+            lag=np.concatenate([np.broadcast_to(self.lag, len(known)), np.zeros(len(positions))]),
+            **others,
+        )
 
     def kept(self, channels: dict[str, Array]) -> HeatingLog:
         """With other readings in the channels of temperature."""

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
 from .law import HeatingLaw, begin, decide
-from .rates import State, at_rest
 from .rig import COUNTS
-from .sensors import Sensor
-from .simulation import advance
-from .thermal import ThermalModel, joined
+from .sensors import Felt, Sensor
+from .thermal import ThermalModel, seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,39 +66,20 @@ def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, di
         dies: s, time from which the sensor is dead: the firmware then stops, and the count is 0.
     """
     model, rng = fleet.model, np.random.default_rng(seed)
-    state, memory = at_rest(model), begin(model.members)
-    target = sensor.target(model, state)
-    lagged, rows = target, []
-    dead = np.zeros(model.members, dtype=bool)
+    felt, memory, rows = Felt.at_rest(model, sensor), begin(model.members), []
+    ends, dead = (law.reference.min(), law.reference.max()), np.zeros(model.members, dtype=bool)
     slots = math.ceil(law.longest / law.slot)
     for k in range(slots + 1):
-        reading = sensor.told(
-            lagged + fleet.bias * _part(law, lagged) + sensor.noise * rng.standard_normal(len(lagged))
-        )
+        reading = sensor.shown(felt.lagged, fleet.bias, ends, rng)
         dead |= (k * law.slot >= dies) | (reading < sensor.lowest) | (reading > sensor.highest)
         place = memory.place
         count, memory = decide(law, memory, reading)
         count = np.where(dead, 0, count)
-        rows.append((reading, count, place, *_seen(model, state)))
+        rows.append((reading, count, place, *seen(model, felt.state.cells[:, :, 0])))
         if (memory.place > len(law.planned)).all() or k == slots:
             break
-        state = advance(model, state, count / COUNTS, law.slot)
-        now = sensor.target(model, state)
-        lagged, target = sensor.followed(lagged, target, now, law.slot), now
+        felt = felt.after(model, sensor, count / COUNTS, law.slot)
     names = ("reading", "count", "place", "coldest", "hottest", "top")
     columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     finished = (memory.place >= len(law.planned)) & ~dead
     return LoopHistory(np.asarray(law.slot * np.arange(len(rows))), finished=finished, **columns)
-
-
-def _part(law: HeatingLaw, reading: Array) -> Array:
-    """The part of its bias with which a sensor reads: in proportion to the rise, as thermometers err."""
-    cold, hot = law.reference.min(), law.reference.max()
-    return np.asarray(np.clip((reading - cold) / (hot - cold), 0.0, 1.0))
-
-
-def _seen(model: ThermalModel, state: State) -> tuple[Array, Array, Array]:
-    """(B,) coldest and hottest of the curved part, and the hottest point, degC."""
-    tube = state.cells[:, :, 0]
-    curved = joined(model, tube)
-    return curved.min(1) - ZERO_CELSIUS, curved.max(1) - ZERO_CELSIUS, tube.max(1) - ZERO_CELSIUS

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
-from ...physics.heat_functions import CHARGE, DRAWN
+from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
+from .counts import Counts
 from .cures import Cure
 from .feedback import Feedback
-from .outcome import Outcome, hold_slots, outcome_of, remarks
+from .outcome import Outcome, hold_slots, remarks
 from .rates import stored
 from .rig import COUNTS, Rig
-from .schedule import Counts
-from .simulation import History, clamp_temperature
+from .schedule import Schedule
 from .spec import HeatingSpec
-from .thermal import ThermalModel, thermal_data
+from .thermal import thermal_data
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
@@ -31,6 +31,10 @@ draught, with radiation. Order of magnitude, assumed."""
 
 QUENCHED_DEGC = 100.0
 """Below this nothing happens to nitinol in seconds."""
+
+AGEING, SHORTEST = (400.0, 500.0), 120.0
+"""Temperatures, degC, around the fastest precipitation of Ti-50.8Ni wire, by which its austenite finish moves; and
+the shortest treatment, s, that the source tells of (ASME 2nd Frontiers in Biomedical Devices, BIOMED2007, p. 89)."""
 
 
 class HeatingStatus(Sentence):
@@ -90,21 +94,6 @@ class Energies:
     """Heat in tube, mold and clamps at the end, J."""
     energy_error: float
     """Energy unaccounted for in the re-simulation, as a fraction."""
-
-
-@dataclass(frozen=True, eq=False)
-class Computed:
-    """What a plan is told from: model, beginning of the hold (s), counts and ideal mean duties, what both do to the
-    tube (that of the counts from `resimulate`), error of the mesh (K), iterations."""
-
-    model: ThermalModel
-    start: float
-    counts: Counts
-    levels: Array
-    checked: History
-    exact: History
-    mesh_error: float
-    iterations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,27 +241,30 @@ class HeatingPlan(Displayed):
         return end + max(end - self.tube.straight_length, 0.0)
 
     @classmethod
-    def of(cls, tube: Tube, rig: Rig, spec: HeatingSpec, computed: Computed, *, cures: tuple[Cure, ...] = ()) -> Self:
-        """The plan from what was computed."""
-        model, start, history = computed.model, computed.start, computed.checked
-        outcome = outcome_of(model, rig, spec, history, start, computed.mesh_error)
-        _, last = hold_slots(spec, start)
+    def of(
+        cls, tube: Tube, spec: HeatingSpec, found: Schedule, iterations: int, *, cures: tuple[Cure, ...] = ()
+    ) -> Self:
+        """The plan of a schedule, and the iterations that it took."""
+        run, history, outcome = found.run, found.checked, found.outcome
+        rig, model = run.rig, run.model
+        _, last = hold_slots(spec, run.start)
         row = history.tube[last, 0]
+        rise = (row - model.ambient) * model.width
         covered = model.zone >= LEAD
         walls = history.walls[:, 0][:, covered, 0]
         course = Course(
             time=history.time,
-            duty=np.append(computed.counts, 0),
+            duty=np.append(found.counts, 0),
             temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
             position=model.full_position,
             curved=np.concatenate([model.curved, model.curved[::-1]]),
             zone=np.concatenate([model.zone, model.zone[::-1]]),
-            ideal_duty=np.append(COUNTS * computed.levels, 0.0),
-            ideal_temperature=_mirrored(computed.exact.tube[:, 0]) - ZERO_CELSIUS,
+            ideal_duty=np.append(COUNTS * run.levels, 0.0),
+            ideal_temperature=_mirrored(run.exact.tube[:, 0]) - ZERO_CELSIUS,
             voltage=history.voltage[:, 0],
             current=history.current[:, 0],
             charge=rig.battery.state_of_charge - history.lumped[:, 0, CHARGE],
-            clamp_temperature=clamp_temperature(history)[:, 0] - ZERO_CELSIUS,
+            clamp_temperature=history.lumped[:, 0, CLAMP] - ZERO_CELSIUS,
             mold_temperature=walls.max(1) - ZERO_CELSIUS,
         )
         held = float(stored(model, history.final)[0])
@@ -283,24 +275,19 @@ class HeatingPlan(Displayed):
             course=course,
             outcome=outcome,
             energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
-            hold_start=start,
-            mesh_error=computed.mesh_error,
+            hold_start=run.start,
+            mesh_error=run.error,
             problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
             quench_time=quench_time(tube, spec, float(row.max())),
-            growth=_growth(tube, model, row),
-            iterations=computed.iterations,
+            growth=float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum()),
+            iterations=iterations,
         )
 
 
 def _mirrored(half: Array) -> Array:
     """(T, 2n) along the whole tube from (T, n) along its half."""
     return np.concatenate([half, half[:, ::-1]], axis=1)
-
-
-def _growth(tube: Tube, model: ThermalModel, row: Array) -> float:
-    rise = (row - model.ambient) * model.width
-    return float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum())
 
 
 def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:
@@ -312,3 +299,33 @@ def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:
     rate = transfer / (data.density * data.heat_capacity * wall)
     goal = QUENCHED_DEGC + ZERO_CELSIUS
     return max(0.0, math.log((hottest - medium) / (goal - medium)) / rate)
+
+
+def ageing(plan: HeatingPlan) -> tuple[float, float]:
+    """Length (m) of tube beside the curved part, at each end, whose hottest is where nitinol ages; its longest time (s)
+    there."""
+    half = len(plan.position) // 2
+    outside = np.flatnonzero(~plan.curved[:half])
+    spans = np.diff(plan.time, append=plan.time[-1])
+    within = (plan.temperature[:, outside] > AGEING[0]) & (plan.temperature[:, outside] < AGEING[1])
+    times = (within * spans[:, None]).sum(0)
+    place = plan.position[:half]
+    faces = np.concatenate([[0.0], 0.5 * (place[1:] + place[:-1]), place[-1:]])
+    widths = np.diff(faces)[outside]
+    hottest = plan.temperature[:, outside].max(0)
+    ages = (hottest > AGEING[0]) & (hottest < AGEING[1])
+    return float(widths[ages].sum()), float(times[ages].max(initial=0.0))
+
+
+def ageing_words(plan: HeatingPlan) -> tuple[str, ...]:
+    """What to know of it; nothing where no part of the tube gets there."""
+    length, longest = ageing(plan)
+    if not length:
+        return ()
+    than = "less" if longest < SHORTEST else "more"
+    return (
+        f"beside the bend {1e3 * length:.0f} mm of tube at each end get no hotter than {AGEING[0]:.0f} to "
+        f"{AGEING[1]:.0f} degC, for {longest:.0f} s at most, where Ti-50.8Ni precipitates fastest and its Af moves: "
+        f"{than} than the {SHORTEST:.0f} s of the shortest treatment that is told of (BIOMED2007, p. 89); measure Af "
+        "of what is not cut off",
+    )

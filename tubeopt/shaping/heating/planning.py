@@ -1,78 +1,21 @@
-"""How to heat a tube so that its curved part is shape-set: the schedule of duties, and whether the window can be held.
-
-Where the soonest hold is asked for, the greatest counts that keep the limits are tried first (`haste`). Where these do
-not keep everything, or something else is asked for, the ideal schedule solves an optimal control problem on a coarse
-grid. It is rounded to whole counts and simulated in steps of a tenth of a second on a grid of three times as many cells
-and shells. Where that misses the window, the program's bounds are shifted by the difference between the two grids, and
-it is solved again (deferred correction): what holds in the end holds on the fine grid, for the schedule that is
-returned. Counts never break the ramp where one count alone keeps it; where they fall behind the ideal schedule for
-that, it is solved again with more room below the ramp.
-"""
+"""How to heat a tube so that its curved part is shape-set: the schedule of duties, and what it does."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import replace
 
 from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...solvers.parallel.blas import small
-from ...typing import Array
-from .counts import count_rate, guarded_counts
-from .cures import Programmed, Search, find_cures
-from .haste import soonest
-from .ideal import Ideal, Shift, planned_ramp, solve_ideal
+from .cures import find_cures
 from .leading import lead_by
-from .outcome import Outcome, hold_slots, outcome_of
-from .plan import Computed, HeatingPlan
-from .rig import COUNTS, Rig
-from .schedule import Counts
+from .plan import HeatingPlan
+from .rig import Rig
+from .schedule import best_schedule
 from .sensors import Sensor
-from .simulation import History, resimulate, simulate
 from .spec import HeatingSpec
-from .thermal import COARSE, FINE, PROGRAM, ThermalModel, joined, thermal_data, thermal_model
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """Mean duties, and what they do.
-
-    Attributes:
-        rig: with clearance, lead and vents as chosen. model, rough: its fine one, and a coarse one.
-        levels: mean duties (T,) in every slot. exact: what they do. error: of the mesh, K. start: of the hold, s.
-    """
-
-    rig: Rig
-    model: ThermalModel
-    rough: ThermalModel
-    levels: Array
-    exact: History
-    error: float
-    start: float
-
-
-@dataclass(frozen=True, eq=False)
-class Schedule:
-    """A schedule: mean duties, the counts in their place, what these do, and what is kept.
-
-    Attributes:
-        run: of the mean duties. counts: (T,) in their place. checked: what they do.
-        program: what the program said of it, where it was asked.
-    """
-
-    run: Run
-    counts: Counts
-    checked: History
-    outcome: Outcome
-    program: Programmed | None = None
-
-    @property
-    def kept(self) -> bool:
-        """Whether everything is."""
-        return self.outcome.kept
+from .thermal import PROGRAM, thermal_data, thermal_model
 
 
 @small
@@ -104,189 +47,10 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
-    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _foreseen, _realised))
-    run, iterations = found.run, 0 if found.program is None else found.program.ideal.iterations
-    computed = Computed(run.model, run.start, found.counts, run.levels, found.checked, run.exact, run.error, iterations)
-    plan = HeatingPlan.of(tube, run.rig, spec, computed, cures=cures)
+    cures = () if found.kept else find_cures(tube, rig, spec, found)
+    iterations = 0 if found.program is None else found.program.ideal.iterations
+    plan = HeatingPlan.of(tube, spec, found, iterations, cures=cures)
     return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
-
-
-def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
-    """The schedule that keeps everything, or the one that misses the window by least."""
-    if spec.objective == "margin":
-        # Nothing is farther from the window's ends than what does not fall behind.
-        return _corrected(tube, rig, spec, spec.solver.more_room)
-    hasty = spec.objective == "time"
-    if hasty and not spec.free and (sooner := _hastened(tube, rig, spec)) is not None:
-        return sooner
-    found = _corrected(tube, rig, spec, spec.solver.room)
-    if hasty and spec.free and found.outcome.shortfall <= spec.solver.hopeless:
-        sooner = _hastened(tube, found.run.rig, spec)
-        if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
-            return sooner
-    first, second = (planned_ramp(tube, rig, spec, room) for room in (spec.solver.room, spec.solver.more_room))
-    if found.kept or first == second or not _behind(found, spec):
-        return found
-    other = _corrected(tube, rig, spec, spec.solver.more_room)
-    return other if other.outcome.shortfall < found.outcome.shortfall else found
-
-
-def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
-    """The soonest schedule of whole counts; None where it does not keep everything."""
-    answer = _soonest(tube, rig, spec)
-    if answer is None:
-        return None
-    counts, levels, start = answer
-    found = _checked(spec, _run((tube, rig, spec), levels, start), counts)
-    return found if found.kept else None
-
-
-def _foreseen(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
-    """What the soonest schedule of whole counts keeps; None where it misses the window."""
-    answer = _soonest(tube, rig, spec)
-    return None if answer is None else _outcome((tube, rig, spec), answer[0], answer[-1])
-
-
-def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, float] | None:
-    """Counts and mean duties of the soonest schedule, and when the hold begins, s; None where it misses the window."""
-    # Other charges are rounded anew: half a count is left for that.
-    least, model = spec.solver.reserve + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
-    # What the mesh adds is told by the same on a coarse one.
-    rough = soonest(model, spec, rig, least)
-    if rough is None:
-        return None
-    coarse, fine = simulate(model, spec.slot, rough[1]), thermal_model(tube, rig, FINE)
-    if _far(model, spec, coarse, rough[-1]):
-        return None
-    error = mesh_error(coarse, simulate(fine, spec.slot, rough[1]), rough[1])
-    answer = soonest(fine, spec, rig, error + least)
-    if answer is None:
-        return None
-    cooling = np.zeros(math.ceil(spec.solver.cooling / spec.slot))
-    return np.concatenate([answer[0], cooling.astype(np.int64)]), np.concatenate([answer[1], cooling]), answer[-1]
-
-
-def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float) -> bool:
-    """Whether the window is missed by so much that no grid would change it."""
-    (low, high), (first, last) = spec.window_degC, hold_slots(spec, start)
-    held = joined(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
-    return bool(max(low - held.min(), held.max() - high) > spec.solver.hopeless)
-
-
-def _run(asked: tuple[Tube, Rig, HeatingSpec], levels: Array, start: float) -> Run:
-    """What mean duties do where the hold begins at `start`, s."""
-    tube, rig, spec = asked
-    model, rough = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
-    exact = simulate(model, spec.slot, levels)
-    return Run(rig, model, rough, levels, exact, mesh_error(simulate(rough, spec.slot, levels), exact, levels), start)
-
-
-def _checked(spec: HeatingSpec, run: Run, counts: Counts) -> Schedule:
-    """What counts in the place of mean duties do, and what is kept."""
-    checked = resimulate(run.model, spec.slot, counts / COUNTS)
-    return Schedule(run, counts, checked, outcome_of(run.model, run.rig, spec, checked, run.start, run.error))
-
-
-def _behind(found: Schedule, spec: HeatingSpec) -> bool:
-    """Whether the counts, held back for the sake of the ramp, cost what the window is missed by."""
-    run = found.run
-    start = round(run.start / spec.slot)
-    lag = joined(run.model, run.exact.tube[start, 0] - found.checked.tube[start, 0])
-    return 0 < found.outcome.shortfall < float(lag.max()) + spec.solver.hopeless
-
-
-def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule:
-    """The schedule after as many corrections as it takes, with `room` below the ramp."""
-    swing, solver = ripple(tube, rig, spec), spec.solver
-    error = solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
-    reserve = (swing + error, swing + error)
-    said: Programmed | None = None
-    shift: Shift | None = None
-    best: Schedule | None = None
-    for round_ in range(solver.rounds):
-        said = _programmed(tube, rig, spec, room, (said, shift, reserve))
-        ideal, start = said.ideal, hold_start(said.ideal, spec)
-        run = _run((tube, ideal.rig, spec), commanded(slots(ideal, spec), ideal.rig), start)
-        lost = (swing, 4 * swing)
-        # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
-        if round_ or swing > solver.fine_swing or not _hopeless(ideal, run, spec):
-            counts = guarded_counts(run.model, spec, run.rig, run.levels, rough=run.rough)
-            found = replace(_checked(spec, run, counts), program=said)
-            # The margin is that of the fine grid only after a correction.
-            if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
-                best = found
-            if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
-                break
-            if ideal.miss > (solver.settled if round_ else 10 * solver.hopeless):
-                break
-            lost = _rounded(run.model, run.exact, found.checked, spec, ideal)
-        before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
-        if before is not None and before.near(shift, solver.same_shift):
-            break
-        reserve = (lost[0] + run.error + solver.reserve, lost[1] + run.error + solver.reserve)
-    assert best is not None
-    return trimmed(spec, best) if best.outcome.hottest + best.run.error > spec.limit else best
-
-
-def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
-    """Whether the window is missed by far, but by so little, or with so hot a point, that a correction changes much."""
-    hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error
-    corrigible = ideal.miss <= 10 * spec.solver.hopeless or hottest > spec.limit
-    return ideal.miss > spec.solver.hopeless and corrigible and _far(run.model, spec, run.exact, run.start)
-
-
-def _programmed(
-    tube: Tube,
-    rig: Rig,
-    spec: HeatingSpec,
-    room: float,
-    earlier: tuple[Programmed | None, Shift | None, tuple[float, float]],
-) -> Programmed:
-    """What the program says in a round; `earlier`: what it said before, the shift that corrects it, the reserve."""
-    before, shift, reserve = earlier
-    # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
-    asked, on = (spec, rig) if before is None else (replace(spec, free=()), before.ideal.rig)
-    guess = None if before is None else before.ideal
-    return Programmed(
-        solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess), shift, reserve
-    )
-
-
-def _realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
-    """What whole counts in the place of an ideal schedule keep."""
-    (fine, rough), levels = (thermal_model(tube, ideal.rig, grid) for grid in (FINE, COARSE)), slots(ideal, spec)
-    counts = guarded_counts(fine, spec, ideal.rig, commanded(levels, ideal.rig), rough=rough)
-    return _outcome((tube, ideal.rig, spec), counts, hold_start(ideal, spec))
-
-
-def _outcome(asked: tuple[Tube, Rig, HeatingSpec], counts: Counts, start: float) -> Outcome:
-    """What counts keep, by themselves, where the hold begins at `start`, s."""
-    tube, rig, spec = asked
-    fine, coarse = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
-    checked = resimulate(fine, spec.slot, counts / COUNTS)
-    error = mesh_error(simulate(coarse, spec.slot, counts / COUNTS), checked, counts)
-    return outcome_of(fine, rig, spec, checked, start, error)
-
-
-def mesh_error(coarse: History, fine: History, schedule: Array | Counts) -> float:
-    """Error of the temperatures of the fine grid, K, from a grid half as fine: the methods are of second order."""
-    heated = int(np.flatnonzero(schedule)[-1]) + 2
-    hottest = np.abs(coarse.tube.max((1, 2)) - fine.tube.max((1, 2)))[:heated]
-    return float(hottest.max()) / 3
-
-
-def trimmed(spec: HeatingSpec, found: Schedule) -> Schedule:
-    """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
-    run, scale = found.run, 1.0
-    for _ in range(spec.solver.trims):
-        excess = found.outcome.hottest + run.error - spec.limit
-        if excess <= 0:
-            break
-        # Temperatures rise nearly in proportion to the duty.
-        scale *= 1 - (excess + spec.solver.reserve) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
-        counts = guarded_counts(run.model, spec, run.rig, scale * run.levels, rough=run.rough)
-        found = replace(_checked(spec, run, counts), program=found.program)
-    return found
 
 
 def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
@@ -300,40 +64,3 @@ def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
             f"{spec.window_degC[0]:g} degC"
         )
     thermal_model(tube, rig, PROGRAM)
-
-
-def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
-    """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
-    levels = ideal.duty(spec.slot, slots_on(ideal, spec))
-    return np.concatenate([levels, np.zeros(math.ceil(spec.solver.cooling / spec.slot))])
-
-
-def commanded(duty: Array, rig: Rig) -> Array:
-    """Duties to be switched for these of effect: what every pulse loses on top."""
-    return np.where(duty > 0, np.minimum(duty + rig.circuit.lost_share, 1.0), 0.0)
-
-
-def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:
-    """Number of slots of heating and hold."""
-    return round(hold_start(ideal, spec) / spec.slot) + spec.hold_slots
-
-
-def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
-    """Beginning of the first slot of the hold, s."""
-    return spec.slot * math.ceil(ideal.heating / spec.slot - 1e-9)
-
-
-def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
-    """Temperature (K) by which rounding to counts makes the tube swing: half a count for one slot, without any loss."""
-    return 0.5 * spec.slot * count_rate(tube, rig)
-
-
-def _rounded(
-    model: ThermalModel, exact: History, whole: History, spec: HeatingSpec, ideal: Ideal
-) -> tuple[float, float]:
-    """What rounding took from the window at its low end (during the hold) and at its high end (at any time), K."""
-    start = round(hold_start(ideal, spec) / spec.slot)
-    stop = start + spec.hold_slots + 1
-    change = whole.tube[:, 0] - exact.tube[:, 0]
-    low = -float(change[start:stop][:, model.curved].min())
-    return max(low, 0.0), max(float(change.max()), 0.0)

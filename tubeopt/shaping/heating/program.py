@@ -75,6 +75,12 @@ class TimeMesh:
         up, on = np.linspace(0.0, 1.0, self.heating + 1), np.linspace(0.0, 1.0, self.hold + 1)
         return 1 - np.sinh(1.5 * up[::-1]) / math.sinh(1.5), np.sinh(4.0 * on) / math.sinh(4.0)
 
+    def times(self, heating: float, hold: float) -> tuple[Array, Array]:
+        """Faces of the intervals, and collocation points (N,), s, where heating and hold take so long."""
+        first, second = self.fractions
+        faces = np.concatenate([heating * first, heating + hold * second[1:]])
+        return faces, (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", self.degree).nodes).ravel()
+
 
 MESH = TimeMesh()
 
@@ -118,6 +124,20 @@ class Structure:
     def points(self) -> int:
         """Collocation points in time."""
         return (self.mesh.heating + self.mesh.hold) * self.mesh.degree
+
+    @property
+    def unknowns(self) -> dict[str, tuple[int, int]]:
+        """Shapes of the unknowns by their names, in order."""
+        intervals = self.mesh.heating + self.mesh.hold
+        return {
+            "z": (self.states, self.points),
+            "circuit": (2, self.points),
+            "drive": (1, intervals + 1),
+            "durations": (1, self.mesh.heating),
+            "misses": (1, self.points),
+            "design": (2 + VENTS, 1),
+            "copies": (len(self.copied), intervals - 1),
+        }
 
     @property
     def holding_points(self) -> int:
@@ -193,23 +213,12 @@ class _Unknowns:
     @classmethod
     def of(cls, s: Structure) -> _Unknowns:
         """New symbols."""
-        mesh = s.mesh
-        sizes = {
-            "z": (s.states, s.points),
-            "circuit": (2, s.points),
-            "drive": (1, mesh.heating + mesh.hold + 1),
-            "durations": (1, mesh.heating),
-            "misses": (1, s.points),
-            "design": (2 + VENTS, 1),
-            "copies": (len(s.copied), mesh.heating + mesh.hold - 1),
-        }
-        return cls(**{name: ca.MX.sym(name, *shape) for name, shape in sizes.items()})
+        return cls(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()})
 
     @property
     def column(self) -> Any:
         """All unknowns."""
-        parts = self.z, self.circuit, self.drive, self.durations, self.misses, self.design, self.copies
-        return ca.veccat(*parts)
+        return ca.veccat(*vars(self).values())
 
     def designs(self, s: Structure) -> Any:
         """(2 + VENTS, N) design at every point: that of its interval."""

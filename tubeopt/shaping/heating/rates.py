@@ -83,14 +83,8 @@ def warming_span(model: ThermalModel, cells: Array, lumped: Array) -> tuple[Arra
     return idle, full, ampere[:, 0]
 
 
-class _Marchers(threading.local):
-    """Models bound to the compiled kernel, of every thread."""
-
-    def __init__(self) -> None:
-        self.known: WeakKeyDictionary[ThermalModel, Marcher] = WeakKeyDictionary()
-
-
-_marchers = _Marchers()
+_bound = threading.local()
+"""`marchers`: models bound to the compiled kernel, of every thread."""
 
 
 def marcher_of(model: ThermalModel) -> Marcher | None:
@@ -98,8 +92,9 @@ def marcher_of(model: ThermalModel) -> Marcher | None:
     kernel = heating_kernel()
     if kernel is None:
         return None
-    if (found := _marchers.known.get(model)) is None:
-        found = _marchers.known[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
+    known: WeakKeyDictionary[ThermalModel, Marcher] = _bound.__dict__.setdefault("marchers", WeakKeyDictionary())
+    if (found := known.get(model)) is None:
+        found = known[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
     return found
 
 

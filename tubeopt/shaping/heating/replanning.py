@@ -15,14 +15,13 @@ import scipy
 
 from ...typing import Array
 from .counts import most_count
-from .gains import Response, response
 from .law import HeatingLaw
+from .leading import Response, response
 from .plan import HeatingPlan
-from .rates import State, at_rest
+from .rates import State
 from .rig import COUNTS
-from .sensors import Sensor
+from .sensors import Felt, Sensor
 from .settings import HeatingSolver
-from .simulation import advance
 from .thermal import PROGRAM, ThermalModel, thermal_model
 
 
@@ -40,17 +39,9 @@ class Planner:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What is thought of a rig.
+    """What is thought of a rig: its state, and the share by which the heating is stronger than the model says."""
 
-    Attributes:
-        state: temperatures and what else the model remembers. target, lagged: (1,) degC that the sensor would read at
-            once, and with its lag.
-        strength: share by which the heating is stronger than the model says.
-    """
-
-    state: State
-    target: Array
-    lagged: Array
+    felt: Felt
     strength: float = 0.0
 
 
@@ -67,7 +58,7 @@ class Rest:
 def planner_for(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor) -> Planner:
     """The planner for a rig that a law leads."""
     model = thermal_model(plan.tube, plan.rig, PROGRAM)
-    found = response(model, sensor, law.slot, (law.planned + law.lost * (law.planned > 0)) / COUNTS, law.hold)
+    found = response(model, sensor, law)
     return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise, plan.spec.solver))
 
 
@@ -84,41 +75,30 @@ def observer_gains(found: Response, slot: float, noise: float, solver: HeatingSo
 
 def first_estimate(planner: Planner) -> Estimate:
     """Everything at rest."""
-    state = at_rest(planner.model)
-    target = planner.sensor.target(planner.model, state)
-    return Estimate(state, target, target)
+    return Estimate(Felt.at_rest(planner.model, planner.sensor))
 
 
 def observed(planner: Planner, before: Estimate, reading: float, count: float, span: float) -> Estimate:
     """The estimate after `span` seconds, s, at a count, from the reading (degC) with which they began."""
-    error = float(np.clip(reading - before.lagged[0], -50.0, 50.0))
-    ambient, tube = planner.model.ambient, before.state.cells[0, :, 0]
+    felt = before.felt
+    error = float(np.clip(reading - felt.lagged[0], -50.0, 50.0))
+    ambient, tube = planner.model.ambient, felt.state.cells[0, :, 0]
     # Where the tube is hotter than its surroundings it is so by a factor; a cold tube is left alone.
     rise = np.maximum(tube - ambient, 0.0) / max(float(tube.max()) - ambient, 50.0)
     change = planner.gains[0] * error
-    cells = before.state.cells.copy()
+    cells = felt.state.cells.copy()
     cells[0, :, 0] += change * rise
     most = planner.plan.spec.solver.replanned_share
     strength = float(np.clip(before.strength + planner.gains[1] * error * rise.max(), -most, most))
     part = float(rise.max()) * change
-    now = replace(
-        before,
-        state=State(cells, before.state.lumped),
-        target=before.target + part,
-        lagged=before.lagged + part,
-        strength=strength,
-    )
-    return _after(planner, now, max(count - planner.law.lost, 0.0), span)
+    now = Felt(State(cells, felt.state.lumped), felt.target + part, felt.lagged + part)
+    return _after(planner, Estimate(now, strength), max(count - planner.law.lost, 0.0), span)
 
 
 def _after(planner: Planner, now: Estimate, planned: float, span: float) -> Estimate:
     """The estimate `span` seconds later, at a mean count of effect."""
-    duty = planned * (1 + now.strength) + planner.law.lost * (planned > 0)
-    state = advance(planner.model, now.state, min(duty / COUNTS, 1.0), span)
-    target = planner.sensor.target(planner.model, state)
-    return replace(
-        now, state=state, target=target, lagged=planner.sensor.followed(now.lagged, now.target, target, span)
-    )
+    count = planned * (1 + now.strength) + planner.law.lost * (planned > 0)
+    return replace(now, felt=now.felt.after(planner.model, planner.sensor, min(count / COUNTS, 1.0), span))
 
 
 def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
@@ -133,13 +113,13 @@ def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
         usual = float(law.planned[k])
         low, high = usual * (1 - share), usual * (1 + share)
         probes = usual, usual * (1 + probe)
-        first, second = (float(_after(planner, now, level, law.slot).target[0]) for level in probes)
+        first, second = (float(_after(planner, now, level, law.slot).felt.target[0]) for level in probes)
         slope = (second - first) / max(probe * usual, 1e-9)
         level = float(np.clip(usual + (wanted - first) / max(slope, 1e-6), low, high))
         if k < law.hold[0]:
-            most = most_count(planner.model, now.state, planner.plan.spec, planner.plan.rig)
+            most = most_count(planner.model, now.felt.state, planner.plan.spec, planner.plan.rig)
             level = max(min(level, (most - law.lost) / (1 + now.strength)), low)
         now = _after(planner, now, level, law.slot)
         planned.append(level)
-        reading.append(float(now.lagged[0]))
+        reading.append(float(now.felt.lagged[0]))
     return Rest(place, np.array(planned), np.array(reading))

@@ -260,14 +260,10 @@ class Rig(Displayed):
 
 
 def natural_convection(diameter: float, surface: float, ambient: float) -> float:
-    """Heat transfer coefficient (W/(m^2 K)) of a horizontal cylinder in still air.
+    """Heat transfer coefficient (W/(m^2 K)) of a horizontal cylinder, m, in still air; temperatures in K.
 
     Churchill and Chu, Int. J. Heat Mass Transfer 18 (1975), with the air's properties at the film temperature after
     Sutherland's laws at 1 atm.
-
-    Args:
-        diameter: m.
-        surface, ambient: temperatures, K.
     """
     film = 0.5 * (surface + ambient)
     viscosity = 1.458e-6 * film**1.5 / (film + 110.4)

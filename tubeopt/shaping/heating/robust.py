@@ -9,16 +9,15 @@ import numpy as np
 
 from ...errors import InputError
 from ...physics.heat import Resolution
-from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from .counts import guarded_counts
+from .counts import Counts, guarded_counts, sum_up_rounding
 from .outcome import hold_slots
-from .plan import Computed, HeatingPlan
+from .plan import HeatingPlan
 from .rates import State, current
 from .rig import COUNTS
-from .schedule import Counts, sum_up_rounding
+from .schedule import Run, checked
 from .simulation import resimulate, simulate, simulate_feedback
-from .thermal import FINE, ThermalModel, joined, thermal_model
+from .thermal import FINE, ThermalModel, seen, thermal_model
 from .uncertainty import Uncertainty
 
 ENSEMBLE = Resolution(2, 4, 6, 8, 6)
@@ -56,10 +55,9 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
         return min(1.0, wanted + lost * (wanted > 0), rig.circuit.current_limit / float(now))
 
     exact, scaled = simulate_feedback(model, slot, len(levels), controller)
-    counts = guarded_counts(model, plan.spec, rig, scaled)
-    history = resimulate(model, slot, counts / COUNTS)
-    computed = Computed(model, plan.hold_start, counts, scaled, history, exact, plan.mesh_error, plan.iterations)
-    return HeatingPlan.of(plan.tube, rig, plan.spec, computed)
+    run = Run(rig, model, scaled, exact, plan.mesh_error, plan.hold_start)
+    found = checked(plan.spec, run, guarded_counts(model, plan.spec, rig, scaled))
+    return HeatingPlan.of(plan.tube, plan.spec, found, plan.iterations)
 
 
 def charge_tables(plan: HeatingPlan, charges: Sequence[float] = CHARGES) -> tuple[HeatingPlan, ...]:
@@ -111,28 +109,19 @@ def assess(
     """
     if samples < 2:
         raise InputError(f"samples is {samples}; it must be at least 2")
-    model = _ensemble(plan, uncertainty or Uncertainty(), samples)
+    model, _ = (uncertainty or Uncertainty()).models(plan.tube, plan.rig, samples, ENSEMBLE)
     counts = plan.duty[:-1] if duty is None else duty[: len(plan.duty) - 1]
     return _band(plan, model, counts)
-
-
-def _ensemble(plan: HeatingPlan, uncertainty: Uncertainty, samples: int) -> ThermalModel:
-    return uncertainty.models(plan.tube, plan.rig, samples, ENSEMBLE)[0]
 
 
 def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
     spec = plan.spec
     history = simulate(model, spec.slot, counts / COUNTS)
-    curved = joined(model, history.tube) - ZERO_CELSIUS
-    coldest, hottest = curved.min(2), curved.max(2)
-    top = history.tube.max(2) - ZERO_CELSIUS
-    # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
-    fine = resimulate(thermal_model(plan.tube, plan.rig, FINE), spec.slot, counts / COUNTS)
     reference = thermal_model(plan.tube, plan.rig, FINE)
-    exact = joined(reference, fine.tube[:, 0]) - ZERO_CELSIUS
-    coldest = coldest[:, 1:] + (exact.min(1) - coldest[:, 0])[:, None]
-    hottest = hottest[:, 1:] + (exact.max(1) - hottest[:, 0])[:, None]
-    top = top[:, 1:] + (fine.tube[:, 0].max(1) - ZERO_CELSIUS - top[:, 0])[:, None]
+    fine = resimulate(reference, spec.slot, counts / COUNTS)
+    # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
+    both = zip(seen(model, history.tube), seen(reference, fine.tube[:, 0]), strict=True)
+    coldest, hottest, top = (rough[:, 1:] + (exact - rough[:, 0])[:, None] for rough, exact in both)
     first, last = hold_slots(spec, plan.hold_start)
     lowest, highest = coldest[first : last + 1].min(0), hottest[first : last + 1].max(0)
     cold = lowest < spec.window_degC[0]
@@ -177,7 +166,7 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     """
     uncertainty = uncertainty or Uncertainty()
     before = assess(plan, uncertainty, samples=samples)
-    model = _ensemble(plan, uncertainty, samples)
+    model, _ = uncertainty.models(plan.tube, plan.rig, samples, ENSEMBLE)
     levels = plan.ideal_duty[:-1] / COUNTS
     low, high = (_band(plan, model, sum_up_rounding(np.minimum(scale * levels, 1.0))) for scale in PROBES)
     part = ((SCALES - PROBES[0]) / (PROBES[1] - PROBES[0]))[:, None]
@@ -197,7 +186,7 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     band = _band(plan, model, counts)
     if band.probability <= before.probability:
         return RobustSchedule(1.0, plan.duty, plan, before, before)
-    histories = resimulate(fine, plan.spec.slot, counts / COUNTS), simulate(fine, plan.spec.slot, scaled)
-    computed = Computed(fine, plan.hold_start, counts, scaled, *histories, plan.mesh_error, plan.iterations)
-    robust = HeatingPlan.of(plan.tube, plan.rig, plan.spec, computed)
+    exact = simulate(fine, plan.spec.slot, scaled)
+    run = Run(plan.rig, fine, scaled, exact, plan.mesh_error, plan.hold_start)
+    robust = HeatingPlan.of(plan.tube, plan.spec, checked(plan.spec, run, counts), plan.iterations)
     return RobustSchedule(scale, robust.duty, robust, band, before)

@@ -1,34 +1,281 @@
-"""Whole counts in place of real duties: sum-up rounding."""
+"""The schedule of whole counts that keeps everything, or misses the window by least.
+
+Where the soonest hold is asked for, the greatest counts that keep the limits are tried first (`haste`). Where these do
+not keep everything, or something else is asked for, the ideal schedule solves an optimal control problem on a coarse
+grid. It is rounded to whole counts and simulated in steps of a tenth of a second on a grid of three times as many cells
+and shells. Where that misses the window, the program's bounds are shifted by the difference between the two grids, and
+it is solved again (deferred correction): what holds in the end holds on the fine grid, for the schedule that is
+returned. Counts never break the ramp where one count alone keeps it; where they fall behind the ideal schedule for
+that, it is solved again with more room below the ramp.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from ...errors import InputError
-from .rig import COUNTS
+from ...robots.materials import ZERO_CELSIUS
+from ...robots.tubes import Tube
+from ...typing import Array
+from .counts import Counts, count_rate, guarded_counts
+from .haste import soonest
+from .ideal import Ideal, Shift, planned_ramp, solve_ideal
+from .outcome import Outcome, hold_slots, outcome_of
+from .rig import COUNTS, Rig
+from .simulation import History, resimulate, simulate
+from .spec import HeatingSpec
+from .thermal import COARSE, FINE, ThermalModel, joined, thermal_model
 
-Counts = NDArray[np.int64]
 
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Mean duties, and what they do.
 
-def sum_up_rounding(duty: ArrayLike) -> Counts:
-    """Counts (T,) whose running sum never differs from that of 255 times the duty by more than a half.
-
-    Every slot gets the count that brings the sums together again, so that between two counts the schedule dithers in
-    the right proportion, and the tube, which integrates, hardly sees it: the combinatorial integral approximation with
-    equal slots (Sager, Math. Program. 118 (2009)).
-
-    Args:
-        duty: (T,) in [0, 1], mean over each slot.
-
-    Raises:
-        InputError: a duty outside of [0, 1].
+    Attributes:
+        rig: with clearance, lead and vents as chosen. model: its fine one.
+        levels: mean duties (T,) in every slot. exact: what they do. error: of the mesh, K. start: of the hold, s.
     """
-    levels = np.asarray(duty, dtype=float)
-    if levels.ndim != 1 or not np.isfinite(levels).all() or (levels < 0).any() or (levels > 1).any():
-        raise InputError("duty must be a list of numbers from 0 to 1")
-    # Rounding the running sums themselves leaves no more than a half; their differences are the counts. Where the
-    # duty is 0 a count may still be owed: it is dropped, rather than heat after the end.
-    sums = np.floor(COUNTS * np.cumsum(levels) + 0.5)
-    counts = np.diff(sums, prepend=0.0)
-    return np.asarray(np.clip(counts, 0, COUNTS) * (levels > 0), dtype=np.int64)
+
+    rig: Rig
+    model: ThermalModel
+    levels: Array
+    exact: History
+    error: float
+    start: float
+
+
+@dataclass(frozen=True, eq=False)
+class Programmed:
+    """What the program said of a schedule.
+
+    Attributes:
+        ideal: its answer. shift: of its temperatures, by which it was corrected. reserve: kept from the window's ends,
+            K.
+    """
+
+    ideal: Ideal
+    shift: Shift | None
+    reserve: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A schedule: mean duties, the counts in their place, what these do, and what is kept.
+
+    Attributes:
+        run: of the mean duties. counts: (T,) in their place. checked: what they do.
+        program: what the program said of it, where it was asked.
+    """
+
+    run: Run
+    counts: Counts
+    checked: History
+    outcome: Outcome
+    program: Programmed | None = None
+
+    @property
+    def kept(self) -> bool:
+        """Whether everything is."""
+        return self.outcome.kept
+
+
+def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | None = None) -> Schedule:
+    """What counts in the place of mean duties do, and what is kept."""
+    done = resimulate(run.model, spec.slot, counts / COUNTS)
+    return Schedule(run, counts, done, outcome_of(run.model, run.rig, spec, done, run.start, run.error), program)
+
+
+def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
+    """The schedule that keeps everything, or the one that misses the window by least."""
+    if spec.objective == "margin":
+        # Nothing is farther from the window's ends than what does not fall behind.
+        return _corrected(tube, rig, spec, spec.solver.more_room)
+    hasty = spec.objective == "time"
+    if hasty and not spec.free and (sooner := _hastened(tube, rig, spec)) is not None:
+        return sooner
+    found = _corrected(tube, rig, spec, spec.solver.room)
+    if hasty and spec.free and found.outcome.shortfall <= spec.solver.hopeless:
+        sooner = _hastened(tube, found.run.rig, spec)
+        if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
+            return sooner
+    first, second = (planned_ramp(tube, rig, spec, room) for room in (spec.solver.room, spec.solver.more_room))
+    if found.kept or first == second or not _behind(found, spec):
+        return found
+    other = _corrected(tube, rig, spec, spec.solver.more_room)
+    return other if other.outcome.shortfall < found.outcome.shortfall else found
+
+
+def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
+    """The soonest schedule of whole counts; None where it does not keep everything."""
+    answer = _soonest(tube, rig, spec)
+    if answer is None:
+        return None
+    counts, levels, start = answer
+    found = checked(spec, _run(tube, rig, spec, levels, start), counts)
+    return found if found.kept else None
+
+
+def foreseen(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
+    """What the soonest schedule of whole counts keeps; None where it misses the window."""
+    answer = _soonest(tube, rig, spec)
+    return None if answer is None else _outcome(tube, rig, spec, answer[0], answer[-1])
+
+
+def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, float] | None:
+    """Counts and mean duties of the soonest schedule, and when the hold begins, s; None where it misses the window."""
+    # Other charges are rounded anew: half a count is left for that.
+    least, model = spec.solver.reserve + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
+    # What the mesh adds is told by the same on a coarse one.
+    rough = soonest(model, spec, rig, least)
+    if rough is None:
+        return None
+    coarse, fine = simulate(model, spec.slot, rough[1]), thermal_model(tube, rig, FINE)
+    if _far(model, spec, coarse, rough[-1]):
+        return None
+    error = mesh_error(coarse, simulate(fine, spec.slot, rough[1]), rough[1])
+    answer = soonest(fine, spec, rig, error + least)
+    if answer is None:
+        return None
+    cooling = np.zeros(math.ceil(spec.solver.cooling / spec.slot))
+    return np.concatenate([answer[0], cooling.astype(np.int64)]), np.concatenate([answer[1], cooling]), answer[-1]
+
+
+def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float) -> bool:
+    """Whether the window is missed by so much that no grid would change it."""
+    (low, high), (first, last) = spec.window_degC, hold_slots(spec, start)
+    held = joined(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
+    return bool(max(low - held.min(), held.max() - high) > spec.solver.hopeless)
+
+
+def _run(tube: Tube, rig: Rig, spec: HeatingSpec, levels: Array, start: float) -> Run:
+    """What mean duties do where the hold begins at `start`, s."""
+    model = thermal_model(tube, rig, FINE)
+    exact, coarse = (simulate(each, spec.slot, levels) for each in (model, thermal_model(tube, rig, COARSE)))
+    return Run(rig, model, levels, exact, mesh_error(coarse, exact, levels), start)
+
+
+def _behind(found: Schedule, spec: HeatingSpec) -> bool:
+    """Whether the counts, held back for the sake of the ramp, cost what the window is missed by."""
+    run = found.run
+    start = round(run.start / spec.slot)
+    lag = joined(run.model, run.exact.tube[start, 0] - found.checked.tube[start, 0])
+    return 0 < found.outcome.shortfall < float(lag.max()) + spec.solver.hopeless
+
+
+def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule:
+    """The schedule after as many corrections as it takes, with `room` below the ramp."""
+    swing, solver = ripple(tube, rig, spec), spec.solver
+    error = solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    reserve = (swing + error, swing + error)
+    ideal: Ideal | None = None
+    shift: Shift | None = None
+    best: Schedule | None = None
+    for round_ in range(solver.rounds):
+        # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
+        on, asked = (rig, spec) if ideal is None else (ideal.rig, replace(spec, free=()))
+        ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=ideal)
+        run = _run(tube, ideal.rig, spec, commanded(slots(ideal, spec), ideal.rig), hold_start(ideal, spec))
+        lost = (swing, 4 * swing)
+        # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
+        if round_ or swing > solver.fine_swing or not _hopeless(ideal, run, spec):
+            found = _guarded(tube, spec, run, 1.0, Programmed(ideal, shift, reserve))
+            # The margin is that of the fine grid only after a correction.
+            if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
+                best = found
+            if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
+                break
+            if ideal.miss > (solver.settled if round_ else 10 * solver.hopeless):
+                break
+            lost = _rounded(found, spec)
+        before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
+        if before is not None and before.near(shift, solver.same_shift):
+            break
+        reserve = (lost[0] + run.error + solver.reserve, lost[1] + run.error + solver.reserve)
+    assert best is not None
+    return _trimmed(tube, spec, best)
+
+
+def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Programmed | None) -> Schedule:
+    """The schedule of counts in the place of mean duties, times a scale."""
+    rough = thermal_model(tube, run.rig, COARSE)
+    counts = guarded_counts(run.model, spec, run.rig, scale * run.levels, rough=rough)
+    return checked(spec, run, counts, program)
+
+
+def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
+    """Whether the window is missed by far, but by so little, or with so hot a point, that a correction changes much."""
+    hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error
+    corrigible = ideal.miss <= 10 * spec.solver.hopeless or hottest > spec.limit
+    return ideal.miss > spec.solver.hopeless and corrigible and _far(run.model, spec, run.exact, run.start)
+
+
+def realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
+    """What whole counts in the place of an ideal schedule keep."""
+    (fine, rough), levels = (thermal_model(tube, ideal.rig, grid) for grid in (FINE, COARSE)), slots(ideal, spec)
+    counts = guarded_counts(fine, spec, ideal.rig, commanded(levels, ideal.rig), rough=rough)
+    return _outcome(tube, ideal.rig, spec, counts, hold_start(ideal, spec))
+
+
+def _outcome(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: float) -> Outcome:
+    """What counts keep, by themselves, where the hold begins at `start`, s."""
+    fine, coarse = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
+    done = resimulate(fine, spec.slot, counts / COUNTS)
+    error = mesh_error(simulate(coarse, spec.slot, counts / COUNTS), done, counts)
+    return outcome_of(fine, rig, spec, done, start, error)
+
+
+def mesh_error(coarse: History, fine: History, schedule: Array | Counts) -> float:
+    """Error of the temperatures of the fine grid, K, from a grid half as fine: the methods are of second order."""
+    heated = int(np.flatnonzero(schedule)[-1]) + 2
+    hottest = np.abs(coarse.tube.max((1, 2)) - fine.tube.max((1, 2)))[:heated]
+    return float(hottest.max()) / 3
+
+
+def _trimmed(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule:
+    """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
+    run, scale = found.run, 1.0
+    for _ in range(spec.solver.trims):
+        excess = found.outcome.hottest + run.error - spec.limit
+        if excess <= 0:
+            break
+        # Temperatures rise nearly in proportion to the duty.
+        scale *= 1 - (excess + spec.solver.reserve) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
+        found = _guarded(tube, spec, run, scale, found.program)
+    return found
+
+
+def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
+    """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
+    levels = ideal.duty(spec.slot, slots_on(ideal, spec))
+    return np.concatenate([levels, np.zeros(math.ceil(spec.solver.cooling / spec.slot))])
+
+
+def commanded(duty: Array, rig: Rig) -> Array:
+    """Duties to be switched for these of effect: what every pulse loses on top."""
+    return np.where(duty > 0, np.minimum(duty + rig.circuit.lost_share, 1.0), 0.0)
+
+
+def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:
+    """Number of slots of heating and hold."""
+    return round(hold_start(ideal, spec) / spec.slot) + spec.hold_slots
+
+
+def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
+    """Beginning of the first slot of the hold, s."""
+    return spec.slot * math.ceil(ideal.heating / spec.slot - 1e-9)
+
+
+def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
+    """Temperature (K) by which rounding to counts makes the tube swing: half a count for one slot, without any loss."""
+    return 0.5 * spec.slot * count_rate(tube, rig)
+
+
+def _rounded(found: Schedule, spec: HeatingSpec) -> tuple[float, float]:
+    """What rounding took from the window at its low end (during the hold) and at its high end (at any time), K."""
+    run = found.run
+    first, last = hold_slots(spec, run.start)
+    change = found.checked.tube[:, 0] - run.exact.tube[:, 0]
+    low = -float(change[first : last + 1][:, run.model.curved].min())
+    return max(low, 0.0), max(float(change.max()), 0.0)

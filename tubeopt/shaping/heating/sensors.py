@@ -18,7 +18,8 @@ from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
 from ...physics.heat import PROPERTIES
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from .rates import State, current
+from .rates import State, at_rest, current
+from .simulation import advance
 from .thermal import ThermalModel
 
 
@@ -59,23 +60,44 @@ class Sensor(Displayed):
         """(B,) degC that it would read at once and without error."""
         raise NotImplementedError
 
-    def followed(self, before: Array, target: Array, now: Array, span: float) -> Array:
-        """The lagged reading `span` seconds after it was `before`, while the target went in a line to `now`."""
-        return followed(self.lag, before, target, now, span)
-
-    def told(self, value: Array) -> Array:
-        """A reading in the steps that the sensor has."""
+    def shown(self, lagged: Array, bias: Array | float, ends: tuple[float, float], rng: np.random.Generator) -> Array:
+        """(B,) readings: off by a bias in proportion to the rise from one temperature to another, as thermometers err,
+        noisy, and in the steps that the sensor has."""
+        part = np.clip((lagged - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
+        value = lagged + bias * part + self.noise * rng.standard_normal(len(lagged))
         return np.asarray(np.round(value / self.quantum) * self.quantum) if self.quantum else value
 
 
-def _at(model: ThermalModel, tube: Array, places: tuple[float, ...]) -> Array:
-    """(B,) mean temperature, degC, of the tube (B, n), K, at distances from the middle of the curved part, m."""
-    wanted = model.half_length - np.abs(np.array(places))
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """Rigs, and what a sensor feels of them: (B,) degC that it would read at once, and with its lag."""
+
+    state: State
+    target: Array
+    lagged: Array
+
+    @classmethod
+    def at_rest(cls, model: ThermalModel, sensor: Sensor) -> Felt:
+        """Everything at the ambient temperature."""
+        state = at_rest(model)
+        target = sensor.target(model, state)
+        return cls(state, target, target)
+
+    def after(self, model: ThermalModel, sensor: Sensor, duty: Array | float, span: float) -> Felt:
+        """`span` seconds later, at a duty, one number or (B,)."""
+        state = advance(model, self.state, duty, span)
+        target = sensor.target(model, state)
+        return Felt(state, target, followed(sensor.lag, self.lagged, self.target, target, span))
+
+
+def tube_at(model: ThermalModel, state: State, places: ArrayLike) -> Array:
+    """(B, S) temperatures, degC, of the tube at distances (S,) from the middle of the curved part, m."""
+    tube, wanted = state.cells[:, :, 0], model.half_length - np.abs(places)
     grid = np.append(model.position, model.half_length)
     index = np.clip(np.searchsorted(grid, wanted), 1, len(grid) - 1)
     part = (wanted - grid[index - 1]) / (grid[index] - grid[index - 1])
     whole = np.concatenate([tube, tube[:, -1:]], axis=1)
-    return np.asarray(((1 - part) * whole[:, index - 1] + part * whole[:, index]).mean(1)) - ZERO_CELSIUS
+    return np.asarray((1 - part) * whole[:, index - 1] + part * whole[:, index]) - ZERO_CELSIUS
 
 
 @dataclass(frozen=True)
@@ -102,7 +124,7 @@ class Thermocouple(Sensor):
                 f"position of the thermocouple is {self.position * 1e3:g} mm from the middle of the tube; it must lie "
                 "on the tube"
             )
-        return _at(model, state.cells[:, :, 0], (self.position,))
+        return np.asarray(tube_at(model, state, (self.position,)).mean(1))
 
 
 @dataclass(frozen=True)
@@ -127,7 +149,7 @@ class Camera(Sensor):
         """(B,) mean temperature of the places that it sees."""
         if not self.positions or max(abs(place) for place in self.positions) >= model.half_length:
             raise InputError("positions of the camera must be places on the tube, at least one")
-        return _at(model, state.cells[:, :, 0], self.positions)
+        return np.asarray(tube_at(model, state, self.positions).mean(1))
 
 
 @dataclass(frozen=True)

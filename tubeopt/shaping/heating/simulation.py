@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...physics.heat import GRIP
-from ...physics.heat_functions import CLAMP
 from ...solvers.compiled.heating import Windows
 from ...typing import Array
 from .rates import State, at_rest, current, imbalance, march, marcher_of, step_by_step, warming
@@ -183,8 +182,3 @@ def simulate_feedback(
         states.append(advance(model, states[-1], duties[-1], slot))
     course = State(*(np.array([getattr(state, name) for state in states]) for name in ("cells", "lumped")))
     return history_of(model, slot, course), np.array(duties)
-
-
-def clamp_temperature(history: History) -> Array:
-    """(T, B) temperature of the clamps, K."""
-    return np.asarray(history.lumped[:, :, CLAMP])

@@ -15,9 +15,9 @@ import scipy
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, volume_shapes, zones
+from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, zones
 from ...physics.heat_functions import volumes_function
-from ...robots.materials import ThermalData
+from ...robots.materials import ZERO_CELSIUS, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
 from .groove_air import Lie, even_gap
@@ -126,23 +126,6 @@ class ThermalModel:
         return np.asarray(self.zone == CURVED)
 
     @property
-    def to_air(self) -> Array:
-        """(B, n) from the cells to the air, without radiation, W/K."""
-        return self._coefficient("to_air")
-
-    @property
-    def to_mold(self) -> Array:
-        """(B, n) from the cells into the first shell, W/K."""
-        covered = self._coefficient("to_mold")
-        return np.pad(covered, ((0, 0), (self.resolution.cells - self.resolution.covered, 0)))
-
-    def _coefficient(self, name: str) -> Array:
-        shapes = volume_shapes(self.resolution)
-        sizes = [rows * columns for rows, columns in shapes.values()]
-        first = sum(sizes[: list(shapes).index(name)])
-        return self.volumes[:, first : first + math.prod(shapes[name])]
-
-    @property
     def full_position(self) -> Array:
         """(2n,) positions of the cells of the whole tube, m."""
         return np.concatenate([self.position, 2 * self.half_length - self.position[::-1]])
@@ -188,17 +171,13 @@ def half_lengths(tube: Tube, rig: Rig) -> tuple[float, float, float, float]:
     return rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, 0.5 * tube.curved_length
 
 
-def bare_transfer(tube: Tube, rig: Rig) -> float:
-    """Convective heat transfer of bare tube, W/(m^2 K), without the rig's loss factor."""
-    if rig.convection is not None:
-        return rig.convection
-    return natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
-
-
 def gap_of(tube: Tube, rig: Rig) -> float:
     """Even gap of air (m) that conducts as much as that of the groove: the rig's own, or of the groove as milled."""
-    if rig.mold.gap is not None:
-        return rig.mold.gap
+    return own_gap(tube, rig) if rig.mold.gap is None else rig.mold.gap
+
+
+def own_gap(tube: Tube, rig: Rig) -> float:
+    """The even gap (m) of a square groove with the rig's side clearance."""
     side = tube.outer_diameter + 2 * rig.mold.play
     return groove_gap(tube, rig, side, side)
 
@@ -207,11 +186,6 @@ def groove_gap(tube: Tube, rig: Rig, width: float, depth: float) -> float:
     """The even gap (m) that conducts as much as the air of a groove of this width and depth, m, in the rig's mold."""
     ratio = rig.mold.material.conductivity / air_conductivity(rig.ambient + 0.5 * HOT)
     return even_gap(tube.outer_diameter, Lie.leaning(tube.outer_diameter, width, depth), ratio)
-
-
-def with_gap(tube: Tube, rig: Rig) -> Rig:
-    """The rig with its even gap as a number, to be scaled."""
-    return replace(rig, mold=replace(rig.mold, gap=gap_of(tube, rig)))
 
 
 def gap_transfer(tube: Tube, rig: Rig) -> float:
@@ -234,6 +208,7 @@ def properties(tube: Tube, rig: Rig) -> Properties:
     data, section, girth = thermal_data(tube), tube.cross_section, math.pi * tube.outer_diameter
     mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
     factor, lengths, leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
+    bare = rig.convection or natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
     return {
         "heat": data.density * section * data.heat_capacity,
         "heat_slope": data.heat_capacity_slope,
@@ -243,7 +218,7 @@ def properties(tube: Tube, rig: Rig) -> Properties:
         "resistance": rig.resistivity_factor * data.resistivity / section,
         "resistance_slope": data.resistivity_slope,
         "to_clamp": clamps.contact_conductance * girth,
-        "to_air": bare_transfer(tube, rig) * girth * factor,
+        "to_air": bare * girth * factor,
         "radiating": data.emissivity * STEFAN_BOLTZMANN * girth * factor,
         "gap": gap_transfer(tube, rig) * girth * factor,
         "mold_k": factor * mold.conductivity,
@@ -278,11 +253,7 @@ def model_numbers(tube: Tube, rig: Rig, shells: int) -> tuple[Array, tuple[Array
 
 
 def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> ThermalModel:
-    """The numbers of the model for one tube on one rig.
-
-    Raises:
-        InputError: the tube has no curved part or its material no thermal data, or the mold is too small.
-    """
+    """The numbers of the model for one tube on one rig."""
     numbers, shells = model_numbers(tube, rig, resolution.shells)
     width = cell_widths(tube, rig, resolution)
     vent = vent_profile(rig, covered_fraction(tube, rig, resolution))
@@ -308,3 +279,9 @@ def joined(model: ThermalModel, tube: Array) -> Array:
     before, after = model.width[first - 1], model.width[first]
     edge = (after * tube[..., first - 1] + before * tube[..., first]) / (before + after)
     return np.concatenate([edge[..., None], tube[..., first:]], axis=-1)
+
+
+def seen(model: ThermalModel, tube: Array) -> tuple[Array, Array, Array]:
+    """(...,) coldest and hottest of the curved part, and the hottest point, degC, where the cells have (..., n), K."""
+    curved = joined(model, tube) - ZERO_CELSIUS
+    return curved.min(-1), curved.max(-1), tube.max(-1) - ZERO_CELSIUS

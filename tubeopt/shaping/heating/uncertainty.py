@@ -15,6 +15,7 @@ from ...files.marks import NOT_NEGATIVE, Range, check_fields, unit
 from ...physics.heat import Resolution
 from ...robots.tubes import Tube
 from ...typing import Array
+from .calibration import FACTORS
 from .rig import Rig
 from .thermal import ThermalModel, gap_of, stack, thermal_data, thermal_model
 
@@ -72,7 +73,7 @@ class Uncertainty(Displayed):
         """The tube and the rig at one draw, in the order of `unknown`."""
         by = dict.fromkeys((item.name for item in fields(self)), 0.0)
         by |= {name: getattr(self, name) * float(part) for name, part in zip(self.unknown, draw, strict=True)}
-        circuit, mold, data = rig.circuit, rig.mold, thermal_data(tube)
+        data = thermal_data(tube)
         data = replace(
             data,
             heat_capacity=data.heat_capacity * (1 + by["heat_capacity"]),
@@ -85,25 +86,16 @@ class Uncertainty(Displayed):
                 f"inner_diameter of the uncertainty is {1e6 * self.inner_diameter:g} um; it must leave the tube a "
                 f"wall, whose diameters are {1e3 * tube.inner_diameter:g} and {1e3 * tube.outer_diameter:g} mm"
             )
+        material = replace(rig.mold.material, conductivity=rig.mold.material.conductivity * (1 + by["conductivity"]))
+        lost = rig.circuit.lost_on_time + 0.5 * (self.lost_on_time + by["lost_on_time"])
         other = replace(
-            rig,
-            circuit=replace(
-                circuit,
-                contact_resistance=circuit.contact_resistance * (1 + by["contact_resistance"]),
-                lost_on_time=circuit.lost_on_time + 0.5 * (self.lost_on_time + by["lost_on_time"]),
-            ),
-            mold=replace(
-                mold,
-                gap=gap_of(tube, rig) * (1 + by["gap"]),
-                material=replace(mold.material, conductivity=mold.material.conductivity * (1 + by["conductivity"])),
-            ),
-            battery=replace(
-                rig.battery, state_of_charge=rig.battery.state_of_charge * (1 - 0.5 * (self.charge + by["charge"]))
-            ),
+            rig.with_charge(rig.battery.state_of_charge * (1 - 0.5 * (self.charge + by["charge"]))),
+            circuit=replace(rig.circuit, lost_on_time=lost),
+            mold=replace(rig.mold, gap=gap_of(tube, rig), material=material),
             ambient=rig.ambient + by["ambient"],
-            loss_factor=rig.loss_factor * (1 + by["loss"]),
-            resistivity_factor=rig.resistivity_factor * (1 + by["resistivity"]),
         )
+        for name in ("loss", "gap", "contact_resistance", "resistivity"):
+            other = FACTORS[name](other, 1 + by[name])
         return replace(tube, inner_diameter=inner, material=replace(tube.material, thermal=data)), other
 
     def models(

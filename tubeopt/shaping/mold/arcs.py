@@ -15,7 +15,7 @@ from numpy.polynomial import chebyshev
 
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import Arc, Line, Piece, bend_at, chain_bounds
+from .groove import Arc, Line, Piece, bounds
 from .setting import signed_curvature
 from .settings import DEFAULT_MOLD, MoldSolver
 
@@ -31,8 +31,6 @@ def bend_of(held: Tube, solver: MoldSolver = DEFAULT_MOLD) -> tuple[Piece, ...]:
     The headings of its ends are opposite, and on the whole it turns to the right: one arc stands symmetrically about
     the vertical. Its top is at y = 0.
     """
-    if not held.general:
-        return (bend_at(held.curvature, held.curved_length),)
     panels = _merged(signed_curvature(held))
     turn = math.fsum(_turn(length, c) for length, c in panels)
     side = -1.0 if turn >= 0 else 1.0
@@ -43,7 +41,7 @@ def bend_of(held: Tube, solver: MoldSolver = DEFAULT_MOLD) -> tuple[Piece, ...]:
         pieces += stretch.arcs(solver)
         end = np.array([length])
         at, heading = stretch.points(end)[0], float(stretch.headings(end)[0])
-    low, high = chain_bounds(pieces)
+    low, high = bounds(pieces)
     middle = (-(low[0] + high[0]) / 2, -high[1])
     return tuple(piece.moved(middle) for piece in pieces)
 
@@ -147,6 +145,6 @@ def _arc_to(start: Array, heading: float, end: Array) -> Piece:
     sweep = _sweep(start, heading, end)
     chord = float(np.linalg.norm(end - start))
     if abs(sweep) * chord / 8 <= FLAT:
-        return Line((float(start[0]), float(start[1])), (float(end[0]), float(end[1])))
+        return Line.between(start, end)
     curvature = 2 * math.sin(sweep / 2) / chord
     return _one_arc(start, heading, curvature, sweep / curvature)

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 from ...errors import InputError
 from ...robots.tubes import Tube
-from .groove import Point
+from .groove import Arc, Point
 from .heat import ColdEnd, cold_end
+from .nesting import Blank
 from .setting import tube_in_mold
 from .spec import EndMill, MoldSpec
 
@@ -64,9 +65,6 @@ def choose_mill(number: int, tube: Tube, spec: MoldSpec) -> tuple[EndMill, float
 
     The smallest mill as wide as tube and clearance, where it is not wider than the greatest clearance allows: one cut.
     Else the largest of those that are smaller, and a groove of exactly tube and clearance, cut along both walls.
-
-    Raises:
-        InputError: every end mill at hand is wider than the groove may be.
     """
     least = tube.outer_diameter + spec.groove.clearance
     most = max(tube.outer_diameter + spec.groove.most_clearance, least)
@@ -90,33 +88,31 @@ def groove_depth(tube: Tube, spec: MoldSpec) -> float:
     return math.ceil((tube.outer_diameter + spec.groove.clearance) / step - 1e-9) * step
 
 
+def strain_check(number: int, held: Tube, spec: MoldSpec, how: str, when: str, remedy: str) -> Check:
+    """The condition on the strain of a straight tube that is bent as its mold holds it: how, when, and what to do."""
+    strain, most = pressing_strain(held, held.curvature), spec.most_strain or held.material.superelastic_strain
+    failure = (
+        f"tube {number} is strained {strain * 100:.3g} % {when}, beyond the {most * 100:.3g} % that "
+        f"{held.material.name} springs back from; {remedy}"
+    )
+    return Check(f"tube {number}: strain when {how}", strain, most, "1", True, failure)
+
+
 def pressing_strain(tube: Tube, mold_curvature: float) -> float:
     """Largest surface strain of a straight tube pressed into a groove of this curvature (1/m): OD/2 * curvature."""
     return tube.outer_diameter / 2 * abs(mold_curvature)
 
 
-def tube_checks(
-    number: int, held: Tube, radius: float, *, mill: EndMill, width: float, spec: MoldSpec
-) -> tuple[Check, ...]:
-    """The conditions on one groove that do not depend on where it lies.
-
-    Args:
-        held: the tube as the groove holds it. radius: the least of the groove's arcs, m.
-    """
-    tube, depth = held, groove_depth(held, spec)
-    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
+def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
+    """The conditions on one groove that do not depend on where it lies."""
+    number, tube, mill, width = blank.number, blank.held, blank.mill, blank.width
+    depth = groove_depth(tube, spec)
+    radius = min((piece.radius for piece in blank.bend if isinstance(piece, Arc)), default=math.inf)
+    pressed = f"when it is pressed straight into the mold (radius {radius * 1e3:.4g} mm)"
+    remedy = "set it in steps, in molds of smaller and smaller radius"
     floor = spec.plate.thickness - depth
     return (
-        Check(
-            f"tube {number}: strain when pressed into the groove",
-            strain,
-            most,
-            "1",
-            True,
-            f"tube {number} is strained {strain * 100:.3g} % when it is pressed straight into the mold (radius "
-            f"{radius * 1e3:.4g} mm), beyond the {most * 100:.3g} % that {tube.material.name} springs back from; set "
-            "it in steps, in molds of smaller and smaller radius",
-        ),
+        strain_check(number, tube, spec, "pressed into the groove", pressed, remedy),
         Check(
             f"tube {number}: radius of the bend over that of its inner wall's cutter",
             radius,
@@ -161,11 +157,7 @@ def wall_check(least_wall: float, spec: MoldSpec) -> Check:
 
 
 def as_held(number: int, tube: Tube, spec: MoldSpec) -> tuple[Tube, ColdEnd]:
-    """A tube as its mold holds it, and its cold end, whose length is that of the specification where one is given.
-
-    Raises:
-        InputError: no mold yields the tube's largest curvature.
-    """
+    """A tube as its mold holds it, and its cold end, whose length is that of the specification where one is given."""
     try:
         held = tube_in_mold(tube, spec.springback)
     except InputError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from ...errors import choice
 from ...files.units import TO_MM
 from ...typing import Array
-from .groove import Arc, Line, Piece, Point, way_to_edge
+from .groove import Arc, Line, Piece, Point, leads_to_edge
 from .mold import Clamp, Groove, Mold
 
 LAYERS = ("OUTLINE", "GROOVE", "CENTERLINE", "HOLES", "TEXT")
@@ -32,9 +33,6 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     """The drawing of the lower plate ("base") or the top plate ("lid"), both seen from above, as they lie when closed.
 
     Centrelines are on both, grooves only on the base, vents only on the lid; clamps are drawn with the texts.
-
-    Raises:
-        InputError: no such part.
     """
     choice("part", part, PARTS)
     width, height = (extent * TO_MM for extent in mold.size)
@@ -50,7 +48,6 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
             "OUTLINE": outline,
             "GROOVE": walls if base else (),
             "CENTERLINE": centre,
-            "HOLES": (),
             "TEXT": jaws if base else (),
         },
         circles=tuple(((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM), hole.diameter * TO_MM) for hole in holes),
@@ -60,20 +57,8 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
 
 def groove_walls(groove: Groove, size: Point) -> tuple[Piece, ...]:
     """Both walls of a groove (m), lead, bend, lead, from plate edge to plate edge."""
-    walls: list[Piece] = []
-    for side in (1, -1):
-        wall = groove.centreline.offset(side * groove.width / 2)
-        tangents = [wall.lead_in.tangent(np.zeros(1))[0], wall.lead_out.tangent(np.zeros(1))[0]]
-        before = way_to_edge(wall.lead_in.end, -tangents[0], size)
-        after = way_to_edge(wall.lead_out.start, tangents[1], size)
-        start = wall.lead_in.point(np.array([wall.lead_in.length - before]))[0]
-        end = wall.lead_out.point(np.array([after]))[0]
-        walls += [
-            Line((float(start[0]), float(start[1])), wall.lead_in.end),
-            *wall.bend,
-            Line(wall.lead_out.start, (float(end[0]), float(end[1]))),
-        ]
-    return tuple(walls)
+    walls = (groove.centreline.offset(side * groove.width / 2) for side in (1, -1))
+    return tuple(piece for wall in walls for piece in leads_to_edge(wall.bend, size).pieces)
 
 
 def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
@@ -81,11 +66,10 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
     along = np.asarray(clamp.direction)
     across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
     near, far = np.asarray(clamp.face), np.asarray(clamp.face) + along * mold.spec.clamps.grip
-    corners = [near - across, far - across, far + across, near + across]
-    lines = [_line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+    lines = _around([near - across, far - across, far + across, near + across])
     if clamp.slides:
         beyond = far + along * clamp.travel
-        lines.append(_line(beyond - across, beyond + across))
+        lines.append(Line.between(beyond - across, beyond + across))
     return lines
 
 
@@ -96,35 +80,26 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
     lines = [
         f"{part} plate, {spec.material.name}, {mold.size[0] * TO_MM:g} x {mold.size[1] * TO_MM:g} x {thickness:g} mm"
     ]
-    for groove in mold.grooves:
-        lines.append(
-            f"tube {groove.number}: OD {groove.tube.outer_diameter * TO_MM:g}, "
-            f"mold radius {groove.radius * TO_MM:.3f}, bend {math.degrees(groove.bend_angle):.3f} deg, "
-            f"groove {groove.width * TO_MM:.3f} wide "
-            f"{groove.depth * TO_MM:.3f} deep, end mill {groove.mill.diameter * TO_MM:g}, cut tube to "
-            f"{groove.stock_length * TO_MM:.1f} mm"
-        )
-    step = 1.6 * TEXT_HEIGHT_MM
-    below = -max(3 * TEXT_HEIGHT_MM, -lowest_mm(mold) + 2 * TEXT_HEIGHT_MM)
-    return [((0.0, below - k * step), line) for k, line in enumerate(lines)]
-
-
-def lowest_mm(mold: Mold) -> float:
-    """Lowest y (mm) of plate and clamps."""
-    ends = [
-        y for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold) for _, y in (line.start,)
+    lines += [
+        f"tube {groove.number}: OD {groove.tube.outer_diameter * TO_MM:g}, mold radius {groove.radius * TO_MM:.3f}, "
+        f"bend {math.degrees(groove.bend_angle):.3f} deg, groove {groove.width * TO_MM:.3f} wide "
+        f"{groove.depth * TO_MM:.3f} deep, end mill {groove.mill.diameter * TO_MM:g}, cut tube to "
+        f"{groove.stock_length * TO_MM:.1f} mm"
+        for groove in mold.grooves
     ]
-    return min(0.0, *ends) * TO_MM
-
-
-def _line(a: Array, b: Array) -> Line:
-    return Line((float(a[0]), float(a[1])), (float(b[0]), float(b[1])))
+    step = 1.6 * TEXT_HEIGHT_MM
+    jaws = (line for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
+    below = min(-3 * TEXT_HEIGHT_MM, min(line.start[1] for line in jaws) * TO_MM - 2 * TEXT_HEIGHT_MM)
+    return [((0.0, below - k * step), line) for k, line in enumerate(lines)]
 
 
 def rectangle(width: float, height: float) -> tuple[Piece, ...]:
     """The outline of a plate whose lower left corner is the origin."""
-    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
-    return tuple(Line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True))
+    return tuple(_around(np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])))
+
+
+def _around(corners: Sequence[Array] | Array) -> list[Line]:
+    return [Line.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
 
 
 def in_mm(piece: Piece) -> Piece:

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
-
 from ...errors import InputError, SolveError, extra
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from .drawing import LAYERS, TEXT_HEIGHT_MM, Drawing, draw_plate
-from .groove import Arc, Line, Piece, spaced
+from .groove import Arc, Line, Piece, farthest
 from .mold import Mold
 
 COLOURS = {"OUTLINE": 7, "GROOVE": 5, "CENTERLINE": 1, "HOLES": 3, "TEXT": 8}
@@ -24,18 +22,13 @@ TOLERANCE = 1e-6
 
 
 def write_dxf(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
-    """Write a plate of the mold as DXF (R2010, mm), whole or not at all, and return the path.
-
-    Raises:
-        InputError: no such part, the file cannot be written, or ezdxf is not installed.
-        SolveError: the centreline read back lies more than 1 um from the mold's.
-    """
+    """Write a plate of the mold as DXF (R2010, mm), whole or not at all, and return the path; it is read back."""
     own = [piece for groove in mold.grooves for piece in groove.centreline.pieces]
     return write_drawing(draw_plate(mold, part), own, path)
 
 
 def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: str | PathLike[str]) -> Path:
-    """Write a drawing as DXF whose centreline is to be these pieces (m); errors as `write_dxf`."""
+    """Write a drawing as DXF; raises SolveError where its centreline, read back, lies 1 um or more from these."""
     ezdxf = extra("ezdxf", "fabrication", "DXF files")
     document = ezdxf.new("R2010")
     document.header["$INSUNITS"] = 4  # mm
@@ -60,11 +53,7 @@ def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: str | Pat
 
 
 def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
-    """The lines and arcs on layer CENTERLINE of a DXF file, in m.
-
-    Raises:
-        InputError: the file cannot be read, or ezdxf is not installed.
-    """
+    """The lines and arcs on layer CENTERLINE of a DXF file, in m."""
     ezdxf = extra("ezdxf", "fabrication", "DXF files")
     try:
         document = ezdxf.readfile(path)
@@ -87,12 +76,7 @@ def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str]) -> float:
     read = read_centreline(path)
     if not read:
         return math.inf
-    return max(_farthest(own, read), _farthest(read, own))
-
-
-def _farthest(pieces: Sequence[Piece], others: Sequence[Piece]) -> float:
-    points = np.vstack([piece.point(spaced(piece.length, 1e-3)) for piece in pieces])
-    return float(np.min([other.distance(points) for other in others], axis=0).max())
+    return max(farthest(own, read), farthest(read, own))
 
 
 def _add(space: object, piece: Piece, layer: str) -> None:

@@ -58,12 +58,8 @@ class Stage:
 
 
 def write_gcode(mold: Mold, directory: Path) -> list[Path]:
-    """Write the programs of both plates, and return their paths.
-
-    Raises:
-        InputError: a file cannot be written.
-        SolveError: read again, a cutter leaves its way by more than 10 um, or moves where it must not.
-    """
+    """Write the programs of both plates, and return their paths; raises SolveError where, read again, a cutter
+    leaves its way by more than 10 um, or moves where it must not."""
     written = []
     for part in PARTS:
         for name, text in programs(mold, part).items():
@@ -111,11 +107,7 @@ def as_milled(mold: Mold, part: str) -> Relief:
 
 
 def programs(mold: Mold, part: str) -> dict[str, str]:
-    """The programs of a plate by the names of their files: one, or one for each tool where there is no touch plate.
-
-    Raises:
-        InputError: no such part.
-    """
+    """The programs of a plate by the names of their files: one, or one for each tool where there is no touch plate."""
     title = f"{part} of a mold, {mold.spec.material.name}"
     return files_of(part, title, clear_room(mold), mold.spec, stages_of(mold, part))
 
@@ -235,8 +227,7 @@ def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Line]:
     half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side / count)
     for k in range(count):
         middle = (k + 0.5) / count * side
-        first, last = Line(start, end).point(np.array([middle - half, middle + half]))
-        yield Line((float(first[0]), float(first[1])), (float(last[0]), float(last[1])))
+        yield Line.between(*Line(start, end).point(np.array([middle - half, middle + half])))
 
 
 def _above(place: Point, spec: MoldSpec) -> Iterator[str]:

@@ -16,7 +16,7 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...typing import Array
 from .checks import overrun
-from .groove import Arc, Centreline, Line, Piece, Point, spaced
+from .groove import Arc, Centreline, Line, Piece, Point, farthest, spaced
 from .mold import Groove, Mold
 
 PER_MINUTE = 60.0
@@ -65,11 +65,7 @@ class _Machine:
 
 
 def read_gcode(text: str) -> tuple[Motion, ...]:
-    """The moves of a program.
-
-    Raises:
-        InputError: a line that is no words of a letter and a number, or an arc whose ends are not on one circle.
-    """
+    """The moves of a program."""
     machine = _Machine()
     found: list[Motion] = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -149,18 +145,14 @@ def toolpath_deviation(mold: Mold, text: str) -> float:
     At full depth, every way of every groove must be there.
     """
     cuts = [m for m in read_gcode(text) if m.feed is not None and m.piece.length > 0]
-    worst, step = 0.0, 1e-3
+    worst = 0.0
     for groove in mold.grooves:
         deep = [cut.piece for cut in cuts if abs(cut.end + groove.depth) < 1e-6]
         if not deep:
             return math.inf
-        for way in cutter_ways(groove):
-            there = np.min([piece.distance(way.sample(step)) for piece in deep], axis=0)
-            worst = max(worst, float(there.max()))
-    ways = [way for groove in mold.grooves for way in cutter_ways(groove)]
-    gone = [cut.piece.point(spaced(cut.piece.length, step)) for cut in cuts]
-    points = np.asarray(np.unique(np.round(np.vstack(gone), 9), axis=0), dtype=float)
-    return max(worst, float(np.min([way.distance(points) for way in ways], axis=0).max()))
+        worst = max(worst, *(farthest(way.pieces, deep) for way in cutter_ways(groove)))
+    meant = [piece for groove in mold.grooves for way in cutter_ways(groove) for piece in way.pieces]
+    return max(worst, farthest({cut.piece for cut in cuts}, meant))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +179,7 @@ def milled(size: Point, cuts: list[tuple[str, float]]) -> Relief:
 def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float) -> None:
     """Take away what a cutter of this radius reaches in one move, as deep as the lower of its ends."""
     piece = motion.piece
-    way = (
-        piece.point(np.linspace(0.0, piece.length, max(2, math.ceil(piece.length / 0.5e-3))))
-        if piece.length
-        else (np.array([piece.start]))
-    )
+    way = piece.point(spaced(piece.length, 0.5e-3)) if piece.length else np.array([piece.start])
     low, high = way.min(0) - radius, way.max(0) + radius
     window = tuple(
         slice(*np.searchsorted(axis, [a, b])) for axis, a, b in zip(axes[::-1], low[::-1], high[::-1], strict=True)

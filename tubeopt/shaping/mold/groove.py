@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,9 +13,6 @@ from ...typing import Array
 
 Point = tuple[float, float]
 
-STRAIGHT = 1e-9
-"""Curvature (1/m) below which a bend is drawn as a straight line: its radius would exceed a million kilometres."""
-
 
 @dataclass(frozen=True)
 class Line:
@@ -23,6 +20,11 @@ class Line:
 
     start: Point
     end: Point
+
+    @classmethod
+    def between(cls, start: Array, end: Array) -> Line:
+        """From one point (2,) to another."""
+        return cls(_point(start), _point(end))
 
     @property
     def length(self) -> float:
@@ -42,7 +44,7 @@ class Line:
         """The parallel piece at `distance` (m) to the left."""
         (tx, ty) = self.tangent(np.zeros(1))[0]
         shift = np.array([-ty, tx]) * distance
-        return Line(_point(np.asarray(self.start) + shift), _point(np.asarray(self.end) + shift))
+        return Line.between(self.start + shift, self.end + shift)
 
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the piece."""
@@ -149,14 +151,19 @@ class Centreline:
 
     def lengthened(self, extra: float) -> Centreline:
         """With both leads `extra` (m) longer, outwards."""
-        a, b = self.lead_in, self.lead_out
-        start = a.point(np.array([-extra]))[0]
-        end = b.point(np.array([b.length + extra]))[0]
-        return Centreline(Line(_point(start), a.end), self.bend, Line(b.start, _point(end)))
+        return with_leads(self.bend, self.lead_in.length + extra, self.lead_out.length + extra)
 
     def sample(self, step: float) -> Array:
         """(N, 2) points (m) at most `step` (m) apart, with the ends of all pieces."""
-        return np.vstack([piece.point(spaced(piece.length, step)) for piece in self.pieces])
+        return self.along(step)[1]
+
+    def along(self, step: float) -> tuple[Array, Array, Array]:
+        """Arc lengths (N,), m, points (N, 2) and unit tangents (N, 2) of a sample."""
+        begins = np.cumsum([0.0, *(piece.length for piece in self.pieces)])
+        places = [spaced(piece.length, step) for piece in self.pieces]
+        both = list(zip(self.pieces, places, strict=True))
+        points, tangents = np.vstack([p.point(s) for p, s in both]), np.vstack([p.tangent(s) for p, s in both])
+        return np.concatenate([begin + s for begin, s in zip(begins, places, strict=False)]), points, tangents
 
     def bend_point(self, s: Array) -> Array:
         """(N, 2) points at arc lengths `s` (N,) of the bend, m."""
@@ -169,17 +176,6 @@ class Centreline:
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the centreline."""
         return np.asarray(np.min([piece.distance(points) for piece in self.pieces], axis=0))
-
-
-def bend_at(curvature: float, length: float) -> Piece:
-    """A bend of this curvature (1/m, its size counts) and length (m), symmetric about the vertical; its top is at 0.
-
-    It runs from left to right and turns right; one that is straight runs along x.
-    """
-    if abs(curvature) <= STRAIGHT:
-        return Line((-length / 2, 0.0), (length / 2, 0.0))
-    radius, angle = 1 / abs(curvature), length * abs(curvature)
-    return Arc((0.0, -radius), radius, math.pi / 2 + angle / 2, -angle)
 
 
 def with_leads(bend: Sequence[Piece], lead_in: float, lead_out: float) -> Centreline:
@@ -209,12 +205,7 @@ def way_to_edge(start: Point, direction: Array, size: Point) -> float:
     return float(min(ways))
 
 
-def bounds(curve: Centreline) -> tuple[Point, Point]:
-    """Least and greatest coordinates of the centreline, exact for arcs."""
-    return chain_bounds(curve.pieces)
-
-
-def chain_bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
+def bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
     """Least and greatest coordinates of pieces, exact for arcs."""
     points = [end for piece in pieces for end in (piece.start, piece.end)]
     for piece in pieces:
@@ -231,29 +222,33 @@ def least_distance(first: Centreline, second: Centreline) -> float:
     return float(second.distance(first.sample(5e-4)).min())
 
 
+def farthest(pieces: Iterable[Piece], others: Iterable[Piece]) -> float:
+    """Greatest distance (m) of pieces, sampled every millimetre, from others."""
+    points = np.vstack([piece.point(spaced(piece.length, 1e-3)) for piece in pieces])
+    return float(np.min([other.distance(points) for other in others], axis=0).max())
+
+
 def crosses_itself(curve: Centreline, width: float) -> bool:
     """Whether a groove of this width (m) runs into itself: it comes near to where it has been, facing another way.
 
     Only points between which it turns by more than a quarter are compared, those a bend parts, however tight it is.
     """
-    sweeps = [piece.sweep if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
-    ends = np.concatenate([[0.0], np.cumsum(sweeps)])
-    if np.ptp(ends) <= math.pi / 2:
-        return False
-    points, headings, step = [], [], 1.5e-3
-    for piece, before, after in zip(curve.pieces, ends[:-1], ends[1:], strict=True):
-        s = spaced(piece.length, step)
-        points.append(piece.point(s))
-        headings.append(np.linspace(before, after, len(s)))
-    at, heading = np.vstack(points), np.concatenate(headings)
-    # From row to column, the range of headings on the way.
-    later = np.triu(np.ones((len(at), len(at)), dtype=bool))
-    high = np.maximum.accumulate(np.where(later, heading, -np.inf), axis=1)
-    low = np.minimum.accumulate(np.where(later, heading, np.inf), axis=1)
-    apart = later & (high - low > math.pi / 2)
-    square = (at[:, None, 0] - at[None, :, 0]) ** 2 + (at[:, None, 1] - at[None, :, 1]) ** 2
+    step = 1.5e-3
+    _, points, tangents = curve.along(step)
     # Between two samples a curve may come nearer by half a step.
-    return bool((square[apart] < width**2 + step**2 / 4).any())
+    return comes_back(points, np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0])), math.hypot(width, step / 2))
+
+
+def comes_back(at: Array, heading: Array, distance: float) -> bool:
+    """Whether a planar curve, by points (N, 2) and headings (N,), comes nearer than this (m) to where it has been,
+    having turned by more than a quarter."""
+    if np.ptp(heading) <= math.pi / 2:
+        return False
+    for k in range(len(at) - 1):
+        apart = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
+        if (((at[k:][apart] - at[k]) ** 2).sum(1) < distance**2).any():
+            return True
+    return False
 
 
 def polygon(curve: Centreline, width: float, sagitta: float = 1e-6) -> Array:

@@ -117,14 +117,14 @@ def cold_end(tube: Tube, material: MoldMaterial, heat: HeatSpec) -> ColdEnd:
     temperature, steady: true after decay_length^2 / diffusivity of the tube, some 10 s.
     """
     loss = float(heat_flow(tube.outer_diameter, material, heat, np.array([heat.hold_time]))[0]) / heat.rise
-    return fin(tube, heat, loss, loss / (math.pi * tube.outer_diameter))
+    return fin(tube, heat, loss / (math.pi * tube.outer_diameter))
 
 
-def fin(tube: Tube, heat: HeatSpec, loss: float, coefficient: float) -> ColdEnd:
-    """The end of a tube that loses so much, W/(m K), as a fin; the same over its surface, W/(m^2 K)."""
+def fin(tube: Tube, heat: HeatSpec, coefficient: float) -> ColdEnd:
+    """The end of a tube that loses so much, W/(m^2 K), as a fin."""
     data, hot = thermal_data(tube), heat.set_temperature
     conductivity = data.conductivity * (1 + data.conductivity_slope * (hot - data.reference_temperature))
-    decay = math.sqrt(conductivity * tube.cross_section / loss)
+    decay = math.sqrt(conductivity * tube.cross_section / (coefficient * math.pi * tube.outer_diameter))
     gap = hot - heat.clamps
     length = decay * math.log(gap / heat.tolerance) if gap > heat.tolerance else 0.0
     return ColdEnd(length, decay, coefficient)

@@ -117,11 +117,8 @@ def _hermite(places: Array, h: Array) -> tuple[Array, Array]:
 
 
 def _forces(answer: Array, rooms: Array) -> Array:
-    """(M,) of supports that push or leave a gap: room - side * w >= 0 where the force is 0.
-
-    Args:
-        answer: (M, 1 + M) side times displacement at the supports, without forces and for each force of 1.
-    """
+    """(M,) of supports that push or leave a gap: room - side * w >= 0 where the force is 0. `answer`: (M, 1 + M) side
+    times w there, without forces and for each force of 1."""
     if not len(rooms):
         return np.zeros(0)
     gap, give = rooms - answer[:, 0], -answer[:, 1:]

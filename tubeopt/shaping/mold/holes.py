@@ -33,11 +33,7 @@ class Hole:
 def place_fasteners(
     size: Point, curves: Sequence[Centreline], widths: Sequence[float], spec: MoldSpec
 ) -> tuple[Hole, ...]:
-    """Bolts in the corners and along the edges, two dowels between them; clear of the grooves and of one another.
-
-    Raises:
-        InputError: there is no room for two dowels and four bolts.
-    """
+    """Bolts in the corners and along the edges, two dowels between them; clear of the grooves and of one another."""
     plate, wall = spec.plate, spec.groove.wall
     inset = max(plate.bolt_diameter, plate.dowel_diameter) / 2 + wall
     rim = _rim(size, inset, spec.solver.fastener_step)
@@ -70,11 +66,7 @@ def place_fasteners(
 
 
 def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole, ...]:
-    """Vents of one size along the bend, as dense as the profile asks: their area follows it.
-
-    Raises:
-        InputError: the profile asks for vents that would run into one another.
-    """
+    """Vents of one size along the bend, as dense as the profile asks: their area follows it."""
     length = curve.bend_length
     each = open_area(width, vents.diameter)
     cells = np.linspace(0.0, length, len(vents.profile) + 1)

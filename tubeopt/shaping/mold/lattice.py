@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import Centreline, Point, spaced
+from .groove import Centreline, Point
 from .settings import DEFAULT_MOLD
 from .spec import PegSpec
 
@@ -55,16 +55,9 @@ class Sampled:
     @classmethod
     def of(cls, curve: Centreline, step: float) -> Sampled:
         """A curve, `step` (m) apart."""
-        lengths, points, normals, begin = [], [], [], 0.0
-        for piece in curve.pieces:
-            s = spaced(piece.length, step)
-            t = piece.tangent(s)
-            lengths.append(begin + s)
-            points.append(piece.point(s))
-            normals.append(np.column_stack([-t[:, 1], t[:, 0]]))
-            begin += piece.length
-        at = np.vstack(points)
-        return cls(np.concatenate(lengths), at, np.vstack(normals), scipy.spatial.cKDTree(at))
+        s, points, tangents = curve.along(step)
+        normals = np.column_stack([-tangents[:, 1], tangents[:, 0]])
+        return cls(s, points, normals, scipy.spatial.cKDTree(points))
 
     def seen(self, places: Array) -> tuple[Array, Array]:
         """Arc lengths of the feet of places (..., 2), and how far to the left of the curve they lie."""

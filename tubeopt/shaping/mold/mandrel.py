@@ -20,10 +20,11 @@ from .checks import (
     as_held,
     choose_mill,
     material_remarks,
-    pressing_strain,
     refuse_failed,
     springback_remarks,
+    strain_check,
 )
+from .groove import comes_back, way_to_edge
 from .heat import ColdEnd
 from .setting import bend_direction, tube_from_mold
 from .spec import MoldSpec
@@ -130,18 +131,8 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     if bend_direction(tube) is not None:
         raise InputError(f"tube {number} is bent in a plane; it takes a plate, not a mandrel")
     held, cold = as_held(number, tube, spec)
-    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
-    checks = [
-        Check(
-            f"tube {number}: strain when wound into the groove",
-            strain,
-            most,
-            "1",
-            True,
-            f"tube {number} is strained {strain * 100:.3g} % when it is wound into the groove, beyond the "
-            f"{most * 100:.3g} % that {tube.material.name} springs back from; set it in steps",
-        )
-    ]
+    wound = "wound into the groove"
+    checks = [strain_check(number, held, spec, wound, f"when it is {wound}", "set it in steps")]
     refuse_failed(checks)
     found = helix_of(held)
     width = tube.outer_diameter + spec.groove.clearance
@@ -153,7 +144,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
         mill, width = choose_mill(number, tube, spec)
         if abs(mill.diameter - width) > 1e-9:
             special = [f"none of the end mills at hand is {width * 1e3:g} mm wide; the groove takes a tool ground so"]
-        body, winding = _cylinder(number, held, found, width, spec)
+        body, winding = _cylinder(held, found, width, spec)
         checks += _turns_apart(number, held, found, body, width, spec)
     else:
         lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
@@ -171,19 +162,16 @@ def predict_wound_tube(mandrel: Mandrel, *, springback: Springback | None = None
     return tube_from_mold(mandrel.held, springback or mandrel.spec.springback)
 
 
-def _cylinder(
-    number: int, held: Tube, helix: tuple[float, float], width: float, spec: MoldSpec
-) -> tuple[Cylinder, Winding]:
+def _cylinder(held: Tube, helix: tuple[float, float], width: float, spec: MoldSpec) -> tuple[Cylinder, Winding]:
     """The helix about x from angle 0, and tangent leads until they have left the cylinder."""
     curvature, torsion = helix
     size = curvature**2 + torsion**2
     radius, lead, bent = curvature / size, torsion / size, math.sqrt(size)
-    outer = radius + width / 2
     # A straight lead leaves at the radius where its groove's bottom is the surface.
     out = math.sqrt((radius + width) ** 2 - radius**2) / (radius * bent)
     advance = abs(lead) * bent
     first = SHANK + spec.plate.margin + out * advance
-    last = first + abs(lead) * bent * held.curved_length + out * advance + spec.plate.margin
+    last = first + (held.curved_length + out) * advance + spec.plate.margin
     count = math.ceil(held.curved_length * bent / math.radians(2.0)) + 1
     s = np.linspace(0.0, held.curved_length, count)
     side = math.copysign(1.0, lead)
@@ -192,7 +180,7 @@ def _cylinder(
     around = side * radius * bent
     tangents = np.column_stack([np.full(count, advance), -around * np.sin(angle), around * np.cos(angle)])
     bend = Winding(s, points, tangents, slice(0, count))
-    return Cylinder(outer, last, radius, lead), bend.with_leads(out, out)
+    return Cylinder(radius + width / 2, last, radius, lead), bend.with_leads(out, out)
 
 
 def _turns_apart(
@@ -216,9 +204,8 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
     bend = bend_in_space(held, spec.solver).with_leads(lead, lead)
     best: tuple[float, Block, Winding] | None = None
     for up in _sides(bend.points, spec.solver.block_sides):
-        if np.abs(bend.tangents @ up).max() > spec.solver.block_slope or _meets_itself(
-            bend, up, width + spec.groove.wall
-        ):
+        steep = np.abs(bend.tangents @ up).max() > spec.solver.block_slope
+        if steep or _meets_itself(bend, up, width + spec.groove.wall):
             continue
         along = bend.points[-1] - bend.points[0]
         x = along - (along @ up) * up
@@ -230,7 +217,9 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
         inner = turned.points[turned.bend]
         low[0], high[0] = min(low[0], inner[:, 0].min() - rim), max(high[0], inner[:, 0].max() + rim)
         low[1], high[1] = low[1] - rim, high[1] + rim
-        ways = [_way_out(turned.points[k], sign * turned.tangents[k], low, high) for k, sign in ((0, -1), (-1, 1))]
+        sides = tuple(high[:2] - low[:2])
+        ends = [(turned.points[k, :2] - low[:2], sign * turned.tangents[k, :2]) for k, sign in ((0, -1), (-1, 1))]
+        ways = [max(way_to_edge(end, way, sides), 0.0) for end, way in ends]
         low[2] -= width / 2 + spec.groove.floor
         high[2] += width / 2
         size = high - low
@@ -266,21 +255,7 @@ def _meets_itself(curve: Winding, up: Array, width: float) -> bool:
     steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     if (np.abs(np.diff(heading)) > 2 * steps / width).any():
         return True
-    if np.ptp(heading) <= math.pi / 2:
-        return False
-    for k in range(0, len(seen) - 1, 2):
-        apart = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
-        if apart.any() and np.linalg.norm(seen[k:][apart] - seen[k], axis=1).min() < width:
-            return True
-    return False
-
-
-def _way_out(point: Array, direction: Array, low: Array, high: Array) -> float:
-    """Length (m) of the way from a point to the sides of a block, along a unit direction that is not upright."""
-    ways = [
-        ((high if direction[k] > 0 else low)[k] - point[k]) / direction[k] for k in (0, 1) if abs(direction[k]) > 1e-12
-    ]
-    return float(max(min(ways), 0.0))
+    return comes_back(seen, heading, width)
 
 
 def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:

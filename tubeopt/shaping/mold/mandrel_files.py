@@ -48,13 +48,10 @@ def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path
         stl = out / "mandrel.stl"
         paths.append(write_solid(_solid(mandrel), stl, lambda path: check_mandrel_stl(mandrel, path, name=str(stl))))
     if isinstance(mandrel.body, Cylinder):
-        text = mandrel_gcode(mandrel)
-        for path, content, rows in (
-            (out / "mandrel.csv", _csv(mandrel), None),
-            (out / "mandrel.nc", text, read_rotary(text)),
-        ):
-            read = np.loadtxt(io.StringIO(content), delimiter=",", skiprows=1)[:, 1:] if rows is None else rows
-            _must_follow(mandrel, read, path)
+        table, text = _csv(mandrel), mandrel_gcode(mandrel)
+        read = np.loadtxt(io.StringIO(table), delimiter=",", skiprows=1)[:, 1:]
+        for path, content, rows in ((out / "mandrel.csv", table, read), (out / "mandrel.nc", text, read_rotary(text))):
+            _must_follow(mandrel, rows, path)
             write_text(path, content)
             paths.append(path)
     return paths
@@ -64,24 +61,10 @@ def rotation_table(mandrel: Mandrel) -> Array:
     """(N, 4) arc length from the bend's proximal end (m), feed (m), rotation (rad), radius of the tool's tip (m)."""
     if not isinstance(mandrel.body, Cylinder):
         raise InputError("the mandrel is printed; only a turned one has a table of rotation and feed")
-    winding = mandrel.winding
-    bend = winding.arc_length[winding.bend]
-    before, after = winding.arc_length[0], winding.arc_length[-1]
-    lead = np.arange(FINE, -before, FINE)
-    s = np.concatenate([[before], -lead[::-1], bend, bend[-1] + lead, [after]])
-    first, last = winding.bend.start, winding.bend.stop - 1
-    p = winding.points[winding.bend]
-    points = np.vstack(
-        [
-            winding.points[first] + s[s < 0][:, None] * winding.tangents[first],
-            p,
-            winding.points[last] + (s[s > bend[-1]] - bend[-1])[:, None] * winding.tangents[last],
-        ]
-    )
-    angle = np.unwrap(np.arctan2(points[:, 2], points[:, 1]))
-    angle -= angle[np.searchsorted(s, 0.0)]
-    radius = np.hypot(points[:, 1], points[:, 2])
-    return np.column_stack([s, points[:, 0], angle, radius - mandrel.width / 2])
+    fine = mandrel.winding.lengthened(0.0, FINE)
+    feed, y, z = fine.points.T
+    angle = np.unwrap(np.arctan2(z, y))
+    return np.column_stack([fine.arc_length, feed, angle - angle[fine.bend.start], np.hypot(y, z) - mandrel.width / 2])
 
 
 def _csv(mandrel: Mandrel) -> str:
@@ -142,11 +125,7 @@ def _must_follow(mandrel: Mandrel, rows: Array, path: Path) -> None:
 
 
 def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str = "") -> float:
-    """Greatest deviation (m) of the groove in an STL file: its bottom lies half a width from every point of the bend.
-
-    Raises:
-        SolveError: the solid is not watertight, or the groove lies more than 10 um from the curve.
-    """
+    """Greatest deviation (m) of the groove in an STL file: its bottom lies half a width from the bend everywhere."""
     mesh = trimesh().load_mesh(str(path), file_type="stl")
     if not mesh.is_watertight:
         raise SolveError(f"{name or path}: the solid of the mandrel is not watertight")
@@ -168,9 +147,7 @@ def _solid(mandrel: Mandrel) -> Any:
         heights = np.maximum(body.radius + mandrel.width - away, mandrel.width)
         return solid - channel(w.points, w.tangents, radial / away[:, None], heights, mandrel.width / 2, sagitta)
     solid = library.cube(tuple(x * TO_MM for x in body.size))
-    beyond = w.with_leads(
-        -w.arc_length[0] + 10 * mandrel.width, w.arc_length[-1] - w.arc_length[w.bend][-1] + 10 * mandrel.width
-    )
+    beyond = w.lengthened(10 * mandrel.width)
     ups = np.tile([0.0, 0.0, 1.0], (len(beyond.points), 1))
     heights = np.maximum(body.size[2] - beyond.points[:, 2], 0.0) + mandrel.width
     return solid - channel(beyond.points, beyond.tangents, ups, heights, mandrel.width / 2, sagitta)
@@ -201,13 +178,8 @@ def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: 
     fan = np.column_stack([np.zeros(m - 2, int), np.arange(1, m - 1), np.arange(2, m)])
     faces = np.vstack([sides, grid[0][fan][:, ::-1], grid[-1][fan]])
     corners = rings.reshape(-1, 3) * TO_MM
-    if _volume(corners, faces) < 0:
+    if trimesh().Trimesh(corners, faces, process=False).volume < 0:
         faces = faces[:, ::-1]
     library = manifold()
     mesh = library.Mesh(vert_properties=corners.astype(np.float32), tri_verts=np.ascontiguousarray(faces, np.uint32))
     return library.Manifold(mesh)
-
-
-def _volume(corners: Array, faces: Array) -> float:
-    p, q, r = (corners[faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", p, np.cross(q, r))) / 6

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -281,17 +281,16 @@ def plan_mold(
     called = range(1, len(wanted) + 1) if numbers is None else numbers
     if len(called) != len(wanted):
         raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one for every tube")
-    grooves = [_groove(number, tube, spec) for number, tube in zip(called, wanted, strict=True)]
-    checks = [check for groove, _ in grooves for check in _checks(groove, spec)]
+    blanks = [_blank(number, tube, spec) for number, tube in zip(called, wanted, strict=True)]
+    checks = [check for blank in blanks for check in tube_checks(blank, spec)]
     refuse_failed(checks)
-    layout = nest([blank for _, blank in grooves], spec)
-    if len(grooves) > 1:
+    layout = nest(blanks, spec)
+    if len(blanks) > 1:
         checks.append(wall_check(layout.least_wall, spec))
-    holes = place_fasteners(layout.size, layout.centrelines, [groove.width for groove, _ in grooves], spec)
-    placed = [
-        _place(groove, curve, layout.size, spec) for (groove, _), curve in zip(grooves, layout.centrelines, strict=True)
-    ]
-    remarks = *_remarks(placed, spec), *machining_remarks(layout.size, [groove.width for groove in placed], spec)
+    widths = [blank.width for blank in blanks]
+    holes = place_fasteners(layout.size, layout.centrelines, widths, spec)
+    placed = [_placed(blank, curve, layout.size, spec) for blank, curve in zip(blanks, layout.centrelines, strict=True)]
+    remarks = *_remarks(placed, spec), *machining_remarks(layout.size, widths, spec)
     return Mold(spec, layout.size, tuple(placed), holes, tuple(checks), remarks)
 
 
@@ -301,8 +300,7 @@ def groove_area(groove: Groove, size: Point) -> float:
     return clipped_area(corners, size)
 
 
-def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
-    """The groove before it has a place, and the blank that finds it one."""
+def _blank(number: int, tube: Tube, spec: MoldSpec) -> Blank:
     if not isinstance(tube, Tube):
         raise InputError(f"tube {number} is a {type(tube).__name__}; it must be a Tube")
     if tube.curved_length == 0:
@@ -312,19 +310,10 @@ def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
     held, cold = as_held(number, tube, spec)
     mill, width = choose_mill(number, tube, spec)
     lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
-    blank = Blank(number, bend_of(held, spec.solver), lead, width)
-    nowhere = (Clamp("proximal", (0.0, 0.0), (-1.0, 0.0), 0.0), Clamp("distal", (0.0, 0.0), (1.0, 0.0), 0.0))
-    depth = groove_depth(tube, spec)
-    groove = Groove(number, tube, blank.core, held, width, depth, mill, cold, 0.0, nowhere, spec.clamps.grip)
-    return groove, blank
+    return Blank(number, tube, held, cold, mill, width, bend_of(held, spec.solver), lead)
 
 
-def _checks(groove: Groove, spec: MoldSpec) -> tuple[Check, ...]:
-    least = min((piece.radius for piece in groove.centreline.bend if isinstance(piece, Arc)), default=math.inf)
-    return tube_checks(groove.number, groove.held, least, mill=groove.mill, width=groove.width, spec=spec)
-
-
-def _place(groove: Groove, curve: Centreline, size: Point, spec: MoldSpec) -> Groove:
+def _placed(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Groove:
     """The groove on the plate, with clamps, growth and vents."""
     clamps = spec.clamps
     ways = (-curve.lead_in.tangent(np.zeros(1))[0], curve.lead_out.tangent(np.zeros(1))[0])
@@ -332,19 +321,26 @@ def _place(groove: Groove, curve: Centreline, size: Point, spec: MoldSpec) -> Gr
     gaps = [_clamp_gap(mouth, way, size, spec) for mouth, way in zip(mouths, ways, strict=True)]
     growth = spec.growth
     if growth is None:
-        growth = thermal_growth(groove.tube, spec.heat, groove.cold.decay_length, curve.length + sum(gaps))
+        growth = thermal_growth(blank.tube, spec.heat, blank.cold.decay_length, curve.length + sum(gaps))
     travel = math.ceil((growth * clamps.travel_factor + clamps.travel_extra) / TRAVEL_STEP - 1e-9) * TRAVEL_STEP
     placed = []
     for end, mouth, way, gap in zip(ENDS, mouths, ways, gaps, strict=True):
         face = np.asarray(mouth) + gap * way
         slide = travel if end == clamps.sliding_end else 0.0
         placed.append(Clamp(end, (float(face[0]), float(face[1])), (float(way[0]), float(way[1])), slide))
-    return replace(
-        groove,
+    return Groove(
+        number=blank.number,
+        tube=blank.tube,
         centreline=curve,
+        held=blank.held,
+        width=blank.width,
+        depth=groove_depth(blank.tube, spec),
+        mill=blank.mill,
+        cold=blank.cold,
         growth=growth,
         clamps=(placed[0], placed[1]),
-        vents=place_vents(curve, groove.width, spec.vents),
+        grip=clamps.grip,
+        vents=place_vents(curve, blank.width, spec.vents),
     )
 
 

@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from ...errors import InputError
+from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import (
     Arc,
@@ -18,25 +19,34 @@ from .groove import (
     Piece,
     Point,
     bounds,
-    chain_bounds,
     crosses_itself,
     leads_to_edge,
     least_distance,
     with_leads,
 )
-from .spec import MoldSpec
+from .heat import ColdEnd
+from .spec import EndMill, MoldSpec
 
 DIRECTIONS = {"one above the other": (0.0, 1.0), "side by side": (1.0, 0.0)}
 
 
 @dataclass(frozen=True)
 class Blank:
-    """A groove before it has a place: tube number, bend with its top at y = 0, least lead and width (m)."""
+    """A groove before it has a place.
+
+    Attributes:
+        number, tube, held, cold, mill, width: as of a `Groove`.
+        bend: with its top at y = 0. least_lead: m.
+    """
 
     number: int
+    tube: Tube
+    held: Tube
+    cold: ColdEnd
+    mill: EndMill
+    width: float
     bend: tuple[Piece, ...]
     least_lead: float
-    width: float
 
     @cached_property
     def core(self) -> Centreline:
@@ -46,7 +56,7 @@ class Blank:
     @cached_property
     def boxes(self) -> tuple[Array, Array]:
         """(2, 2) least and greatest coordinates of the bend, and of the core."""
-        return np.array(chain_bounds(self.bend)), np.array(bounds(self.core))
+        return np.array(bounds(self.bend)), np.array(bounds(self.core.pieces))
 
     @property
     def turn(self) -> float:
@@ -64,12 +74,7 @@ class Layout:
 
 
 def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
-    """The arrangement with the smallest plate in which all grooves reach the edge and none meets another.
-
-    Raises:
-        InputError: a groove crosses itself, the grooves do not fit on a plate of the given size, or they cross one
-            another however they are arranged.
-    """
+    """The arrangement with the smallest plate in which all grooves reach the edge and none meets another."""
     for blank in blanks:
         # Where the plate is free the leads are at least as long as this, and a plate only makes them longer.
         if crosses_itself(blank.core, blank.width + spec.groove.wall):

@@ -7,12 +7,12 @@ import math
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from ...errors import SolveError
 from ...files.csv_file import to_csv
 from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
-from ...typing import Array
 from .checks import beyond_edge
 from .drawing import TEXT_HEIGHT_MM, Drawing, in_mm, rectangle
 from .dxf import write_drawing
@@ -94,10 +94,7 @@ def draw_board(board: PegBoard) -> Drawing:
         size=(width, height),
         pieces={
             "OUTLINE": rectangle(width, height),
-            "GROOVE": (),
             "CENTERLINE": tuple(in_mm(piece) for piece in board.centreline.pieces),
-            "HOLES": (),
-            "TEXT": (),
         },
         circles=tuple(((x * TO_MM, y * TO_MM), spec.shank * TO_MM) for x, y in board.holes.values()),
         texts=tuple(((0.0, -(k + 2) * step), line) for k, line in enumerate(words)),
@@ -124,8 +121,5 @@ def _holes_off(board: PegBoard, text: str) -> float:
     wanted = np.array(list(board.holes.values()))
     if not len(done):
         return math.inf
-    return max(_farthest(wanted, done), _farthest(done, wanted))
-
-
-def _farthest(places: Array, others: Array) -> float:
-    return max(float(np.linalg.norm(others - place, axis=1).min()) for place in places)
+    apart = scipy.spatial.distance.cdist(wanted, done)
+    return float(max(apart.min(0).max(), apart.min(1).max()))

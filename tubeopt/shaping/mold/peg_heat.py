@@ -44,8 +44,7 @@ def tube_in_air(tube: Tube, heat: HeatSpec) -> ColdEnd:
     """The end of a tube in air as a fin, hot by its current; as `cold_end` of a mold."""
     data, hot, cold = thermal_data(tube), heat.set_temperature, heat.ambient
     radiated = data.emissivity * STEFAN_BOLTZMANN * (hot**4 - cold**4) / heat.rise
-    loss = natural_convection(tube.outer_diameter, hot, cold) + radiated
-    return fin(tube, heat, loss * math.pi * tube.outer_diameter, loss)
+    return fin(tube, heat, natural_convection(tube.outer_diameter, hot, cold) + radiated)
 
 
 def pin_conductance(tube: Tube, heat: HeatSpec, pin: float, height: float, conductivity: float) -> float:

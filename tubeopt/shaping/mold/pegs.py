@@ -21,7 +21,7 @@ from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array, Sentence
 from .arcs import bend_of
-from .checks import pressing_strain
+from .checks import refuse_failed, strain_check
 from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd
 from .held import Held, held_between
@@ -155,10 +155,8 @@ def _pegged(
             if found[-1][0] <= pegging.most_deviation:
                 break
     good = [one for one in found if one[0] <= pegging.most_deviation]
-    touching = [(one, int((one[3].force > 0).sum())) for one in good]
-    worst, placed, pegs, lying = (
-        min(touching, key=lambda pair: pair[1])[0] if good else min(found, key=lambda one: one[0])
-    )
+    fewest = min(good, key=lambda one: int((one[3].force > 0).sum()), default=None)
+    worst, placed, pegs, lying = fewest or min(found, key=lambda one: one[0])
     force = lying.force * _stiffness(tube)
     some = tuple(replace(peg, force=float(f)) for peg, f in zip(pegs, force, strict=True) if f > 0)
     return worst, placed, some, lying
@@ -189,12 +187,8 @@ def _to_be_held(tube: Tube, spec: MoldSpec, number: int) -> Tube:
     if bend_direction(tube) is None:
         raise InputError(f"tube {number} is a space curve; pegs hold planar bends only: it takes a mandrel")
     held = tube_in_mold(tube, spec.springback)
-    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
-    if strain > most:
-        raise InputError(
-            f"tube {number} is strained {strain * 100:.3g} % between its pegs, beyond the {most * 100:.3g} % that "
-            f"{tube.material.name} springs back from; set it in steps, on wider curves first"
-        )
+    remedy = "set it in steps, on wider curves first"
+    refuse_failed([strain_check(number, held, spec, "between its pegs", "between its pegs", remedy)])
     return held
 
 
@@ -207,7 +201,7 @@ def _stiffness(tube: Tube) -> float:
 
 def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Centreline]:
     """Size of the board and the curve in its middle."""
-    low, high = bounds(curve)
+    low, high = bounds(curve.pieces)
     need = [b - a + 4 * spec.pegs.pitch for a, b in zip(low, high, strict=True)]
     if spec.pegs.board is None:
         step = spec.pegs.pitch

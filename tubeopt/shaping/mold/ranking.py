@@ -73,9 +73,10 @@ def rank_mold_materials(
         raise InputError("materials is empty; there must be at least one")
     if tube.curved_length == 0:
         raise InputError("the tube has no curved part; it needs no mold")
-    ratings = [_rate(tube, material, heat or HeatSpec(), plate or PlateSpec()) for material in given]
+    heat = heat or HeatSpec()
+    ratings = [_rate(tube, material, heat, plate or PlateSpec()) for material in given]
     least = min(rating.heat_drawn for rating in ratings)
-    explained = [_explained(rating, heat or HeatSpec(), least) for rating in ratings]
+    explained = [replace(rating, reasons=_reasons(rating, heat, least)) for rating in ratings]
     return tuple(sorted(explained, key=lambda rating: (not rating.suitable, rating.energy)))
 
 
@@ -111,7 +112,7 @@ def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) 
     )
 
 
-def _explained(rating: MaterialRating, heat: HeatSpec, least: float) -> MaterialRating:
+def _reasons(rating: MaterialRating, heat: HeatSpec, least: float) -> tuple[str, ...]:
     m, reasons = rating.material, []
     if rating.limit_margin < 0:
         reasons.append(f"{m.failure} above {m.limit_temperature_degC:.0f} degC, {-rating.limit_margin:.0f} K too low")
@@ -122,9 +123,6 @@ def _explained(rating: MaterialRating, heat: HeatSpec, least: float) -> Material
     else:
         reasons.append("insulates")
     draws = rating.heat_drawn / least
-    seconds = f"{heat.hold_time:g} s"
-    if draws > 1:
-        reasons.append(f"draws {draws:.2g} times the least heat in {seconds}")
-    else:
-        reasons.append(f"draws the least heat in {seconds}")
-    return replace(rating, reasons=tuple(reasons))
+    times = f"{draws:.2g} times " if draws > 1 else ""
+    reasons.append(f"draws {times}the least heat in {heat.hold_time:g} s")
+    return tuple(reasons)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -31,11 +31,7 @@ _INTERPOLATE = np.linalg.inv(chebyshev.chebvander(_NODES, ORDER))
 
 def tube_in_mold(tube: Tube, back: Springback) -> Tube:
     """The tube as its mold holds it: every curvature that springs back to the tube's, the curved part longer by what
-    it shrinks. The natural twist is as given, since trials of planar bends say nothing about it.
-
-    Raises:
-        InputError: no mold yields the tube's largest curvature.
-    """
+    it shrinks. The natural twist is as given, since trials of planar bends say nothing about it."""
     return _changed(tube, back.mold, 1 / (1 - back.shrinkage), even=back.slope == 0)
 
 
@@ -49,13 +45,7 @@ def _changed(tube: Tube, curve: Callable[[float], float], factor: float, *, even
     largest = curve(tube.curvature)
     if not tube.general:
         return replace(tube, curvature=largest, curved_length=tube.curved_length * factor)
-    pieces = tuple(_changed_piece(piece, curve, factor, even=even) for piece in tube.pieces)
-    return with_pieces(tube, pieces)
-
-
-def with_pieces(tube: Tube, pieces: Iterable[Piece]) -> Tube:
-    """The tube with other pieces in place of its own."""
-    chain = tuple(pieces)
+    chain = tuple(_changed_piece(piece, curve, factor, even=even) for piece in tube.pieces)
     length = math.fsum(piece.length for piece in chain)
     return replace(tube, curved_length=length, curvature=max(piece.largest_curvature for piece in chain), pieces=chain)
 
@@ -96,10 +86,7 @@ def values(quantity: Quantity, s: Array) -> Array:
 
 
 def _stretched(quantity: Quantity, factor: float) -> Quantity:
-    """A quantity along a stretch that is `factor` times as long."""
-    if not isinstance(quantity, Series):
-        return quantity
-    return Series(tuple(s * factor for s in quantity.breaks), quantity.coefficients)
+    return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
 
 
 def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
@@ -159,11 +146,7 @@ def _sampled(piece: Piece) -> Array:
 
 def signed_curvature(tube: Tube) -> list[tuple[float, Array]]:
     """Of a planar tube: per panel of its curved part the length (m) and Chebyshev coefficients of the curvature (1/m),
-    positive about the bend direction.
-
-    Raises:
-        InputError: the tube is a space curve.
-    """
+    positive about the bend direction."""
     direction = bend_direction(tube)
     if direction is None:
         raise InputError("the tube is a space curve; a groove in a plate holds planar bends only")

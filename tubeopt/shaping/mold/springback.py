@@ -133,48 +133,36 @@ def calibrate_springback(
     distinct = len(np.unique(np.round(molds, 9)))
     if model == "linear" and distinct < 2:
         raise InputError("model is linear; that needs trials in molds of at least 2 different radii")
-    constant = _least_squares(kappa, lost, 1)
-    chosen = constant
-    if model == "linear":
-        chosen = _least_squares(kappa, lost, 2)
-    elif model == "auto" and distinct >= 2 and len(molds) >= 4:
-        linear = _least_squares(kappa, lost, 2)
-        excludes = linear.intervals is not None and linear.intervals[1, 0] * linear.intervals[1, 1] > 0
-        if excludes and abs(linear.values[1]) * np.ptp(kappa) > ROUND_OFF:
-            chosen = linear
-    values = chosen.values
+    values, intervals, noise = _least_squares(kappa, lost, 2 if model == "linear" else 1)
+    if model == "auto" and distinct >= 2 and len(molds) >= 4:
+        line, ends, about = _least_squares(kappa, lost, 2)
+        if ends and ends[1][0] * ends[1][1] > 0 and abs(line[1]) * np.ptp(kappa) > ROUND_OFF:
+            values, intervals, noise = line, ends, about
     slope = float(values[1]) if len(values) == 2 else 0.0
     back = Springback(float(values[0]), slope, curvature_range=(float(kappa.min()), float(kappa.max())))
-    intervals = None if chosen.intervals is None else [(float(a), float(b)) for a, b in chosen.intervals]
     return Calibration(
         springback=back,
         model="linear" if len(values) == 2 else "constant",
         mold_curvature=kappa,
         obtained_curvature=1 / tubes,
         fraction_interval=intervals[0] if intervals else None,
-        slope_interval=intervals[1] if intervals and len(intervals) == 2 else None,
-        noise=chosen.noise,
+        slope_interval=intervals[1] if len(intervals) == 2 else None,
+        noise=noise,
         remarks=_remarks(back, lost, len(molds), distinct),
     )
 
 
-@dataclass(frozen=True)
-class _Fit:
-    values: Array
-    intervals: Array | None
-    noise: float
-
-
-def _least_squares(kappa: Array, lost: Array, order: int) -> _Fit:
+def _least_squares(kappa: Array, lost: Array, order: int) -> tuple[Array, list[tuple[float, float]], float]:
+    """Coefficients, their 95 % intervals, none of too few trials, and the standard deviation about them."""
     matrix = np.vander(kappa, order, increasing=True)
     values = np.asarray(np.linalg.lstsq(matrix, lost, rcond=None)[0], dtype=float)
     free = len(lost) - order
     if free < 1:
-        return _Fit(values, None, math.nan)
+        return values, [], math.nan
     noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
     spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
     reach = scipy.special.stdtrit(free, (1 + 0.95) / 2) * spread
-    return _Fit(values, np.column_stack([values - reach, values + reach]), noise)
+    return values, [(float(v - r), float(v + r)) for v, r in zip(values, reach, strict=True)], noise
 
 
 def _radii(name: str, values: Sequence[float] | Array) -> Array:

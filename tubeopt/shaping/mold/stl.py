@@ -24,14 +24,11 @@ ABOVE = 1e-3
 def write_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
     """Write a plate of the mold as binary STL in mm, whole or not at all, and return the path.
 
-    The upper face of the base lies at z = 0, and the lid on it.
-
-    Raises:
-        InputError: no such part, the file cannot be written, or manifold3d or trimesh is not installed.
-        SolveError: the solid read back is not watertight, or its volume is off by more than 0.1 %.
+    The upper face of the base lies at z = 0, and the lid on it. It is read back and checked.
     """
     choice("part", part, PARTS)
-    solid = _base(mold) if part == "base" else _lid(mold)
+    above = (*mold.holes, *mold.vents)
+    solid = _base(mold) if part == "base" else _plate(mold, above, mold.spec.plate.lid_thickness, 0.0)
     return write_solid(solid, path, lambda written: check_stl(mold, written, part=part, name=str(path)))
 
 
@@ -47,12 +44,8 @@ def write_solid(solid: Any, path: str | PathLike[str], check: Callable[[Path], o
 
 
 def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name: str = "") -> float:
-    """The relative difference of an STL file's volume from that of the plate.
-
-    Raises:
-        InputError: no such part, or trimesh is not installed.
-        SolveError: the solid is not watertight, or its volume is off by more than 0.1 %.
-    """
+    """The relative difference of an STL file's volume from that of the plate; raises SolveError where that is more than
+    0.1 %, or the solid is not watertight."""
     choice("part", part, PARTS)
     mesh = trimesh().load_mesh(str(path), file_type="stl")
     if not mesh.is_watertight:
@@ -75,10 +68,6 @@ def _base(mold: Mold) -> Any:
         cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
         solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
     return solid
-
-
-def _lid(mold: Mold) -> Any:
-    return _plate(mold, (*mold.holes, *mold.vents), mold.spec.plate.lid_thickness, 0.0)
 
 
 def _plate(mold: Mold, holes: Sequence[Hole], thickness: float, bottom: float) -> Any:

@@ -17,11 +17,7 @@ MARGIN_MM = 25.0
 
 
 def write_svg(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
-    """Write a plate of the mold as SVG in its true size, whole or not at all, and return the path.
-
-    Raises:
-        InputError: no such part, or the file cannot be written.
-    """
+    """Write a plate of the mold as SVG in its true size, whole or not at all, and return the path."""
     write_text(path, svg_of(draw_plate(mold, part)))
     return Path(path)
 
@@ -41,7 +37,7 @@ def svg_of(drawing: Drawing) -> str:
     groups = []
     for layer in LAYERS:
         dash = ' stroke-dasharray="3 0.7 0.5 0.7"' if layer == "CENTERLINE" else ""
-        body = [f'<path d="{_path(piece)}"/>' for piece in drawing.pieces[layer]]
+        body = [f'<path d="{_path(piece)}"/>' for piece in drawing.pieces.get(layer, ())]
         if layer == "HOLES":
             body += [f'<circle cx="{x:.6f}" cy="{y:.6f}" r="{d / 2:.6f}"/>' for (x, y), d in drawing.circles]
         if layer == "TEXT":

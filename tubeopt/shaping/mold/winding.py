@@ -30,10 +30,15 @@ class Winding:
         """The curve turned by a matrix (3, 3), then moved by `shift` (3,)."""
         return Winding(self.arc_length, self.points @ rotation.T + shift, self.tangents @ rotation.T, self.bend)
 
-    def with_leads(self, before: float, after: float) -> Winding:
+    def lengthened(self, extra: float, step: float = 1e-3) -> Winding:
+        """With both leads `extra` (m) longer; by points about `step` (m) apart."""
+        s = self.arc_length
+        return self.with_leads(extra - s[0], extra + s[-1] - s[self.bend][-1], step)
+
+    def with_leads(self, before: float, after: float, step: float = 1e-3) -> Winding:
         """The bend with straight tangent leads of these lengths (m) in place of its own."""
         s, p, t = (field[self.bend] for field in (self.arc_length, self.points, self.tangents))
-        counts = [max(2, math.ceil(length / 1e-3)) for length in (before, after)]
+        counts = [max(2, math.ceil(length / step)) for length in (before, after)]
         back, on = np.linspace(-before, 0.0, counts[0])[:-1], np.linspace(0.0, after, counts[1])[1:]
         return Winding(
             np.concatenate([s[0] + back, s, s[-1] + on]),
@@ -45,12 +50,9 @@ class Winding:
 
 def helix_of(held: Tube) -> tuple[float, float] | None:
     """Curvature and torsion (1/m) where the whole curved part is one helix in constant components; else None."""
-    found = []
-    for piece in held.pieces:
-        if any(isinstance(q, Series) for q in piece.precurvature):
-            return None
-        found.append(piece.precurvature)
-    u = np.array(found)
+    if any(isinstance(q, Series) for piece in held.pieces for q in piece.precurvature):
+        return None
+    u = np.array([piece.precurvature for piece in held.pieces])
     if not len(u) or np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():
         return None
     curvature, torsion = float(np.hypot(u[0, 0], u[0, 1])), float(u[0, 2])
