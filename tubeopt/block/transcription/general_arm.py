@@ -9,9 +9,9 @@ import numpy as np
 from ...physics.shape import GAUSS_POINTS, step_function
 from ...robots.lengthwise import CrossSections
 from ...typing import Array
-from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at
+from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at, tubes_along
 from .buffered import mapped, section_function
-from .collocated import ENDS, STEPS
+from .collocated import STEPS
 from .green import reach, sections_at
 from .piece import EXTRA_POINTS
 from .reduced import Evaluation, ReducedProblem
@@ -37,9 +37,8 @@ ROUGHER = _through(FINE[: 3 * SUBSTEPS] * STEPS, GAUSS_POINTS)
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Fractions x (X,) of every piece, phi (P, X, n) there, and the cross-sections (P X, n)."""
+    """phi (P, X, n) at fractions of every piece, and the cross-sections (P X, n) there."""
 
-    x: Array
     phi: Array
     here: CrossSections
 
@@ -52,14 +51,14 @@ class _Points:
 
 def _points(problem: ReducedProblem, torsion: Profile, x: Array) -> _Points:
     phi = rotations_at(problem, torsion, tuple(x.tolist()))
-    return _Points(x, phi, sections_at(problem.assembly, problem.mesh, x))
+    return _Points(phi, sections_at(problem.assembly, problem.mesh, x))
 
 
 def general_arm(problem: ReducedProblem, state: Evaluation, torsion: Profile) -> Arm:
     """Everything along the arm; theta, not phi."""
     mesh, n = problem.mesh, problem.assembly.n_tubes
     pieces = len(mesh.length)
-    ends = _points(problem, torsion, ENDS)
+    theta, slope, pull = tubes_along(problem, torsion)
     inside = _points(problem, torsion, FINE)
     count = len(inside.here.stiffness)
     u = section_function("curvature", count, n, False)(*inside.arguments)[0].reshape(pieces, -1, 2).copy()
@@ -67,15 +66,11 @@ def general_arm(problem: ReducedProblem, state: Evaluation, torsion: Profile) ->
     rougher = (ROUGHER @ u.reshape(pieces * STEPS, -1, 2)).reshape(pieces, -1, 2)
     rough = _poses(rougher, mesh.length / STEPS)[1][-1]
     defect, bending = _check(problem, torsion)
-    torque = torsion.twist[:, None] + mesh.length[:, None, None] * (
-        mesh.tableau.lagrange(ENDS, integrals=1) @ torsion.moment
-    )
-    rate = torque.reshape(-1, n) / ends.here.torsional_stiffness + ends.here.twist
-    curvature = section_function("curvature", len(rate), n, False)(*ends.arguments)[0].copy()
+    curvature = section_function("curvature", len(pull[0]), n, False)(*pull)[0].copy()
     return Arm(
         arc_length=arc_lengths(mesh),
-        rotation=along_pieces(ends.phi.reshape(-1, n) + ends.here.wound, pieces).T,
-        torsion=along_pieces(rate, pieces).T,
+        rotation=along_pieces(theta, pieces).T,
+        torsion=along_pieces(slope, pieces).T,
         curvature=along_pieces(curvature, pieces),
         position=position,
         frame=turn,

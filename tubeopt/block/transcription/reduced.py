@@ -29,7 +29,7 @@ from ...physics.certificate import bend_rate_function
 from ...robots.assembly import Assembly, without_offsets
 from ...typing import Array, Index, Mask
 from .buffered import mapped, section_function
-from .green import Compliant, compliant, green_of, green_of_pieces, integrals, point_places
+from .green import Compliant, ahead, compliant, green_of, integrals, point_places, reach
 from .mesh import Mesh
 from .offset_blocks import Block, make_blocks
 
@@ -177,7 +177,8 @@ def _factor(assembly: Assembly, mesh: Mesh, here: Compliant | None, unknowns: tu
             if here is None:
                 compliance = (assembly.transmission[i] + green[mine[:, None], mine]) / assembly.torsional_stiffness[i]
             else:
-                compliance = green_of_pieces(mesh, elements, here, i)[mine[:, None], mine]
+                own = green_of(mesh, elements, here.rate[elements, :, i], reach(mesh, here)[elements, i])
+                compliance = own[mine[:, None], mine]
             factor[begin:end, begin:end] = np.linalg.cholesky(compliance)
     return factor
 
@@ -278,6 +279,18 @@ def pull_rate(problem: ReducedProblem) -> Array:
     count, n = numbers[1].shape
     each = mapped(bend_rate_function(n), count)(*numbers)[0].sum(1)
     return np.asarray(each.reshape(-1, points).max(1, initial=0.0))
+
+
+def softness(problem: ReducedProblem) -> tuple[Array, Array]:
+    """(N, n) and (P + 1, n) int ds / kt from where each tube is held to the points and to the ends of the pieces."""
+    mesh, assembly = problem.mesh, problem.assembly
+    if problem.here is not None:
+        return ahead(mesh, problem.here), reach(mesh, problem.here)
+    ends = np.append(mesh.start, assembly.total_length)
+    inside, outside = (
+        (assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends)
+    )
+    return inside, outside
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:

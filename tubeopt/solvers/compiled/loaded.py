@@ -15,10 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape
+from ...block.transcription.arm import ArmShape, shape_sections
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.loaded import LoadedProblem, compliances
-from ...block.transcription.loaded_arm import shape_sections
 from ...block.transcription.reduced import ReducedProblem
 from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
