@@ -70,11 +70,7 @@ class OptiProgram:
 
 
 def as_program(opti: Any) -> Program:
-    """The Program behind a `casadi.Opti` or a `tubeopt.Problem`.
-
-    Raises:
-        InputError: it is neither.
-    """
+    """The Program behind a `casadi.Opti` or a `tubeopt.Problem`."""
     if isinstance(opti, ca.Opti):
         return OptiProgram(opti)
     if all(hasattr(opti, name) for name in ("variable", "subject_to", "parameter", "enter")):

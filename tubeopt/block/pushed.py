@@ -15,11 +15,7 @@ from .transcription.burdened import Push
 
 
 def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
-    """The load on a block near an equilibrium, None where nothing pushes.
-
-    Raises:
-        InputError: no Load, one that begins or ends along the arm, or tubes that a block cannot bend.
-    """
+    """The load on a block near an equilibrium, None where nothing pushes."""
     if load is None:
         return None
     if not isinstance(load, Load):

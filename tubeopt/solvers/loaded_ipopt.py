@@ -23,11 +23,7 @@ def solve_loaded_ipopt(
     problem: LoadedProblem, rotations: Array, guess: LoadedState, settings: Ipopt | None = None
 ) -> NewtonResult[LoadedState]:
     """The equilibrium under a load with an energy, from a state close by: the equations of `block.transcription.loaded`
-    in another writing, in which the quaternions are unknowns, tied to the curvature by constraints.
-
-    Raises:
-        SolveError: IPOPT did not converge; the message names its verdict and the worst constraints.
-    """
+    in another writing, in which the quaternions are unknowns, tied to the curvature by constraints."""
     program, split = Problem("equilibrium under load"), problem.torsion.size
     z = program.variable("twist", split, guess=guess.x[:split])
     q = program.variable("bending", problem.size - split, guess=guess.x[split:])

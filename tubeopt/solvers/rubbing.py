@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.contact import Contact, Rubbing, evaluate_contact
+from ..block.transcription.second_variation import least
 from ..typing import Array
 from .flow import grown, shortened
 from .settings import CONTINUATION, NEWTON
@@ -209,20 +210,16 @@ def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
 def held_margin(contact: Contact, state: Rubbing, signs: Signs) -> float:
     """Least eigenvalue of the Hessian along what the sticking rows leave free, at most 1: how stable the state is as
     long as friction holds what it holds."""
-    stuck = contact.rows[signs == 0]
-    if not len(stuck):
-        return least(state.hessian)
-    if len(stuck) >= stuck.shape[1]:
-        return 1.0
-    free = scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :]
+    free = _free(contact, signs)
     return least(free.T @ state.hessian @ free)
 
 
-def least(matrix: Array) -> float:
-    """Least eigenvalue of a symmetric matrix, at most 1."""
-    if not len(matrix):
-        return 1.0
-    return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
+def _free(contact: Contact, signs: Signs) -> Array:
+    """(X, F) directions in which the sticking rows do not slip, of unit length and across each other."""
+    stuck = contact.rows[signs == 0]
+    if not len(stuck):
+        return np.eye(stuck.shape[1])
+    return np.asarray(scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :])
 
 
 SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
@@ -231,10 +228,7 @@ SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
 
 def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
     """Direction (X,) in which a state is softest without slip of what sticks; its largest turn is 1 rad."""
-    free = np.eye(len(state.x))
-    stuck = contact.rows[signs == 0]
-    if len(stuck):
-        free = scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :]
+    free = _free(contact, signs)
     direction = free @ np.linalg.eigh(free.T @ state.hessian @ free)[1][:, 0]
     return np.asarray(direction / turn_of(contact, direction))
 
