@@ -31,10 +31,24 @@ from ...typing import Array, Index, Mask
 from .buffered import mapped, section_function
 from .green import Compliant, ahead, compliant, green_of, integrals, point_places, reach
 from .mesh import Mesh
-from .offset_blocks import Block, make_blocks
 
 LARGE = 60
 """Unknowns from which it pays to leave out what is 0 of L."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """k tubes off the centreline that are curved together, at the p points where they are.
+
+    tubes (k,), points (p,); compliance (k, p, p): Gamma of each, weights included; up_to (p, N), beyond (N, p):
+    integrals from the base to these points, and over them from every point to the tip.
+    """
+
+    tubes: Index
+    points: Index
+    compliance: Array
+    up_to: Array
+    beyond: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +153,7 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
     if assembly.eccentric:
         up_to, beyond = integrals(mesh, elements)
         stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
-        blocks = tuple(make_blocks(assembly, green_of(mesh, elements), section, (up_to, beyond, weight)))
+        blocks = tuple(_make_blocks(assembly, green_of(mesh, elements), section, (up_to, beyond, weight)))
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
@@ -190,6 +204,39 @@ def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
     stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
     moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
     return stiffness, moment
+
+
+def _curved_groups(assembly: Assembly) -> list[Index]:
+    """Tubes that are curved together, in groups that do not act on one another but from base to tip."""
+    groups: list[set[int]] = []
+    for row in assembly.curved:
+        mine = set(np.flatnonzero(row).tolist())
+        if mine:
+            groups = [g for g in groups if not g & mine] + [mine.union(*(g for g in groups if g & mine))]
+    acts = [_present(assembly, group) for group in groups]
+    for k, group in enumerate(groups):
+        if any(acts[k] & other and acts[j] & group for j, other in enumerate(groups) if j != k):
+            return [np.array(sorted(set().union(*groups)), dtype=np.intp)]
+    return [np.array(sorted(group), dtype=np.intp) for group in groups]
+
+
+def _present(assembly: Assembly, group: set[int]) -> set[int]:
+    """Tubes that run where some of a group are curved."""
+    there = assembly.curved[:, sorted(group)].any(1)
+    return set(np.flatnonzero(assembly.present[there].any(0)).tolist())
+
+
+def _make_blocks(assembly: Assembly, green: Array, section: Index, integrals: tuple[Array, ...]) -> list[Block]:
+    """The blocks of an assembly whose N points lie on sections `section`, with min(s, r) (N, N), and P, W, weights."""
+    up_to, beyond, weight = integrals
+    blocks = []
+    for tubes in _curved_groups(assembly):
+        points = np.flatnonzero(assembly.curved[section][:, tubes].any(1))
+        chosen = green[np.ix_(points, points)]
+        length = assembly.transmission[tubes][:, None, None] + chosen
+        compliance = length * weight[points] / assembly.torsional_stiffness[tubes][:, None, None]
+        blocks.append(Block(tubes, points, compliance, up_to[points], beyond[:, points]))
+    return blocks
 
 
 def on_centreline(problem: ReducedProblem) -> ReducedProblem:
