@@ -26,10 +26,10 @@ import numpy as np
 import platformdirs
 
 from ...block.transcription.collocated import STEPS
-from ...block.transcription.general_arm import SHAPE_RATIO
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.piece import COARSE_STEPS, piece_function
 from ...block.transcription.tableau import tableau
+from ...block.transcription.whole_arm import SHAPE_RATIO
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
