@@ -58,12 +58,6 @@ def ahead(mesh: Mesh, here: Compliant) -> Array:
     return np.asarray(out.reshape(-1, out.shape[-1]))
 
 
-def point_places(mesh: Mesh, elements: Index) -> Array:
-    """(N,) arc length of the collocation points, m."""
-    s: Array = mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes
-    return s.ravel()
-
-
 def green_of(mesh: Mesh, elements: Index, rate: Array | None = None, begin: Array | None = None) -> Array:
     """(N, N) of a tube: int `rate` ds from where it is held to the nearer of two points, collocated, exact between
     elements; `rate` (E, K) at the points, None is 1, and `begin` (E,) up to the elements, None from the plate."""

@@ -29,7 +29,7 @@ from ...physics.certificate import bend_rate_function
 from ...robots.assembly import Assembly, without_offsets
 from ...typing import Array, Index, Mask
 from .buffered import mapped, section_function
-from .green import Compliant, ahead, compliant, green_of, integrals, point_places, reach
+from .green import Compliant, ahead, compliant, green_of, integrals, reach
 from .mesh import Mesh
 
 LARGE = 60
@@ -161,7 +161,7 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
         piece_moment=piece_moment,
         stiffness=numbers[0],
         moment=numbers[1],
-        arc_length=point_places(mesh, elements),
+        arc_length=(mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes).ravel(),
         weight=weight,
         point=point,
         tube=tube,
