@@ -152,9 +152,10 @@ class ComposedBlock(Generic[N]):
         bending = [shape[3], columns_of(shape[4], model.n_pieces)] if len(shape) > 3 else []
         numbers: dict[str, Any] = dict(zip(STATE, (*shape[:3], *bending), strict=False))
         model = replace(model, **numbers)
-        for column, value in zip(self.columns, (*shape[:3], *poses_of(model), *bending), strict=True):
-            self.program.set_guess(column, np.asarray(value).ravel(order="F"))
-        self.begin = model
+        flat = [np.asarray(value).ravel(order="F") for value in (*shape[:3], *poses_of(model), *bending)]
+        for column, value in zip(self.columns, flat, strict=True):
+            self.program.set_guess(column, value)
+        self.begin, self.begin_column = model, np.concatenate(flat)
 
     def demand(
         self,

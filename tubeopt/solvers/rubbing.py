@@ -95,18 +95,15 @@ class _Turned:
     """
 
     def __init__(self, contact: Contact, slid: Array | None) -> None:
-        self.sharp: slice | Array = slice(None) if slid is None or not slid.any() else slid == 0
-        self.any = not isinstance(self.sharp, slice)
+        slid = np.zeros(len(contact.capacity)) if slid is None else slid
+        self.any = bool(slid.any())
+        self.sharp, self.smooth = slid == 0 if self.any else slice(None), np.flatnonzero(slid)
         self.rows, self.capacity = contact.rows[self.sharp], contact.capacity[self.sharp]
-        if self.any and slid is not None:
-            self.smooth = np.flatnonzero(slid)
-            self.own, self.most, self.zeta = contact.rows[self.smooth], contact.capacity[self.smooth], slid[self.smooth]
-            self.torque = np.zeros(len(self.smooth))
+        self.own, self.most, self.zeta = contact.rows[self.smooth], contact.capacity[self.smooth], slid[self.smooth]
+        self.torque = np.zeros(len(self.smooth))
 
     def added(self, state: Rubbing, slip: Array) -> tuple[Array, Array]:
         """Gradient and Hessian of the energy with what these rows take."""
-        if not self.any:
-            return state.gradient, state.hessian
         size = np.hypot(slip[self.smooth], self.zeta)
         self.pull = self.most * slip[self.smooth] / size
         self.stiffness = (self.most - self.torque * slip[self.smooth] / size) / size
@@ -117,13 +114,10 @@ class _Turned:
 
     def advance(self, step: Array) -> None:
         """The torques after a step of Newton's method."""
-        if self.any:
-            self.torque = np.clip(self.pull + self.stiffness * (self.own @ step), -self.most, self.most)
+        self.torque = np.clip(self.pull + self.stiffness * (self.own @ step), -self.most, self.most)
 
     def whole(self, torque: Array, signs: Signs, slip: Array) -> tuple[Array, Signs, float]:
         """Torques and signs of all rows, and the heat, J."""
-        if not self.any:
-            return torque, signs, float(self.capacity @ np.abs(slip * signs))
         all_torque, all_signs = np.zeros(len(slip)), np.zeros(len(slip), dtype=np.int8)
         size = np.hypot(slip[self.smooth], self.zeta)
         all_torque[self.sharp], all_signs[self.sharp] = torque, signs
