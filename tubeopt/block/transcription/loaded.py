@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-import scipy
 
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import Load
@@ -31,7 +30,7 @@ from ...typing import Array
 from .buffered import section_function
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
-from .reduced import ReducedProblem, directions, softness, to_unknowns, torsional_hessian
+from .reduced import ReducedProblem, directions, softness, to_unknowns, torsional_hessian, whitened
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +127,7 @@ def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]
     spread[torsion.flat] = torsion.factor
     tip = int(np.argmax(torsion.assembly.end))
     lever, ends = softness(torsion)
-    seen = np.where(torsion.tube == tip, lever[torsion.point, tip], 0.0)
-    row = scipy.linalg.lapack.dtrtrs(torsion.factor, seen, lower=1)[0] if torsion.size else np.zeros(0)
+    row = whitened(torsion, np.where(torsion.tube == tip, lever[torsion.point, tip], 0.0))
     soft = 1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1))
     return spread.reshape(count, n, -1), soft, tip, row, float(ends[-1, tip])
 

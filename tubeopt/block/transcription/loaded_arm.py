@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from ...physics.shape import quaternion_rates, rotation_matrix_function, world_turns
 from ...typing import Array
@@ -12,7 +11,7 @@ from .buffered import mapped, section_function
 from .collocated import ENDS
 from .loaded import LoadedProblem, LoadedState, compliances
 from .orientation import IDENTITY, tangent_slopes, tangents
-from .reduced import softness
+from .reduced import softness, whitened
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
@@ -105,8 +104,5 @@ def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, flo
     shared = (up_to + within) * rate[:, tube] / torsion.weight
     lever = held[tube] + shared @ weight
     whole = held[tube] + float((weight**2 * rate[:, tube] / torsion.weight).sum())
-    if not torsion.size:
-        return np.zeros(0), whole
-    seen = np.where(torsion.tube == tube, lever[torsion.point], 0.0)
-    row = scipy.linalg.lapack.dtrtrs(torsion.factor, seen, lower=1)[0]
+    row = whitened(torsion, np.where(torsion.tube == tube, lever[torsion.point], 0.0))
     return row, whole - float(row @ row)

@@ -343,9 +343,14 @@ def softness(problem: ReducedProblem) -> tuple[Array, Array]:
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
     """z (U,) of given rotations theta (N, n) at the collocation points."""
     p, t = problem.point, problem.tube
+    return whitened(problem, theta[p, t] - rotations[t])
+
+
+def whitened(problem: ReducedProblem, turns: Array) -> Array:
+    """z (U,) of turns (U,) of the unknown rotations, rad."""
     if not problem.size:
         return np.zeros(0)
-    return np.asarray(scipy.linalg.lapack.dtrtrs(problem.factor, theta[p, t] - rotations[t], lower=1)[0])
+    return np.asarray(scipy.linalg.lapack.dtrtrs(problem.factor, turns, lower=1)[0])
 
 
 def residual(problem: ReducedProblem, state: Evaluation) -> float:
