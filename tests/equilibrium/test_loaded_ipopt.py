@@ -12,7 +12,7 @@ from tubeopt.block.transcription.loaded import evaluate, tip_position, unknowns
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.solving import sample_rotation
 from tubeopt.robots.robot import Robot
-from tubeopt.solvers.loaded_ipopt import solve_loaded_ipopt
+from tubeopt.solvers.ipopt import solve_loaded_ipopt
 
 PUSHED = Load(force=(0.02, -0.01, 0.015), gravity=(0, -9.81, 0))
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.examples import TWO_TUBE
 from tubeopt import forward_kinematics
-from tubeopt.solvers.compiled import binding, packaged
+from tubeopt.solvers.compiled import binding, packaged, wheel
 from tubeopt.solvers.compiled import library as building
 from tubeopt.solvers.compiled.heating import heating_source
 from tubeopt.solvers.compiled.loaded import loaded_source
@@ -69,7 +69,9 @@ def test_it_compiles_for_other_machines(target: str, general: bool, tmp_path: Pa
         assert assembly.count(b".2d") > 100
 
 
-def test_a_generation_that_the_compiler_does_not_know_is_left_out_and_no_kernel_else(tmp_path: Path) -> None:
+def test_a_generation_that_the_compiler_does_not_know_is_left_out_and_no_kernel_else(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """A kernel that does not compile is an error: the wheel would lack it, and nobody would know."""
 
     def compile_to(text: str, path: Path, flags: object) -> None:
@@ -77,13 +79,14 @@ def test_a_generation_that_the_compiler_does_not_know_is_left_out_and_no_kernel_
             raise subprocess.TimeoutExpired("cc", 1)
         path.write_text(text)
 
+    monkeypatch.setattr(wheel, "compile_to", compile_to)
     kinds = packaged.Generation("new", ("-march=unheard-of",)), packaged.Generation("any")
-    chosen = packaged.known(kinds, compile_to, tmp_path)
+    chosen = wheel.known(kinds)
     texts = {(1, "concentric"): "a", (2, "eccentric"): "b", (2, "general"): "c"}
-    made = packaged.build_kernels(texts, compile_to, tmp_path / "kernels", chosen)
+    made = wheel.build_kernels(texts, tmp_path / "kernels", chosen)
     assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so", "general-2-any.so"]
     with pytest.raises(subprocess.TimeoutExpired):
-        packaged.build_kernels(texts | {(3, "loaded"): "broken"}, compile_to, tmp_path / "kernels", chosen)
+        wheel.build_kernels(texts | {(3, "loaded"): "broken"}, tmp_path / "kernels", chosen)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

@@ -60,7 +60,9 @@ class Bound:
 
     def value(self, model: Model, chain: Chain | None = None) -> float:
         """The bound of an arm in numbers."""
-        return certificate_of(model, self.force, self.pairs, chain)
+        sections, tubes = _numbers(model, chain)
+        value = 1 - largest_eigenvalue(self.force, sections, tubes, self.pairs)[0]
+        return value if self.pairs != APART else value - largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
 
 
 def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0.0) -> None:
@@ -179,13 +181,6 @@ def better_pairs(model: Model, force: float) -> tuple[float, float]:
     return OPPOSED if together <= apart else APART
 
 
-def certificate_of(model: Model, force: float, pairs: tuple[float, float], chain: Chain | None = None) -> float:
-    """The bound of an arm in numbers."""
-    sections, tubes = _numbers(model, chain)
-    value = 1 - largest_eigenvalue(force, sections, tubes, pairs)[0]
-    return value if pairs != APART else value - largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
-
-
 def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[float, Array]:
     """The eigenvalue of an arm in numbers, and (2 n + 2, P + 1) its states where pieces begin and at the tip."""
     sections, tubes = _numbers(model)
@@ -200,11 +195,7 @@ def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[f
 
 def _tubes(model: Model, chain: Chain | None) -> tuple[Any, Any, Any, Any]:
     """kt (n, P), or (n, 1) where it is the same all along, transmissions (n,) with kt at the plate, kb and |m| (n, P)
-    of the pieces of a block.
-
-    Raises:
-        InputError: stiffness or curvature varies along a piece.
-    """
+    of the pieces of a block."""
     if model.along is None:
         return model.torsional_stiffness[:, :1], model.transmission, model.stiffness, model.moment
     assert chain is not None

@@ -42,11 +42,7 @@ def symbolic(value: Any) -> bool:
 
 
 def given_of(near: Near, rotations: Any, translations: Any, tubes: Mapping[str, Any]) -> Given:
-    """What a block is given; None stands for that of `near`.
-
-    Raises:
-        InputError: an unknown name, or a vector of the wrong length or without meaning.
-    """
+    """What a block is given; None stands for that of `near`."""
     robot = near.robot
     chain = chain_of(tuple(robot.tubes)) if is_general(robot) else None
     names = DIMENSIONS if chain is None else (*DIMENSIONS, *PIECES)
@@ -78,11 +74,7 @@ def _in_proportion(
     chain: Chain, values: dict[str, Any], start: dict[str, Array], known: tuple[Mapping[str, Any], Mapping[str, Array]]
 ) -> None:
     """Let the pieces of a tube follow from its own dimensions, or these from the pieces; `known` are those given and
-    those of the robot.
-
-    Raises:
-        InputError: both are given.
-    """
+    those of the robot."""
     owner, (tubes, robot) = chain.owner.tolist(), known
     for name, whole in OF_TUBE.items():
         if name in tubes and whole in tubes:

@@ -38,7 +38,7 @@ def _torsion(near: Near, start: Array, inside: Array) -> Shape:
     last = float(problem.assembly.total_length)
     start, inside = np.minimum(start, last), np.minimum(inside, last)
     theta = arms.interpolate(problem, arm, start).T
-    twist = np.array([arms.twist_at(problem, arm, s) for s in start]).T
+    twist = arms.twist_at(problem, arm, start).T
     if is_general(near.robot):
         # What is known there is the torque.
         twist = twist / np.array([[tube.torsional_stiffness] for tube in near.robot.tubes])

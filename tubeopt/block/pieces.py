@@ -20,11 +20,7 @@ from .transcription.panel import CHANNELS
 
 
 def tubes_at(tubes: Sequence[Tube], given: Mapping[str, Array]) -> tuple[Tube, ...]:
-    """Tubes at dimensions in numbers.
-
-    Raises:
-        InputError: of these no tube can be made.
-    """
+    """Tubes at dimensions in numbers."""
     chain = chain_of(tuple(tubes))
     laid = panels(chain, {name: ca.DM(value) for name, value in given.items()})
     width, table = (np.array(ca.DM(part)) for part in (laid.width, laid.table))
@@ -74,11 +70,7 @@ def _tube(tube: Tube, pieces: list[Piece], straight: float, stiffness: tuple[flo
 
 
 def piece_numbers(tubes: Sequence[Tube], like: Chain) -> dict[str, Array]:
-    """PIECES of tubes, as changes of those behind `like`.
-
-    Raises:
-        InputError: they have other pieces.
-    """
+    """PIECES of tubes, as changes of those behind `like`."""
     own = chain_of(tuple(tubes))
     if own.owner.tolist() != like.owner.tolist() or own.piece.tolist() != like.piece.tolist():
         raise InputError("the tubes are made of other pieces than those of the block")

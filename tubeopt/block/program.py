@@ -31,19 +31,14 @@ class OptiProgram:
         name: str,
         expression: Any,
         *,
-        lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         scale: ArrayLike = 1.0,
         entries: Sequence[str] | None = None,
     ) -> None:
-        """Demand lower <= expression <= upper, divided by their scale."""
-        size = expression.numel()
-        low, high, factor = (np.broadcast_to(np.asarray(v, dtype=float), (size,)) for v in (lower, upper, scale))
+        """Demand 0 <= expression <= upper, divided by their scale."""
+        high, factor = (np.broadcast_to(np.asarray(v, dtype=float), (expression.numel(),)) for v in (upper, scale))
         scaled = ca.vec(expression) / ca.DM(factor)
-        if (low == high).all():
-            self.opti.subject_to(scaled == ca.DM(low / factor))
-        else:
-            self.opti.subject_to(self.opti.bounded(low / factor, scaled, high / factor))
+        self.opti.subject_to(self.opti.bounded(0.0, scaled, high / factor) if high.any() else scaled == 0)
 
     def parameter(self, name: str, value: ArrayLike) -> Any:
         """Numbers that may be changed."""
@@ -70,11 +65,7 @@ class OptiProgram:
 
 
 def as_program(opti: Any) -> Program:
-    """The Program behind a `casadi.Opti` or a `tubeopt.Problem`.
-
-    Raises:
-        InputError: it is neither.
-    """
+    """The Program behind a `casadi.Opti` or a `tubeopt.Problem`."""
     if isinstance(opti, ca.Opti):
         return OptiProgram(opti)
     if all(hasattr(opti, name) for name in ("variable", "subject_to", "parameter", "enter")):

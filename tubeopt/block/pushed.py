@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from ..errors import InputError
 from ..robots.assembly import Assembly
@@ -15,11 +16,7 @@ from .transcription.burdened import Push
 
 
 def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
-    """The load on a block near an equilibrium, None where nothing pushes.
-
-    Raises:
-        InputError: no Load, one that begins or ends along the arm, or tubes that a block cannot bend.
-    """
+    """The load on a block near an equilibrium, None where nothing pushes."""
     if load is None:
         return None
     if not isinstance(load, Load):
@@ -46,16 +43,12 @@ def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
 
 def torsion_under_load(near: Near, start: Array, inside: Array) -> tuple[Array, Array, Array]:
     """theta, w (n, P) at arc lengths (P,) and theta (n, N) at arc lengths (N,) of an equilibrium, off its points."""
-    s, low = near.arc_length, np.clip(np.searchsorted(near.arc_length, inside, side="right") - 1, 0, None)
-    low = np.minimum(low, len(s) - 2)
-    h = s[low + 1] - s[low]
-    x = np.clip((inside - s[low]) / np.where(h > 0, h, 1.0), 0.0, 1.0)
+    s = near.arc_length
     theta, w = near.rotation - near.robot.assembly(near.translations).wound(s).T, near.torsion
     if is_general(near.robot):
         # Without the natural twist, which ends where a tube does, and as it would be at the stiffness of the tube.
         w = np.gradient(theta, s, axis=1)
-    ends = theta[:, low] * (1 + 2 * x) * (1 - x) ** 2 + theta[:, low + 1] * x**2 * (3 - 2 * x)
-    between = ends + h * (w[:, low] * x * (1 - x) ** 2 - w[:, low + 1] * x**2 * (1 - x))
+    between = scipy.interpolate.CubicHermiteSpline(s, theta, w, axis=1)(np.clip(inside, s[0], s[-1]))
     at_start = [np.array([np.interp(start, s, row) for row in table]) for table in (theta, w)]
     return at_start[0], at_start[1], between
 

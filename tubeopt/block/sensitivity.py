@@ -11,8 +11,7 @@ import numpy as np
 from ..errors import InputError, choice
 from .composed import JOINTS, ComposedBlock
 from .given import LENGTHS
-from .guess import poses_of
-from .transcription.burdened import LoadedModel, arm_of
+from .transcription.burdened import arm_of
 from .transcription.chain import OF_TUBE
 from .transcription.model import numbers_of
 
@@ -101,16 +100,10 @@ def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
 
 def answers_of(block: ComposedBlock[Any], equations: ca.Function, seeds: dict[str, Any]) -> Any:
     """The lifted derivatives where the solve begins, by columns."""
-    begin, count = block.begin, seeds["rotations"].shape[1]
-    start = [np.asarray(part).ravel(order="F") for part in (begin.theta, begin.twist, begin.inner)]
-    start += [np.asarray(part).ravel(order="F") for part in poses_of(begin)]
-    if isinstance(begin, LoadedModel):
-        start += [np.asarray(part).ravel(order="F") for part in (begin.bend, begin.bent)]
-    x = np.concatenate(start)
+    x, count = block.begin_column, seeds["rotations"].shape[1]
     numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
     where = [x, *numbers, block.layout.numbers()]
-    size = len(x)
     out, zero = equations(*where), np.zeros((len(where[-1]), count))
-    forced = equations.forward(count)(*where, *out, np.zeros((size, count)), *seeds.values(), zero)[0]
+    forced = equations.forward(count)(*where, *out, np.zeros((len(x), count)), *seeds.values(), zero)[0]
     slope = equations.jacobian()(*where, *out)[0]
     return -np.linalg.solve(np.array(slope), np.array(forced)).ravel(order="F")

@@ -18,6 +18,7 @@ from ..block.transcription.contact import Contact, evaluate_contact, make_contac
 from ..block.transcription.green import sections_at
 from ..block.transcription.piece import EXTRA_POINTS
 from ..block.transcription.reduced import to_unknowns
+from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau
 from ..errors import InputError, SolveError
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
@@ -25,7 +26,7 @@ from ..robots.friction import Friction, check_friction
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
 from ..solvers.newton import NewtonResult, newton
-from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment, least
+from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Index
 from .result import Equilibrium, FrictionState, Status

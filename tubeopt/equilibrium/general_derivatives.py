@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ..block.transcription.arm import Profile, integrate_torque
+from ..block.transcription.arm import Profile, integrate
 from ..block.transcription.buffered import mapped, section_function
 from ..block.transcription.green import INWARDS
 from ..block.transcription.linear import poses_at_points
@@ -150,8 +150,6 @@ class Linearised:
 
     def _inside(self, torsion: Profile) -> Array:
         """phi (P, K, n) at the points, as collocated."""
-        assert torsion.slope is not None
-        assert torsion.compliance is not None
         whole = self._torque(torsion) * self.here.rate
         return np.asarray(torsion.rotation[:, None] + self.length[:, None, None] * (self.t.matrix @ whole))
 
@@ -210,7 +208,7 @@ class Linearised:
 
     def _wound(self, moments: Array) -> Wound:
         """Moments (P, K, n) with the torque that they make."""
-        torsion = integrate_torque(self.problem, np.zeros(self.n), moments[self.problem.mesh.collocated])
+        torsion = integrate(self.problem, np.zeros(self.n), moments[self.problem.mesh.collocated])
         return Wound(moments, self._torque(torsion), torsion.twist[0] if len(torsion.twist) else np.zeros(self.n))
 
     def turned(self, by: Wound, change: Change, gained: Array) -> tuple[Array, Array]:

@@ -15,8 +15,8 @@ from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
+from ..solvers.ipopt import solve_loaded_ipopt
 from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_newton, turn_of
-from ..solvers.loaded_ipopt import solve_loaded_ipopt
 from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton

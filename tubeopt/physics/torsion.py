@@ -50,7 +50,7 @@ def cross_section(
     Returns:
         curvature u (2,), stretch g (n,), moment M (n,), bending energy per centreline length (N).
     """
-    total = _total(_pulls(theta, moment))
+    total = ca.sum1(_pulls(theta, moment)).T
     if offset is None:
         u = (total + load) / ca.sum1(stiffness)
         return _at_curvature(u, theta, stiffness, moment, ca.DM.ones(theta.shape[0]))
@@ -65,11 +65,6 @@ def _pulls(theta: Any, moment: Any) -> Any:
     if moment.shape[1] == 1:
         return about_x
     return about_x + ca.horzcat(-moment[:, 1] * sin, moment[:, 1] * cos)
-
-
-def _total(pulls: Any) -> Any:
-    """(2,) sum of the pulls of all tubes."""
-    return ca.sum1(pulls).T
 
 
 def _stretch(u: Any, offset: Any, angle: Any) -> Any:
@@ -114,7 +109,7 @@ def _slopes(here: CrossSection, inputs: list[Any], wrt: Any) -> tuple[Any, Any, 
         return ca.densify(flat[0]), ca.densify(flat[1]), ca.DM.zeros(theta.shape[0], wrt.numel())
     u = ca.SX.sym("u", 2)
     stretch = _stretch(u, *place)
-    balance = u * ca.sum1(stiffness / stretch) - _total(_pulls(theta, moment))
+    balance = u * ca.sum1(stiffness / stretch) - ca.sum1(_pulls(theta, moment)).T
     at = _at_curvature(u, theta, stiffness, moment, stretch)
     turned = -ca.inv(ca.jacobian(balance, u)) @ ca.jacobian(balance, wrt)
     moments = ca.jacobian(at.moment, wrt) + ca.jacobian(at.moment, u) @ turned

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ..errors import InputError
-from ..typing import Array
 from .settings import Ipopt
 
 DIRECTIONS = 8
@@ -29,29 +27,24 @@ class Stacked:
         self.scale, self.lower, self.upper = columns
 
 
-@dataclass(frozen=True, eq=False)
-class Closed:
-    """Symbols of variables and parameters, and scales of the variables; the objective; constraints over their
-    scales."""
-
-    variables: list[Any]
-    scale: Array
-    parameters: list[Any]
-    objective: Any
-    constraints: list[Any]
-
-
-def ipopt_function(program: Closed, settings: Ipopt, *, warm: bool) -> ca.Function:
-    """The solver (x0, p, bounds) -> x, f, g, multipliers of the scaled program.
-
-    Raises:
-        InputError: an expression has symbols that are not the program's.
-    """
-    symbols = [*program.variables, *program.parameters]
-    whole = function_of(symbols, [program.objective, *program.constraints])
-    x: Any = ca.MX.sym("x", len(program.scale))
-    p: Any = ca.MX.sym("p", sum(each.numel() for each in program.parameters))
-    parts = _parted(ca.DM(program.scale) * x, program.variables) + _parted(p, program.parameters)
+def ipopt_function(
+    variables: Sequence[Any],
+    parameters: list[Any],
+    objective: Any,
+    constraints: Sequence[Any],
+    settings: Ipopt,
+    *,
+    warm: bool,
+) -> ca.Function:
+    """The solver (x0, p, bounds) -> x, f, g, multipliers of the scaled program."""
+    symbols = [each.symbol for each in variables]
+    whole = function_of(
+        [*symbols, *parameters], [objective, *(each.expression / ca.DM(each.scale) for each in constraints)]
+    )
+    scale = Stacked(variables).scale
+    x: Any = ca.MX.sym("x", len(scale))
+    p: Any = ca.MX.sym("p", sum(each.numel() for each in parameters))
+    parts = _parted(ca.DM(scale) * x, symbols) + _parted(p, parameters)
     f, *rows = whole.call(parts, True, False)
     options = settings.options(warm=warm)
     with few_directions():
@@ -69,11 +62,7 @@ def ipopt_function(program: Closed, settings: Ipopt, *, warm: bool) -> ca.Functi
 
 
 def function_of(symbols: list[Any], expressions: list[Any]) -> ca.Function:
-    """Symbols -> expressions.
-
-    Raises:
-        InputError: they have other symbols.
-    """
+    """Symbols -> expressions; raises InputError where these have others."""
     function: ca.Function = ca.Function("program", symbols, expressions, {"allow_free": True})
     if function.has_free():
         raise InputError(f"an expression has symbols that are not the problem's: {', '.join(function.get_free())}")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from ..block.transcription.arm import ArmShape
 from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate
+from ..block.transcription.second_variation import least
 from ..typing import Array
 from .newton import NewtonResult, full_steps, newton_step
 from .settings import NEWTON
@@ -78,4 +78,4 @@ def loaded_margin(problem: LoadedProblem, state: LoadedState) -> float:
     without an energy."""
     if not problem.load.has_energy:
         return float("nan")
-    return min(1.0, float(scipy.linalg.lapack.dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0][0]))
+    return least(state.hessian)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..block.violation import violations_of, worst
 from ..errors import InputError, nearest
 from ..typing import Array
-from .closing import Closed, Stacked, function_of, ipopt_function
+from .closing import Stacked, function_of, ipopt_function
 from .problem_solution import ProblemSolution, ProblemStatistics, ProblemStatus
 from .settings import Ipopt
 
@@ -291,14 +291,8 @@ class NamedProgram:
             if not self.variables:
                 raise InputError(f"{self.name} has no variables")
             variables, constraints = list(self.variables.values()), list(self._constraints.values())
-            program = Closed(
-                variables=[each.symbol for each in variables],
-                scale=Stacked(variables).scale,
-                parameters=[symbol for symbol, _ in self._parameters.values()],
-                objective=self._objective,
-                constraints=[each.expression / ca.DM(each.scale) for each in constraints],
-            )
-            self._solvers[key] = ipopt_function(program, solver, warm=warm)
+            parameters = [symbol for symbol, _ in self._parameters.values()]
+            self._solvers[key] = ipopt_function(variables, parameters, self._objective, constraints, solver, warm=warm)
             while len(self._solvers) > MOST_SOLVERS:
                 self._solvers.pop(next(iter(self._solvers)), None)
         function: ca.Function = self._solvers[key]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from dataclasses import replace
 
-from ..errors import SolveError
-from .multistart import multistart
+import numpy as np
+import scipy
+
+from ..errors import InputError, SolveError, nearest
+from ..typing import Array
 from .named_program import NamedProgram
-from .problem_solution import ProblemSolution, ProblemStatus
-from .reordering import improve, retry
+from .problem_solution import Attempts, ProblemSolution, ProblemStatus
 from .settings import Ipopt
 
 
@@ -51,10 +54,10 @@ class Problem(NamedProgram):
         own = solver or Ipopt()
         solution = self.attempt(own, start=start)
         if solution.status is not ProblemStatus.SOLVED:
-            solution = retry(self, own, solution, reorderings)
+            solution = _retry(self, own, solution, reorderings)
         if solution.status is not ProblemStatus.SOLVED:
             raise SolveError(self.failure(solution), solution)
-        return improve(self, own, solution, reorderings)
+        return _improve(self, own, solution, reorderings)
 
     def multistart(
         self, over: Sequence[str], count: int = 16, *, seed: int = 0, solver: Ipopt | None = None
@@ -67,5 +70,141 @@ class Problem(NamedProgram):
             InputError: an unknown variable, or one without finite bounds.
             SolveError: no start led to an optimum; the message counts what happened, `solution` is the nearest miss.
         """
-        own = solver or Ipopt()
-        return multistart(self, lambda: self.solve(own), over, count, seed)
+        names = [over] if isinstance(over, str) else list(over)
+        lower, upper = _box(self, names)
+        if count < 1:
+            raise InputError(f"count is {count}; it must be at least 1")
+        best: tuple[ProblemSolution, list[object]] | None = None
+        missed: ProblemSolution | None = None
+        objectives, astray, failed = [], 0, 0
+        points = scipy.stats.qmc.Sobol(len(lower), seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
+        for point in lower + points * (upper - lower):
+            try:
+                _begin_at_point(self, names, point)
+            except (InputError, SolveError):
+                astray += 1
+                continue
+            try:
+                found = self.solve(solver)
+            except SolveError as error:
+                failed, missed = failed + 1, _nearer(missed, error.solution)
+                continue
+            objectives.append(found.objective)
+            if best is None or found.objective < best[0].objective:
+                best = found, _layouts(self)
+        attempts = Attempts(count, len(objectives), astray, failed, tuple(sorted(objectives)))
+        if best is None:
+            worst = f"; nearest: {self.failure(missed)}" if missed else ""
+            raise SolveError(f"{self.name}: {attempts}{worst}", missed)
+        _restore(self, best[1])
+        for name, value in best[0].values.items():
+            self.set_guess(name, value)
+        return replace(best[0], attempts=attempts)
+
+
+def _improve(problem: NamedProgram, solver: Ipopt, solution: ProblemSolution, limit: int) -> ProblemSolution:
+    """Let breakpoints that press against each other change places, and keep the best that comes of it.
+
+    A change that neither gains nor loses is kept as well: of several breakpoints at one place, one after the other has
+    to move before anything is gained. No arrangement is visited twice.
+    """
+    best, at, seconds, count = solution, _layouts(problem), solution.statistics.seconds, 0
+    seen = {_arrangement(problem)}
+    while count < limit:
+        pressed = [(block, row) for block in problem.blocks if (row := block.pressing(best)) is not None]
+        if not pressed:
+            break
+        for block, row in pressed:
+            block.reorder(best, row)
+        if _arrangement(problem) in seen:
+            _restore(problem, at)
+            break
+        seen.add(_arrangement(problem))
+        _begin_at(problem, best)
+        found = problem.attempt(solver)
+        seconds += found.statistics.seconds
+        slack = 1e-7 * max(1.0, abs(best.objective))
+        if found.status is not ProblemStatus.SOLVED or found.objective > best.objective + slack:
+            _restore(problem, at)
+            break
+        best, at, count = found, _layouts(problem), count + 1
+    return replace(best, statistics=replace(best.statistics, reorderings=count, seconds=seconds))
+
+
+def _retry(problem: NamedProgram, solver: Ipopt, missed: ProblemSolution, limit: int) -> ProblemSolution:
+    """After a failed solve: let breakpoints that meet where it ended change places, one a time, and solve again.
+
+    Where the order of breakpoints keeps the robot from what is demanded, the solver halts where they meet. Returns the
+    first success, or the first failure with everything as it was.
+    """
+    laid, first = _layouts(problem), missed
+    guesses = {name: each.guess for name, each in problem.variables.items()}
+    seen = {_arrangement(problem)}
+    for _ in range(limit):
+        blocked = [block for block in problem.blocks if block.closed(missed)]
+        for block in blocked:
+            block.reorder(missed)
+        if not blocked or _arrangement(problem) in seen:
+            break
+        seen.add(_arrangement(problem))
+        _begin_at(problem, missed)
+        missed = problem.attempt(solver)
+        if missed.status is ProblemStatus.SOLVED:
+            return missed
+    _restore(problem, laid)
+    for name, guess in guesses.items():
+        problem.set_guess(name, guess)
+    return first
+
+
+def _begin_at(problem: NamedProgram, solution: ProblemSolution) -> None:
+    """Start the variables that no block has set where a solution has them."""
+    for name, value in solution.values.items():
+        if not any(block.owns(name) for block in problem.blocks):
+            problem.set_guess(name, value)
+
+
+def _layouts(problem: NamedProgram) -> list[object]:
+    return [block.layout for block in problem.blocks]
+
+
+def _restore(problem: NamedProgram, layouts: list[object]) -> None:
+    for block, laid in zip(problem.blocks, layouts, strict=True):
+        if block.layout is not laid:
+            block.restore(laid)
+
+
+def _arrangement(problem: NamedProgram) -> Hashable:
+    """The orders of all breakpoints."""
+    return tuple((block.layout.order.front, block.layout.order.behind) for block in problem.blocks)
+
+
+def _box(problem: NamedProgram, names: list[str]) -> tuple[Array, Array]:
+    """Bounds of the variables, one below the other."""
+    known = problem.variables
+    for name in names:
+        if name not in known:
+            raise InputError(f"over names {name!r}, which is no variable{nearest(name, known)}")
+        if not np.isfinite([known[name].lower, known[name].upper]).all():
+            raise InputError(f"variable {name!r} has no finite bounds; starts are spread between lower and upper")
+    if not names:
+        raise InputError("over is empty; it must name variables")
+    lower, upper = (np.concatenate([getattr(known[name], side) for name in names]) for side in ("lower", "upper"))
+    return lower, upper
+
+
+def _begin_at_point(problem: NamedProgram, names: list[str], point: Array) -> None:
+    """Guesses at a point, and every block at the equilibrium there."""
+    sizes = np.cumsum([len(problem.variables[name].guess) for name in names])[:-1]
+    for name, value in zip(names, np.split(point, sizes), strict=True):
+        problem.set_guess(name, value)
+    for block in problem.blocks:
+        block.start_at(lambda part: problem.evaluate(part, {}, {}))
+
+
+def _nearer(one: ProblemSolution | None, other: ProblemSolution | None) -> ProblemSolution | None:
+    """The one whose worst violation is smaller."""
+    if one is None or other is None:
+        return other if one is None else one
+    size = [each.violations[0].relative if each.violations else 0.0 for each in (one, other)]
+    return one if size[0] <= size[1] else other

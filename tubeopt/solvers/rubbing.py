@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.contact import Contact, Rubbing, evaluate_contact
+from ..block.transcription.second_variation import least
 from ..typing import Array
 from .flow import grown, shortened
 from .settings import CONTINUATION, NEWTON
@@ -94,18 +95,15 @@ class _Turned:
     """
 
     def __init__(self, contact: Contact, slid: Array | None) -> None:
-        self.sharp: slice | Array = slice(None) if slid is None or not slid.any() else slid == 0
-        self.any = not isinstance(self.sharp, slice)
+        slid = np.zeros(len(contact.capacity)) if slid is None else slid
+        self.any = bool(slid.any())
+        self.sharp, self.smooth = slid == 0 if self.any else slice(None), np.flatnonzero(slid)
         self.rows, self.capacity = contact.rows[self.sharp], contact.capacity[self.sharp]
-        if self.any and slid is not None:
-            self.smooth = np.flatnonzero(slid)
-            self.own, self.most, self.zeta = contact.rows[self.smooth], contact.capacity[self.smooth], slid[self.smooth]
-            self.torque = np.zeros(len(self.smooth))
+        self.own, self.most, self.zeta = contact.rows[self.smooth], contact.capacity[self.smooth], slid[self.smooth]
+        self.torque = np.zeros(len(self.smooth))
 
     def added(self, state: Rubbing, slip: Array) -> tuple[Array, Array]:
         """Gradient and Hessian of the energy with what these rows take."""
-        if not self.any:
-            return state.gradient, state.hessian
         size = np.hypot(slip[self.smooth], self.zeta)
         self.pull = self.most * slip[self.smooth] / size
         self.stiffness = (self.most - self.torque * slip[self.smooth] / size) / size
@@ -116,13 +114,10 @@ class _Turned:
 
     def advance(self, step: Array) -> None:
         """The torques after a step of Newton's method."""
-        if self.any:
-            self.torque = np.clip(self.pull + self.stiffness * (self.own @ step), -self.most, self.most)
+        self.torque = np.clip(self.pull + self.stiffness * (self.own @ step), -self.most, self.most)
 
     def whole(self, torque: Array, signs: Signs, slip: Array) -> tuple[Array, Signs, float]:
         """Torques and signs of all rows, and the heat, J."""
-        if not self.any:
-            return torque, signs, float(self.capacity @ np.abs(slip * signs))
         all_torque, all_signs = np.zeros(len(slip)), np.zeros(len(slip), dtype=np.int8)
         size = np.hypot(slip[self.smooth], self.zeta)
         all_torque[self.sharp], all_signs[self.sharp] = torque, signs
@@ -209,20 +204,16 @@ def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
 def held_margin(contact: Contact, state: Rubbing, signs: Signs) -> float:
     """Least eigenvalue of the Hessian along what the sticking rows leave free, at most 1: how stable the state is as
     long as friction holds what it holds."""
-    stuck = contact.rows[signs == 0]
-    if not len(stuck):
-        return least(state.hessian)
-    if len(stuck) >= stuck.shape[1]:
-        return 1.0
-    free = scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :]
+    free = _free(contact, signs)
     return least(free.T @ state.hessian @ free)
 
 
-def least(matrix: Array) -> float:
-    """Least eigenvalue of a symmetric matrix, at most 1."""
-    if not len(matrix):
-        return 1.0
-    return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
+def _free(contact: Contact, signs: Signs) -> Array:
+    """(X, F) directions in which the sticking rows do not slip, of unit length and across each other."""
+    stuck = contact.rows[signs == 0]
+    if not len(stuck):
+        return np.eye(stuck.shape[1])
+    return np.asarray(scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :])
 
 
 SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
@@ -231,10 +222,7 @@ SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
 
 def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
     """Direction (X,) in which a state is softest without slip of what sticks; its largest turn is 1 rad."""
-    free = np.eye(len(state.x))
-    stuck = contact.rows[signs == 0]
-    if len(stuck):
-        free = scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :]
+    free = _free(contact, signs)
     direction = free @ np.linalg.eigh(free.T @ state.hessian @ free)[1][:, 0]
     return np.asarray(direction / turn_of(contact, direction))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -19,6 +20,8 @@ OPTIONS: dict[str, Any] = {
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
     "ipopt.hessian_approximation": "limited-memory",
+    "ipopt.tol": 1e-8,
+    "ipopt.constr_viol_tol": 1e-8,
     "ipopt.acceptable_iter": 12,
     "ipopt.acceptable_tol": 1e-5,
     "ipopt.acceptable_constr_viol_tol": 1e-7,
@@ -62,95 +65,69 @@ class Optimum:
     iterations: int
 
 
-class _Memory:
-    """The last values, so that value and gradient at one point cost one evaluation."""
+class _Callback(ca.Callback):
+    """A function of dense matrices of the shapes `inputs` and `outputs`; `jacobian` has its derivatives."""
 
-    def __init__(self, evaluate: Evaluate) -> None:
-        self._evaluate = evaluate
-        self._at: bytes = b""
-        self._values: Values | None = None
-
-    def __call__(self, x: Array) -> Values:
-        key = x.tobytes()
-        if self._values is None or key != self._at:
-            self._values, self._at = self._evaluate(x), key
-        return self._values
-
-
-class _Slopes(ca.Callback):
-    def __init__(self, memory: _Memory, size: int, rows: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        inputs: list[tuple[int, int]],
+        outputs: list[tuple[int, int]],
+        function: Callable[..., list[Any]],
+        jacobian: _Callback | None = None,
+    ) -> None:
         super().__init__()
-        self._memory, self._size, self._rows = memory, size, rows
-        self.construct("slopes", {})
+        self._inputs, self._outputs, self._function, self._jacobian = inputs, outputs, function, jacobian
+        self.construct(name, {})
 
     def get_n_in(self) -> int:
-        return 3
+        return len(self._inputs)
 
     def get_n_out(self) -> int:
-        return 2
+        return len(self._outputs)
 
     def get_sparsity_in(self, i: int) -> Any:
-        return ca.Sparsity.dense((self._size, 1, self._rows)[i], 1)
+        return ca.Sparsity.dense(*self._inputs[i])
 
     def get_sparsity_out(self, i: int) -> Any:
-        return ca.Sparsity.dense((1, self._rows)[i], self._size)
+        return ca.Sparsity.dense(*self._outputs[i])
 
     def eval(self, arguments: Any) -> Any:
-        values = self._memory(np.array(arguments[0]).ravel())
-        return [ca.DM(values.gradient[None]), ca.DM(values.jacobian)]
-
-
-class _Program(ca.Callback):
-    def __init__(self, memory: _Memory, size: int, rows: int) -> None:
-        super().__init__()
-        self._memory, self._size, self._rows = memory, size, rows
-        self._slopes = _Slopes(memory, size, rows)
-        self.construct("program", {})
-
-    def get_n_in(self) -> int:
-        return 1
-
-    def get_n_out(self) -> int:
-        return 2
-
-    def get_sparsity_in(self, i: int) -> Any:
-        return ca.Sparsity.dense(self._size, 1)
-
-    def get_sparsity_out(self, i: int) -> Any:
-        return ca.Sparsity.dense((1, self._rows)[i], 1)
-
-    def eval(self, arguments: Any) -> Any:
-        values = self._memory(np.array(arguments[0]).ravel())
-        return [ca.DM(values.objective), ca.DM(values.constraints)]
+        return self._function(*arguments)
 
     def has_jacobian(self) -> bool:
-        return True
+        return self._jacobian is not None
 
     def get_jacobian(self, name: str, inames: Any, onames: Any, opts: Any) -> Any:
-        return self._slopes
+        return self._jacobian
 
 
-class _Watch(ca.Callback):
+def _program(values_at: Callable[[bytes], Values], size: int, rows: int) -> _Callback:
+    """x -> f, g, with their derivatives."""
+
+    def both(x: Any) -> list[Any]:
+        here = values_at(np.array(x).tobytes())
+        return [ca.DM(here.objective), ca.DM(here.constraints)]
+
+    def slopes(x: Any, *_: Any) -> list[Any]:
+        here = values_at(np.array(x).tobytes())
+        return [ca.DM(here.gradient[None]), ca.DM(here.jacobian)]
+
+    shapes = [(1, 1), (rows, 1)]
+    derivatives = _Callback("slopes", [(size, 1), *shapes], [(1, size), (rows, size)], slopes)
+    return _Callback("program", [(size, 1)], shapes, both, derivatives)
+
+
+def _watch(report: Callable[[float], object], size: int, rows: int) -> _Callback:
     """Calls `report` with the iteration's objective."""
 
-    def __init__(self, report: Callable[[float], object], size: int, rows: int) -> None:
-        super().__init__()
-        self._report, self._size, self._rows = report, size, rows
-        self.construct("watch", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> Any:
-        size = {"f": 1, "x": self._size, "lam_x": self._size, "g": self._rows, "lam_g": self._rows}
-        return ca.Sparsity.dense(size.get(ca.nlpsol_out(i), 0), 1)
-
-    def eval(self, arguments: Any) -> Any:
-        self._report(float(arguments[1]))
+    def told(x: Any, f: Any, *_: Any) -> list[Any]:
+        report(float(f))
         return [0]
+
+    known = {"f": 1, "x": size, "lam_x": size, "g": rows, "lam_g": rows}
+    inputs = [(known.get(ca.nlpsol_out(i), 0), 1) for i in range(ca.nlpsol_n_out())]
+    return _Callback("watch", inputs, [(1, 1)], told)
 
 
 def minimise(
@@ -159,39 +136,34 @@ def minimise(
     lower: Array,
     upper: Array,
     *,
-    tolerance: float = 1e-8,
-    iterations: int = 300,
-    strategy: str = "quick",
-    report: Callable[[float], object] | None = None,
+    iterations: int,
+    strategy: str,
+    report: Callable[[float], object] | None,
 ) -> Optimum:
     """Minimise f(x) subject to g(x) >= 0 and lower <= x <= upper, from `start` (X,), in the scale of x.
 
     Values may be NaN where the functions are not defined: the step is then shortened.
     """
-    memory = _Memory(evaluate)
-    rows = len(memory(start).constraints)
-    size = len(start)
-    program = _Program(memory, size, rows)
+
+    @lru_cache(maxsize=1)
+    def values_at(x: bytes) -> Values:
+        """So that value and gradient at one point cost one evaluation."""
+        return evaluate(np.frombuffer(x).copy())
+
+    size, rows = len(start), len(values_at(start.tobytes()).constraints)
+    program = _program(values_at, size, rows)
     x = ca.MX.sym("x", size)
     f, g = program(x)
-    options = {
-        **OPTIONS,
-        **STRATEGIES[strategy],
-        "ipopt.tol": tolerance,
-        "ipopt.constr_viol_tol": tolerance,
-        "ipopt.max_iter": iterations,
-    }
-    watch = None
+    options = {**OPTIONS, **STRATEGIES[strategy], "ipopt.max_iter": iterations}
     if report is not None:
-        watch = _Watch(report, size, rows)
-        options["iteration_callback"] = watch
+        options["iteration_callback"] = _watch(report, size, rows)
     solver = ca.nlpsol("design", "ipopt", {"x": x, "f": f, "g": g}, options)
     result = solver(x0=start, lbx=lower, ubx=upper, lbg=np.zeros(rows), ubg=np.full(rows, np.inf))
     stats = solver.stats()
     found = np.clip(np.array(result["x"]).ravel(), lower, upper)
     return Optimum(
         x=found,
-        values=memory(found),
+        values=values_at(found.tobytes()),
         multipliers=-np.array(result["lam_g"]).ravel(),
         bound_multipliers=-np.array(result["lam_x"]).ravel(),
         success=bool(stats["success"]),

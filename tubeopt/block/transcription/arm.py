@@ -6,116 +6,92 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...typing import Array
+from ...robots.lengthwise import CrossSections
+from ...typing import Array, Index
 from .collocated import ENDS
+from .green import sections_at
 from .mesh import Mesh
 from .reduced import Evaluation, ReducedProblem
+from .tableau import Tableau
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """theta_i(s) of all tubes as one polynomial per piece.
+    """theta_i(s) of all tubes as one polynomial per piece: with x in [0, 1] along piece p of length h
 
-    With x in [0, 1] along piece p of length h:
-    theta = rotation + x h twist + h^2 int int M / kt + h int (g - 1) w.
-
-    With tubes made of pieces, where kt varies: rotation is the elastic phi, `twist` the torque t = kt phi' and `moment`
-    M itself. With c the mean of 1 / kt on a piece, phi = rotation + c (x h twist + h^2 int int M) + h int (1 / kt - c)
-    t, of which the last is collocated.
+    theta = rotation + c (x h twist + h^2 int int moment) + h int extra.
 
     Attributes:
         rotation, twist: (P, n) theta and w where each piece begins.
         moment: (P, K, n) M / kt at the collocation points, 0 on pieces without.
         extra: (P, K, n) (g - 1) w there, or None for concentric tubes.
-        slope: (P, K, n) (1 / kt - c) t there, with tubes made of pieces; else None.
-        compliance: (P, n) c, with tubes made of pieces; else None.
+        compliance: (P, n) c; None is 1.
+
+    With tubes made of pieces, where kt varies, theta is the elastic phi, `twist` the torque t = kt phi', `moment` M
+    itself, c the mean of 1 / kt on a piece, and `extra` (1 / kt - c) t.
     """
 
     rotation: Array
     twist: Array
     moment: Array
     extra: Array | None
-    slope: Array | None = None
     compliance: Array | None = None
-
-    def turned(self, h: Array, x: Array, bases: tuple[Array, Array]) -> Array:
-        """phi (P, X, n) at fractions x of pieces of lengths h, of tubes made of pieces, by the Lagrange basis (X, K)
-        integrated once and twice."""
-        assert self.slope is not None
-        assert self.compliance is not None
-        length = h[:, None, None]
-        even = x[:, None] * length * self.twist[:, None, :] + length**2 * (bases[1] @ self.moment)
-        return np.asarray(
-            self.rotation[:, None, :] + self.compliance[:, None] * even + length * (bases[0] @ self.slope)
-        )
 
 
 def profile(problem: ReducedProblem, rotations: Array, state: Evaluation) -> Profile:
     """theta_i(s) of a solved problem."""
-    assembly = problem.assembly
-    if problem.here is not None:
-        return integrate_torque(problem, rotations, state.moment)
-    moment = state.moment / assembly.torsional_stiffness
-    return integrate(problem.mesh, rotations, assembly.transmission, moment, state.extra_twist)
+    return integrate(problem, rotations, state.moment, state.extra_twist)
 
 
-def integrate(mesh: Mesh, base: Array, transmission: Array, moment: Array, extra_twist: Array | None = None) -> Profile:
-    """Integrate moments M / kt (N, n) from the tip, where torsion is 0, then the twist from the base (n,).
-
-    The columns need not be tubes: derivatives of them, any number, obey the same equations.
-    """
-    weights, nodes = mesh.tableau.weights, mesh.tableau.nodes
-    shape = len(mesh.length), mesh.tableau.degree, len(base)
-    inner = np.zeros(shape)
-    inner[mesh.collocated] = moment.reshape(-1, *shape[1:])
-    h = mesh.length[:, None]
-    gain = h * (weights @ inner)
-    twist = -np.cumsum(gain[::-1], axis=0)[::-1]
-    turn = h * twist + h**2 * ((weights * (1 - nodes)) @ inner)
-    extra = None
-    if extra_twist is not None:
-        extra = np.zeros(shape)
-        extra[mesh.collocated] = extra_twist.reshape(-1, *shape[1:])
-        turn += h * (weights @ extra)
-    start = base + transmission * (twist[0] if len(twist) else 0.0)
-    return Profile(start + np.cumsum(turn, axis=0) - turn, twist, inner, extra)
-
-
-def integrate_torque(problem: ReducedProblem, base: Array, moment: Array) -> Profile:
-    """Integrate moments M (N, n) from the tip, where torque is 0, then the elastic rotation from the base (n,)."""
-    mesh, here = problem.mesh, problem.here
-    assert here is not None
+def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: Array | None = None) -> Profile:
+    """Integrate moments M (N, n) from the tip, where torsion is 0, then the twist from the base (n,)."""
+    mesh, assembly, here = problem.mesh, problem.assembly, problem.here
     t, h = mesh.tableau, mesh.length[:, None]
-    inner = np.zeros_like(here.rate)
-    inner[mesh.collocated] = moment.reshape(-1, *inner.shape[1:])
+    inner = np.zeros((len(h), t.degree, len(base)))
+    own = moment / assembly.torsional_stiffness if here is None else moment
+    inner[mesh.collocated] = own.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
-    torque = -np.cumsum(gain[::-1], axis=0)[::-1]
-    inside = torque[:, None] + h[..., None] * (t.adjoint @ inner)
-    turn = h * (t.weights @ (inside * here.rate))
-    mean = np.einsum("k,pki->pi", t.weights, here.rate)
-    slope = inside * (here.rate - mean[:, None])
-    start = base + here.transmission * (torque[0] if len(torque) else 0.0)
-    return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, None, slope, mean)
+    twist = -np.cumsum(gain[::-1], axis=0)[::-1]
+    turn = h * twist + h**2 * ((t.weights * (1 - t.nodes)) @ inner)
+    held, extra, mean = assembly.transmission, None, None
+    if here is not None:
+        held, mean = here.transmission, np.einsum("k,pki->pi", t.weights, here.rate)
+        extra = (twist[:, None] + h[..., None] * (t.adjoint @ inner)) * (here.rate - mean[:, None])
+        turn *= mean
+    elif extra_twist is not None:
+        extra = np.zeros_like(inner)
+        extra[mesh.collocated] = extra_twist.reshape(-1, *inner.shape[1:])
+    if extra is not None:
+        turn += h * (t.weights @ extra)
+    start = base + held * (twist[0] if len(twist) else 0.0)
+    return Profile(start + np.cumsum(turn, axis=0) - turn, twist, inner, extra, mean)
 
 
 def rotations_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
     """theta (P, len(x), n), phi with tubes made of pieces, at fractions x of every piece."""
-    t, h = problem.mesh.tableau, problem.mesh.length[:, None, None]
-    if arm.slope is not None:
-        bases = (t.basis(x, 1), t.basis(x, 2))
-        return arm.turned(problem.mesh.length, np.array(x), bases)
-    theta = arm.rotation[:, None, :] + np.array(x)[:, None] * h * arm.twist[:, None, :]
-    theta += h**2 * (t.basis(x, 2) @ arm.moment)
-    if arm.extra is not None:
-        theta += h * (t.basis(x, 1) @ arm.extra)
-    return theta
+    return turned_along(problem.mesh.tableau, problem.mesh.length, arm, x)
 
 
 def torsion_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
-    """theta' (P, len(x), n) at fractions x of every piece, rad/m."""
-    t, h = problem.mesh.tableau, problem.mesh.length[:, None, None]
-    slope: Array = arm.twist[:, None, :] + h * (t.basis(x, 1) @ arm.moment)
+    """theta' (P, len(x), n) at fractions x of every piece, rad/m; torque with tubes made of pieces."""
+    return twisted_along(problem.mesh.tableau, problem.mesh.length, arm, x)
+
+
+def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) -> Array:
+    """`rotations_at` of pieces of lengths (P,), m."""
+    h = length[:, None, None]
+    even: Array = np.array(x)[:, None] * h * arm.twist[:, None] + h**2 * (t.basis(x, 2) @ arm.moment)
+    if arm.compliance is not None:
+        even *= arm.compliance[:, None]
     if arm.extra is not None:
+        even += h * (t.basis(x, 1) @ arm.extra)
+    return even + arm.rotation[:, None]
+
+
+def twisted_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) -> Array:
+    """`torsion_at` of pieces of lengths (P,), m."""
+    slope: Array = arm.twist[:, None] + length[:, None, None] * (t.basis(x, 1) @ arm.moment)
+    if arm.extra is not None and arm.compliance is None:
         slope += t.basis(x, 0) @ arm.extra
     return slope
 
@@ -125,32 +101,58 @@ def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Arr
     mesh = problem.mesh
     if not len(mesh.length):
         return np.tile(arm.rotation.sum(0), (len(arc_length), 1))
-    piece = np.clip(np.searchsorted(mesh.start, arc_length, side="right") - 1, 0, len(mesh.start) - 1)
-    x = np.clip((arc_length - mesh.start[piece]) / mesh.length[piece], 0.0, 1.0)
+    piece, x = _places(mesh, arc_length)
     h = mesh.length[piece][:, None]
-    if arm.slope is not None:
-        assert arm.compliance is not None
-        inner = np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=1), arm.slope[piece])
-        even = np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=2), arm.moment[piece])
-        even = arm.compliance[piece] * (x[:, None] * h * arm.twist[piece] + h**2 * even)
-        return np.asarray(arm.rotation[piece] + even + h * inner)
-    theta = arm.rotation[piece] + x[:, None] * h * arm.twist[piece]
-    theta += h**2 * np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=2), arm.moment[piece])
+    theta = x[:, None] * h * arm.twist[piece] + h**2 * _inside(mesh, arm.moment, (piece, x), 2)
+    if arm.compliance is not None:
+        theta *= arm.compliance[piece]
     if arm.extra is not None:
-        theta += h * np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=1), arm.extra[piece])
-    return np.asarray(theta)
+        theta += h * _inside(mesh, arm.extra, (piece, x), 1)
+    return np.asarray(theta + arm.rotation[piece])
 
 
-def twist_at(problem: ReducedProblem, arm: Profile, s: float) -> Array:
-    """w (n,) at arc length s: theta' for concentric tubes, theta' / g in general; torque with tubes made of pieces."""
+def twist_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
+    """w (len(arc_length), n) at any arc length: theta' for concentric tubes, theta' / g in general; torque with tubes
+    made of pieces."""
     mesh = problem.mesh
-    n = arm.twist.shape[1]
-    if not len(mesh.length) or s >= mesh.start[-1] + mesh.length[-1]:
-        return np.zeros(n)
-    p = max(0, int(np.searchsorted(mesh.start, s, side="right")) - 1)
-    x = (s - mesh.start[p]) / mesh.length[p]
-    inner = mesh.tableau.lagrange([x], integrals=1)[0] @ arm.moment[p]
-    return np.asarray(arm.twist[p] + mesh.length[p] * inner)
+    if not len(mesh.length):
+        return np.zeros((len(arc_length), arm.twist.shape[1]))
+    piece, x = _places(mesh, arc_length)
+    twist = arm.twist[piece] + mesh.length[piece][:, None] * _inside(mesh, arm.moment, (piece, x), 1)
+    return np.where((arc_length < mesh.start[-1] + mesh.length[-1])[:, None], twist, 0.0)
+
+
+def _places(mesh: Mesh, arc_length: Array) -> tuple[Index, Array]:
+    """The pieces in which arc lengths lie, and how far inside, 0 to 1."""
+    piece = np.clip(np.searchsorted(mesh.start, arc_length, side="right") - 1, 0, len(mesh.start) - 1)
+    return piece, np.clip((arc_length - mesh.start[piece]) / mesh.length[piece], 0.0, 1.0)
+
+
+def _inside(mesh: Mesh, values: Array, places: tuple[Index, Array], integrals: int) -> Array:
+    """(S, n) at places: polynomials through values (P, K, n), integrated from where pieces begin as if of length 1."""
+    piece, x = places
+    return np.asarray(np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=integrals), values[piece]))
+
+
+def shape_sections(torsion: ReducedProblem) -> CrossSections:
+    """(P 5, n) cross-sections at the shape points of every piece, seen from inside it."""
+    assembly, mesh, count = torsion.assembly, torsion.mesh, len(ENDS)
+    if torsion.here is not None:
+        return sections_at(assembly, mesh, ENDS)
+    kb, m = (np.repeat(table, count, axis=0) for table in (torsion.piece_stiffness, torsion.piece_moment))
+    none = np.zeros_like(kb)
+    return CrossSections(kb, m, none, np.broadcast_to(assembly.torsional_stiffness, kb.shape), none, none)
+
+
+def tubes_along(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tuple[Array, Array, Array]]:
+    """theta and theta' (P, 5, n) at the shape points, and what the functions of a cross-section take there."""
+    ends, n, here = tuple(ENDS.tolist()), torsion.assembly.n_tubes, shape_sections(torsion)
+    theta, slope = (along(torsion, profile, ends) for along in (rotations_at, torsion_at))
+    slope = slope.reshape(-1, n)
+    if torsion.here is not None:
+        slope = slope / here.torsional_stiffness
+    pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
+    return theta + here.wound.reshape(theta.shape), (slope + here.twist).reshape(theta.shape), pull
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,30 +43,25 @@ class Buffered:
 
 
 @lru_cache(maxsize=256)
-def _mapped(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) -> Buffered:
+def _section(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) -> Buffered:
     return Buffered(section_functions(n_tubes, eccentric)[kind].map(count))
 
 
 def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered:
     """`physics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
-    return _mapped(kind, count, n_tubes, eccentric, threading.get_ident())
+    return _section(kind, count, n_tubes, eccentric, threading.get_ident())
 
 
-@lru_cache(maxsize=64)
-def _mapped_function(function: ca.Function, count: int, thread: int) -> Buffered:
-    return Buffered(function.map(count))
+@lru_cache(maxsize=320)
+def _bound(function: ca.Function, count: int, chained: bool, thread: int) -> Buffered:
+    return Buffered(function.mapaccum(count) if chained else function.map(count))
 
 
 def mapped(function: ca.Function, count: int) -> Buffered:
     """A function mapped over `count` points, bound to arrays of this thread."""
-    return _mapped_function(function, count, threading.get_ident())
-
-
-@lru_cache(maxsize=256)
-def _accumulated(count: int, n_tubes: int, eccentric: bool, family: str, degree: int, thread: int) -> Buffered:
-    return Buffered(piece_function(n_tubes, eccentric, family, degree).mapaccum(count))
+    return _bound(function, count, False, threading.get_ident())
 
 
 def piece_chain(count: int, n_tubes: int, eccentric: bool, family: str, degree: int) -> Buffered:
     """`piece_function` chained over `count` pieces from base to tip, bound to arrays of this thread."""
-    return _accumulated(count, n_tubes, eccentric, family, degree, threading.get_ident())
+    return _bound(piece_function(n_tubes, eccentric, family, degree), count, True, threading.get_ident())

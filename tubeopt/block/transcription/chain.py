@@ -207,14 +207,10 @@ def transmissions(chain: Chain, laid: Panels, plate: tuple[Any, Any], torsional_
         mine = np.flatnonzero(chain.tube == i).tolist()
         here, chosen = pick[mine], kt[:, mine]
         last = held[i] - ca.dot(here, laid.low[mine])
-        high = 2 * last / _solid(ca.dot(here, laid.width[mine])) - 1
+        high = 2 * last / ca.fmax(ca.dot(here, laid.width[mine]), POINT) - 1
         part = last * mean(chosen @ here, -1, high)
         out.append(torsional_stiffness[i] * (whole[:, mine] @ behind[mine] + part))
     return ca.vertcat(*out)
-
-
-def _solid(width: Any) -> Any:
-    return ca.fmax(width, POINT)
 
 
 def columns(chain: Chain, laid: Panels, which: tuple[Any, Any], place: tuple[Any, Any]) -> Any:
@@ -233,7 +229,7 @@ def columns(chain: Chain, laid: Panels, which: tuple[Any, Any], place: tuple[Any
         there = present[i, :]
         table = laid.table[mine, :].T @ chosen
         stiffness = table[: chain.detail, :] * ca.repmat(there, chain.detail, 1)
-        low, width = (laid.low[mine].T @ chosen, _solid(laid.width[mine].T @ chosen))
+        low, width = (laid.low[mine].T @ chosen, ca.fmax(laid.width[mine].T @ chosen, POINT))
         ends = [2 * (held[i] + s - low) / width - 1 for s in (cuts[:pieces].T, cuts[1:].T)]
         # A tube that has ended is held as it is at its end.
         ends = [1 + there * (x - 1) for x in ends]

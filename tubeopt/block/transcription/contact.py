@@ -22,9 +22,8 @@ from ...robots.assembly import ROUND_OFF, Assembly
 from ...robots.friction import PAIRWISE, Friction
 from ...typing import Array, Index, Mask
 from .arm import Profile, profile
-from .green import ahead, reach
 from .mesh import make_mesh, piece_counts
-from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
+from .reduced import Evaluation, ReducedProblem, evaluate, reduce, softness, to_unknowns
 
 DEGREE = 6
 """Collocation points of a piece."""
@@ -144,7 +143,7 @@ def _between(spots: list[tuple[float, int, float]]) -> tuple[Array, Index]:
 def _open(problem: ReducedProblem, place: Array, tube: Index) -> tuple[Array, Array]:
     """Rotations (M,) of tubes at ends of pieces by z, and by unknowns of their own for what z leaves open."""
     known, columns = np.zeros((len(place), problem.size)), []
-    soft_points, soft_ends = _softness(problem)
+    soft_points, soft_ends = softness(problem)
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
     for j in np.unique(tube):
         mine, unknowns = np.flatnonzero(tube == j), np.flatnonzero(problem.tube == j)
@@ -159,18 +158,6 @@ def _open(problem: ReducedProblem, place: Array, tube: Index) -> tuple[Array, Ar
         part[mine] = vectors[:, kept] * np.sqrt(values[kept])
         columns.append(part)
     return known, np.concatenate([np.zeros((len(place), 0)), *columns], axis=1)
-
-
-def _softness(problem: ReducedProblem) -> tuple[Array, Array]:
-    """(N, n) and (P + 1, n) int ds / kt from where each tube is held to the points and to the ends of the pieces."""
-    mesh, assembly = problem.mesh, problem.assembly
-    if problem.here is not None:
-        return ahead(mesh, problem.here), reach(mesh, problem.here)
-    ends = np.append(mesh.start, assembly.total_length)
-    inside, outside = (
-        (assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends)
-    )
-    return inside, outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +198,7 @@ def rubbing_profile(contact: Contact, rotations: Array, state: Rubbing, torque: 
     if not len(spots):
         return found
     turn, twist = found.rotation.copy(), found.twist.copy()
-    soft = _softness(problem)[1]
+    soft = softness(problem)[1]
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
     rate = 1.0 if problem.here is not None else 1 / problem.assembly.torsional_stiffness
     for r in spots:

@@ -29,6 +29,7 @@ from ...physics.torsion import section_functions
 from ...robots.robot import Robot, is_general
 from ...robots.steps import steps_of, varies
 from ...typing import Array
+from .march import classical_step
 
 STEPS = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
@@ -157,10 +158,8 @@ def explicit_arm(kind: Kind) -> ca.Function:
 @lru_cache(maxsize=16)
 def explicit_joints(kind: Kind) -> ca.Function:
     """The outputs `rotations` and `fields` of `explicit_arm` alone, which cost less without the shape."""
-    arm = explicit_arm(kind)
-    inputs = [ca.MX.sym(arm.name_in(i), arm.size1_in(i)) for i in range(4)]
-    outputs: Any = arm(*inputs)
-    joints = ca.Function("explicit_joints", inputs, list(outputs[:2]))
+    inputs = explicit_arm(kind).mx_in()
+    joints = ca.Function("explicit_joints", inputs, explicit_arm(kind).call(inputs)[:2])
     return joints.expand() if explicit_size(kind) < EXPANDED else joints
 
 
@@ -168,9 +167,8 @@ def explicit_joints(kind: Kind) -> ca.Function:
 def explicit_rotations(kind: Kind) -> ca.Function:
     """(tip rotations (n,), translations (n,), robot) -> the output `rotations` of `explicit_arm` alone, without Jacobi
     fields and shape: a sixth of its cost."""
-    arm = explicit_arm(kind)
-    tip, shift, robot = (ca.MX.sym(name, arm.size1_in(name)) for name in ("tip", "translations", "robot"))
-    rotations = ca.Function("explicit_rotations", [tip, shift, robot], [arm(tip, shift, 0, robot)[0]])
+    tip, shift, _, robot = explicit_arm(kind).mx_in()
+    rotations = ca.Function("explicit_rotations", [tip, shift, robot], [explicit_arm(kind)(tip, shift, 0, robot)[0]])
     return rotations.expand() if explicit_size(kind) < EXPANDED else rotations
 
 
@@ -303,16 +301,13 @@ def _runge_kutta(
 ) -> list[Any]:
     """A step of theta' = g w, w' = M / kt and of its Jacobi fields, of softened tubes, of order 4."""
 
-    def rates(theta: Any, w: Any, y: Any, v: Any) -> list[Any]:
+    def rates(at: list[Any]) -> list[Any]:
+        theta, w, y, v = at
         moment, slope, _, stretch, stretching = balance(theta, *given)
         turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)
         return [stretch * w, moment / kt[0], turned, ca.diag(1 / kt[1]) @ slope @ y]
 
-    k = [rates(*state)]
-    for part in (0.5, 0.5, 1.0):
-        k.append(rates(*(a - part * h * b for a, b in zip(state, k[-1], strict=True))))
-    mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(*k, strict=True)]
-    return [a - h * b for a, b in zip(state, mean, strict=True)]
+    return classical_step(list(state), rates, -h)
 
 
 def _shape(bends: list[tuple[Any, Any]]) -> tuple[Any, Any, Any]:

@@ -58,35 +58,18 @@ def ahead(mesh: Mesh, here: Compliant) -> Array:
     return np.asarray(out.reshape(-1, out.shape[-1]))
 
 
-def green_of_pieces(mesh: Mesh, elements: Index, here: Compliant, tube: int) -> Array:
-    """(N, N) of a tube: int ds / kt from where it is held to the nearer of two points, collocated."""
-    t, begin = mesh.tableau, reach(mesh, here)[elements, tube]
-    rate, length = here.rate[elements, :, tube], mesh.length[elements]
-    near = ahead(mesh, here)[:, tube]
-    first = np.arange(len(near)) // t.degree
-    green: Array = np.where(first[:, None] < first, near[:, None], near)
-    for e in range(len(elements)):
+def green_of(mesh: Mesh, elements: Index, rate: Array | None = None, begin: Array | None = None) -> Array:
+    """(N, N) of a tube: int `rate` ds from where it is held to the nearer of two points, collocated, exact between
+    elements; `rate` (E, K) at the points, None is 1, and `begin` (E,) up to the elements, None from the plate."""
+    t, length = mesh.tableau, mesh.length[elements, None]
+    rate = np.ones((len(elements), t.degree)) if rate is None else rate
+    begin = (mesh.start[elements] if begin is None else begin)[:, None]
+    near = (begin + length * (rate @ t.matrix.T)).ravel()
+    green = np.minimum(near[:, None], near)
+    within = begin[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[:, None]) @ t.matrix.T)
+    for e, own in enumerate(within):
         block = slice(e * t.degree, (e + 1) * t.degree)
-        green[block, block] = begin[e] + length[e] * (t.matrix * (rate[e] / t.weights)) @ t.matrix.T
-    return green
-
-
-def point_places(mesh: Mesh, elements: Index) -> Array:
-    """(N,) arc length of the collocation points, m."""
-    s: Array = mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes
-    return s.ravel()
-
-
-def green_of(mesh: Mesh, elements: Index) -> Array:
-    """(N, N) collocated min(s, r): S without the transmissions; exact between elements, h A diag(1/b) A' within."""
-    tableau = mesh.tableau
-    start, length = mesh.start[elements], mesh.length[elements]
-    s = point_places(mesh, elements)
-    green = np.minimum(s[:, None], s)
-    k = tableau.degree
-    for e in range(len(elements)):
-        block = slice(e * k, (e + 1) * k)
-        green[block, block] = start[e] + length[e] * tableau.compliance
+        green[block, block] = own
     return green
 
 

@@ -53,13 +53,7 @@ def layout(
     assembly: Assembly, order: Order, *, pieces: int | None = None, refinement: int = 0, least: int = 0
 ) -> Layout:
     """Pieces in every section, short enough for coupling and bend at the given places; sections without length get one.
-
-    Args:
-        pieces: how many there must be in all; None is as many as are needed, and `least` at least.
-
-    Raises:
-        InputError: `pieces` are too few.
-    """
+    `pieces`: how many there must be in all; None is as many as are needed, and `least` at least."""
     where = where_of(assembly)
     lengths = np.maximum(order.lengths(where), 0.0)
     start = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...errors import SolveError
 from ...typing import Array
+from .arm import Profile, turned_along, twisted_along
 from .buffered import section_function
 from .collocated import ENDS
 from .tableau import Tableau, tableau
@@ -235,14 +236,20 @@ def respond(arm: Arm, chain: Chain, base: Array, data: Array, jumps: Array) -> R
     return Response(state, end, inner.reshape(pieces, arm.tableau.degree, n, size))
 
 
+def _profile(arm: Arm, at: Slopes) -> Profile:
+    """theta along the arm, told by its torsion at the points."""
+    inside = arm.twist[:, None] + arm.length[:, None, None] * (arm.tableau.adjoint @ at.rate)
+    return Profile(arm.theta, arm.twist, at.rate, (at.stretch - 1) * inside if arm.place else None)
+
+
 def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
     """theta (P, len(x), n) at fractions x of every piece."""
-    t, h = arm.tableau, arm.length[:, None, None]
-    theta = arm.theta[:, None] + x[:, None] * h * arm.twist[:, None] + h**2 * (t.basis(tuple(x.tolist()), 2) @ at.rate)
-    if arm.place:
-        inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        theta = theta + h * (t.basis(tuple(x.tolist()), 1) @ ((at.stretch - 1) * inside))
-    return np.asarray(theta)
+    return turned_along(arm.tableau, arm.length, _profile(arm, at), tuple(x.tolist()))
+
+
+def rotation_rates_at(arm: Arm, at: Slopes, x: Array) -> Array:
+    """theta' (P, len(x), n) at fractions x of every piece, rad/m."""
+    return twisted_along(arm.tableau, arm.length, _profile(arm, at), tuple(x.tolist()))
 
 
 @lru_cache(maxsize=16)
@@ -288,16 +295,6 @@ def shape_points(pieces: int) -> NDArray[np.intp]:
     return np.asarray(np.arange(pieces)[:, None] * steps + np.arange(steps + 1), dtype=np.intp)
 
 
-def rotation_rates_at(arm: Arm, at: Slopes, x: Array) -> Array:
-    """theta' (P, len(x), n) at fractions x of every piece, rad/m."""
-    t, h = arm.tableau, arm.length[:, None, None]
-    slope = arm.twist[:, None] + h * (t.basis(tuple(x.tolist()), 1) @ at.rate)
-    if arm.place:
-        inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        slope = slope + t.basis(tuple(x.tolist()), 0) @ ((at.stretch - 1) * inside)
-    return np.asarray(slope)
-
-
 def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Array) -> Array:
     """(P, len(x), n, Q) change of theta at fractions x of every piece."""
     t, n, h = arm.tableau, arm.n_tubes, arm.length[:, None, None, None]
@@ -305,14 +302,18 @@ def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Ar
     section = np.broadcast_to(data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, data.shape[2]))
     columns = np.concatenate([inner, section], axis=2)
     rate = at.rate_slope @ columns - (at.rate / arm.torsional_stiffness)[..., None] * data[:, None, 2 * n :]
-    start, twist = response.state[:-1, None, :n], response.state[:-1, None, n:]
-    out = start + x[:, None, None] * h * twist + h**2 * along(t.basis(tuple(x.tolist()), 2), rate)
+    start, twist = np.split(response.state[:-1], 2, axis=1)
+    extra = None
+
+    def flat(values: Array) -> Array:
+        return values.reshape(*values.shape[:-2], -1)
+
     if arm.place:
         inside = arm.twist[:, None] + h[..., 0] * (t.adjoint @ at.rate)
-        turned = twist + h * along(t.adjoint, rate)
-        extra = (at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns)
-        out = out + h * along(t.basis(tuple(x.tolist()), 1), extra)
-    return np.asarray(out)
+        turned = twist[:, None] + h * along(t.adjoint, rate)
+        extra = flat((at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns))
+    change = turned_along(t, arm.length, Profile(flat(start), flat(twist), flat(rate), extra), tuple(x.tolist()))
+    return change.reshape(*change.shape[:2], *start.shape[1:])
 
 
 def along(matrix: Array, values: Array) -> Array:

@@ -23,16 +23,14 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-import scipy
 
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import Load
 from ...typing import Array
 from .buffered import section_function
-from .green import reach
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
-from .reduced import ReducedProblem, directions, to_unknowns, torsional_hessian
+from .reduced import ReducedProblem, directions, softness, to_unknowns, torsional_hessian, whitened
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +114,9 @@ class LoadedState:
 
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
     """Set up a problem; `density` (n,) is the mass per length of the tubes, kg/m."""
-    spread, softness, tip, row, lever = _unloaded(torsion)
+    spread, soft, tip, row, lever = _unloaded(torsion)
     force, base = _forces(torsion.mesh, load, torsion.assembly.present @ density)
-    return LoadedProblem(torsion, load, force, base, spread, softness, tip, row, lever)
+    return LoadedProblem(torsion, load, force, base, spread, soft, tip, row, lever)
 
 
 @lru_cache(maxsize=64)
@@ -128,11 +126,10 @@ def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]
     spread = np.zeros((count * n, torsion.size))
     spread[torsion.flat] = torsion.factor
     tip = int(np.argmax(torsion.assembly.end))
-    lever, whole = twist_compliance(torsion, tip)
-    seen = np.where(torsion.tube == tip, lever[torsion.point], 0.0)
-    row = scipy.linalg.lapack.dtrtrs(torsion.factor, seen, lower=1)[0] if torsion.size else np.zeros(0)
-    softness = 1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1))
-    return spread.reshape(count, n, -1), softness, tip, row, whole
+    lever, ends = softness(torsion)
+    row = whitened(torsion, np.where(torsion.tube == tip, lever[torsion.point, tip], 0.0))
+    soft = 1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1))
+    return spread.reshape(count, n, -1), soft, tip, row, float(ends[-1, tip])
 
 
 def compliances(torsion: ReducedProblem) -> tuple[Array, Array]:
@@ -142,18 +139,6 @@ def compliances(torsion: ReducedProblem) -> tuple[Array, Array]:
         return here.rate.reshape(-1, assembly.n_tubes), here.transmission
     even = 1 / assembly.torsional_stiffness
     return np.tile(even, (len(torsion.weight), 1)), assembly.transmission * even
-
-
-def twist_compliance(torsion: ReducedProblem, tube: int) -> tuple[Array, float]:
-    """int ds / kt of a tube from where it is held to each point (N,), and to the tip, 1/(N m)."""
-    assembly, mesh, here = torsion.assembly, torsion.mesh, torsion.here
-    if here is None:
-        s = np.append(torsion.arc_length, assembly.total_length)
-        lever = (assembly.transmission[tube] + s) / assembly.torsional_stiffness[tube]
-        return lever[:-1], float(lever[-1])
-    begin = reach(mesh, here)[:, tube]
-    inside = mesh.length[:, None] * (here.rate[:, :, tube] @ mesh.tableau.matrix.T)
-    return (begin[:-1, None] + inside).ravel(), float(begin[-1])
 
 
 def _forces(mesh: Mesh, load: Load, mass: Array) -> tuple[Array, Array]:

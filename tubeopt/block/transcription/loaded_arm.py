@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from ...physics.shape import quaternion_rates, rotation_matrix_function, world_turns
-from ...robots.lengthwise import CrossSections
 from ...typing import Array
-from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, integrate_torque, rotations_at
+from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, tubes_along
 from .buffered import mapped, section_function
 from .collocated import ENDS
-from .green import reach, sections_at
 from .loaded import LoadedProblem, LoadedState, compliances
 from .orientation import IDENTITY, tangent_slopes, tangents
-from .reduced import ReducedProblem
+from .reduced import softness, whitened
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
     """theta_i(s) of all tubes; a torque at the tip twists the tube that ends last all along."""
-    torsion = problem.torsion
-    assembly, mesh, tip = torsion.assembly, torsion.mesh, problem.tip_tube
-    if torsion.here is not None:
-        profile = integrate_torque(torsion, rotations, state.torque)
-        assert profile.slope is not None
-        assert profile.compliance is not None
-        profile.twist[:, tip] += state.tip_torque
-        profile.rotation[:, tip] += state.tip_torque * reach(mesh, torsion.here)[:-1, tip]
-        even = torsion.here.rate[:, :, tip] - profile.compliance[:, None, tip]
-        profile.slope[:, :, tip] += state.tip_torque * even
+    torsion, tip = problem.torsion, problem.tip_tube
+    profile = integrate(torsion, rotations, state.torque)
+    profile.rotation[:, tip] += state.tip_torque * softness(torsion)[1][:-1, tip]
+    if torsion.here is None:
+        profile.twist[:, tip] += state.tip_torque / torsion.assembly.torsional_stiffness[tip]
         return profile
-    profile = integrate(mesh, rotations, assembly.transmission, state.torque / assembly.torsional_stiffness)
-    twist = state.tip_torque / assembly.torsional_stiffness[tip]
-    profile.twist[:, tip] += twist
-    profile.rotation[:, tip] += twist * (assembly.transmission[tip] + mesh.start)
+    assert profile.extra is not None
+    assert profile.compliance is not None
+    profile.twist[:, tip] += state.tip_torque
+    profile.extra[:, :, tip] += state.tip_torque * (torsion.here.rate[:, :, tip] - profile.compliance[:, None, tip])
     return profile
 
 
@@ -42,7 +34,7 @@ def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> 
     torsion, mesh = problem.torsion, problem.mesh
     t, pieces, n = mesh.tableau, len(mesh.length), len(rotations)
     profile = loaded_profile(problem, rotations, state)
-    theta, slope, pull = _tubes(torsion, profile)
+    theta, slope, pull = tubes_along(torsion, profile)
     bent = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
     natural = section_function("curvature", len(pull[0]), n, False)(*pull)[0]
     curvature = natural.reshape(pieces, len(ENDS), 2) + t.lagrange(ENDS) @ bent
@@ -62,28 +54,6 @@ def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> 
         position=along_pieces(begun[:, None] + moved, pieces),
         frame=along_pieces(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
     )
-
-
-def shape_sections(torsion: ReducedProblem) -> CrossSections:
-    """(P 5, n) cross-sections at the shape points of every piece, seen from inside it."""
-    assembly, mesh, count = torsion.assembly, torsion.mesh, len(ENDS)
-    if torsion.here is not None:
-        return sections_at(assembly, mesh, ENDS)
-    kb, m = (np.repeat(table, count, axis=0) for table in (torsion.piece_stiffness, torsion.piece_moment))
-    none = np.zeros_like(kb)
-    return CrossSections(kb, m, none, np.broadcast_to(assembly.torsional_stiffness, kb.shape), none, none)
-
-
-def _tubes(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tuple[Array, Array, Array]]:
-    """theta and theta' (P, 5, n) at the shape points, and what the functions of a cross-section take there."""
-    theta, n, mesh = rotations_at(torsion, profile, tuple(ENDS.tolist())), torsion.assembly.n_tubes, torsion.mesh
-    here = shape_sections(torsion)
-    inside = mesh.length[:, None, None] * (mesh.tableau.lagrange(ENDS, integrals=1) @ profile.moment)
-    slope = (profile.twist[:, None] + inside).reshape(-1, n)
-    if torsion.here is not None:
-        slope = slope / here.torsional_stiffness
-    pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
-    return theta + here.wound.reshape(theta.shape), (slope + here.twist).reshape(theta.shape), pull
 
 
 def integration_to(problem: LoadedProblem, s: float) -> Array:
@@ -134,8 +104,5 @@ def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, flo
     shared = (up_to + within) * rate[:, tube] / torsion.weight
     lever = held[tube] + shared @ weight
     whole = held[tube] + float((weight**2 * rate[:, tube] / torsion.weight).sum())
-    if not torsion.size:
-        return np.zeros(0), whole
-    seen = np.where(torsion.tube == tube, lever[torsion.point], 0.0)
-    row = scipy.linalg.lapack.dtrtrs(torsion.factor, seen, lower=1)[0]
+    row = whitened(torsion, np.where(torsion.tube == tube, lever[torsion.point], 0.0))
     return row, whole - float(row @ row)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -45,10 +46,11 @@ def _step_function(n: int, eccentric: bool, slopes: bool) -> ca.Function:
     section_function = section_functions(n, eccentric)["balance" if slopes else "moment"]
 
     def rates(at: Columns) -> Columns:
+        """By arc length; the travel grows towards the base."""
         theta, twist = at[:2]
         out = section_function.call([theta, *section])
         stretch = (out[3] if slopes else out[1]) if eccentric else ca.SX.ones(n)
-        own = [stretch * twist, out[0] / kt, stretch]
+        own = [stretch * twist, out[0] / kt, -stretch]
         if not slopes:
             return own
         theta_by_tip, twist_by_tip = at[3:]
@@ -57,15 +59,14 @@ def _step_function(n: int, eccentric: bool, slopes: bool) -> ca.Function:
             turned += ca.diag(twist) @ (out[4] @ theta_by_tip)
         return [*own, turned, ca.diag(1 / kt) @ (out[1] @ theta_by_tip)]
 
-    def back(by: Any, slope: Columns) -> Columns:
-        moved = [part - by * rate for part, rate in zip(state, slope, strict=True)]
-        moved[2] = state[2] + by * slope[2]
-        return moved
+    after = [ca.densify(part) for part in classical_step(state, rates, -h)]
+    return ca.Function("step", [*state, h, kt, *section], [*after, rates(state)[0]], {"cse": True})
 
-    k1 = rates(state)
-    k2 = rates(back(h / 2, k1))
-    k3 = rates(back(h / 2, k2))
-    k4 = rates(back(h, k3))
-    mean = [(a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)]
-    after = [ca.densify(part) for part in back(h, mean)]
-    return ca.Function("step", [*state, h, kt, *section], [*after, k1[0]], {"cse": True})
+
+def classical_step(state: Columns, rates: Callable[[Columns], Columns], h: Any) -> Columns:
+    """The state after a step h of Runge and Kutta's classical method."""
+    slopes = [rates(state)]
+    for part in (0.5, 0.5, 1.0):
+        slopes.append(rates([a + part * h * b for a, b in zip(state, slopes[-1], strict=True)]))
+    mean = [(a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(*slopes, strict=True)]
+    return [a + h * b for a, b in zip(state, mean, strict=True)]

@@ -74,8 +74,9 @@ def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
     return mapped(coupling_rate_function(n), count)(stiffness, moment, torsional_stiffness)[0][:, 0].copy()
 
 
-def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
-    """Of sections (m,) of tubes made of pieces: coupling rate, largest curvature, and pieces for twist and detail."""
+def _needs(assembly: Assembly) -> tuple[Array, ...]:
+    """Of sections (m,) of tubes made of pieces: coupling rate, largest curvature, pieces for twist and detail, least
+    sum of kb, and largest |m_i| / kt_i."""
     table, count = assembly.lengthwise, len(SAMPLES)
     assert table is not None
     s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
@@ -92,13 +93,15 @@ def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
     # How fast bends turn against one another.
     turning = np.where(bent, here.twist, -np.inf).max(1, initial=-np.inf) - np.where(bent, here.twist, np.inf).min(1)
     finest = np.maximum(each.max(1, initial=0.0), np.maximum(turning, 0.0) / TWIST_PER_PIECE)
-    return rate, steepest, finest.reshape(-1, count).max(1, initial=0.0) * assembly.length
+    finest = finest.reshape(-1, count).max(1, initial=0.0) * assembly.length
+    pull = (here.moment / here.torsional_stiffness).max(1)
+    return rate, steepest, finest, here.stiffness.sum(1).reshape(-1, count).min(1), pull.reshape(-1, count).max(1)
 
 
 def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
     if assembly.general:
-        rate, steepest, finest = _needs(assembly)
+        rate, steepest, finest, *_ = _needs(assembly)
     else:
         rate, finest = coupling_rate(assembly), np.zeros(1)
         steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
@@ -122,8 +125,7 @@ def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: i
     rate, or of a lever as long as the arm.
     """
     if assembly.general:
-        rate, natural, finest = _needs(assembly)
-        stiffness, pull = _softest(assembly)
+        rate, natural, finest, stiffness, pull = _needs(assembly)
     else:
         rate, finest = coupling_rate(assembly), np.zeros(1)
         natural = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
@@ -136,15 +138,6 @@ def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: i
     need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
     pieces = np.ceil(need - 1e-9)
     return np.asarray(np.maximum(1, pieces).astype(np.intp) * 2**refinement)
-
-
-def _softest(assembly: Assembly) -> tuple[Array, Array]:
-    """(m,) least sum of kb, and (m,) largest |m_i| / kt_i of sections of tubes made of pieces."""
-    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
-    here = assembly.cross_sections(s, s)
-    stiffness = here.stiffness.sum(1).reshape(-1, len(SAMPLES)).min(1)
-    pull = (here.moment / here.torsional_stiffness).max(1).reshape(-1, len(SAMPLES)).max(1)
-    return stiffness, pull
 
 
 def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:

@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 from ...typing import Array
 from .buffered import section_function
-from .offset_blocks import Block
-from .reduced import ReducedProblem
+from .reduced import Block, ReducedProblem
 
 REAL = 1e-6
 """An eigenvalue whose imaginary part is less than this share of it is real: two that are almost one are split so far by

@@ -63,7 +63,8 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
     stage = (spread @ begin[:-1, :, None]).reshape(-1, 4)
     # How Q at a point answers to the curvature at the points of its own element, then of those before it.
     turned = (omega @ stage.T).transpose(2, 1, 0)
-    column = half[:, None, None, None, None] * mesh.tableau.matrix[:, None, :, None] * _by_stage(turned, pieces, k)
+    by_stage = turned.reshape(pieces, 1, k, 4, 2).swapaxes(2, 3)
+    column = half[:, None, None, None, None] * mesh.tableau.matrix[:, None, :, None] * by_stage
     own = inverse @ column.reshape(pieces, 4 * k, 2 * k)
     ending = half[:, None, None, None] * mesh.tableau.weights[:, None] * turned.reshape(pieces, k, 4, 2).swapaxes(1, 2)
     leaving = ending.reshape(pieces, 4, 2 * k) + gather @ own
@@ -77,11 +78,6 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
         reach[:, before] = carried[e] @ reach[:, before]
         reach[:, block] = leaving[e]
     return Orientation(begin, stage, rate, inverse, spread, carried, slope.reshape(-1, 4, 2 * pieces * k), reach)
-
-
-def _by_stage(turned: Array, pieces: int, k: int) -> Array:
-    """(P, 1, 4, K, 2) of (N, 4, 2)."""
-    return turned.reshape(pieces, 1, k, 4, 2).swapaxes(2, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import casadi as ca
@@ -51,7 +51,9 @@ def piece_function(n: int, eccentric: bool, family: str, degree: int) -> ca.Func
         slope,
         torsion.curvature(ENDS),
         ca.horzcat(*fine),
-        ca.horzcat(_row_max(ca.fabs(defect)), ca.fabs(gained @ check.weights - h * gain @ t.weights)),
+        ca.horzcat(
+            reduce(ca.fmax, ca.horzsplit(ca.fabs(defect))), ca.fabs(gained @ check.weights - h * gain @ t.weights)
+        ),
         piece.section(piece.theta, 0.0).bending_energy,
     ]
     return ca.Function("piece", inputs, [ca.densify(out) for out in outputs], {"cse": True})
@@ -66,11 +68,3 @@ def _integrate(pose: Any, torsion: Torsion, steps: int) -> list[Any]:
         rotation, position = magnus_step(rotation, position, u[:, 3 * k : 3 * k + 3], torsion.piece.length / steps)
         out.append(ca.vertcat(ca.vec(rotation), position))
     return out
-
-
-def _row_max(values: Any) -> Any:
-    """Largest entry of each row."""
-    largest = values[:, 0]
-    for k in range(1, values.shape[1]):
-        largest = ca.fmax(largest, values[:, k])
-    return largest

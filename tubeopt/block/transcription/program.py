@@ -33,12 +33,11 @@ class Program(Protocol):
         name: str,
         expression: Any,
         *,
-        lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         scale: ArrayLike = 1.0,
         entries: Sequence[str] | None = None,
     ) -> None:
-        """Demand lower <= expression <= upper; `entries` are words for each row."""
+        """Demand 0 <= expression <= upper; `entries` are words for each row."""
 
     def parameter(self, name: str, value: ArrayLike) -> Any:
         """A column of numbers that may be changed between solves."""

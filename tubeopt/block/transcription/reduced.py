@@ -29,12 +29,26 @@ from ...physics.certificate import bend_rate_function
 from ...robots.assembly import Assembly, without_offsets
 from ...typing import Array, Index, Mask
 from .buffered import mapped, section_function
-from .green import Compliant, compliant, green_of, green_of_pieces, integrals, point_places
+from .green import Compliant, ahead, compliant, green_of, integrals, reach
 from .mesh import Mesh
-from .offset_blocks import Block, make_blocks
 
 LARGE = 60
 """Unknowns from which it pays to leave out what is 0 of L."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """k tubes off the centreline that are curved together, at the p points where they are.
+
+    tubes (k,), points (p,); compliance (k, p, p): Gamma of each, weights included; up_to (p, N), beyond (N, p):
+    integrals from the base to these points, and over them from every point to the tip.
+    """
+
+    tubes: Index
+    points: Index
+    compliance: Array
+    up_to: Array
+    beyond: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +153,7 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
     if assembly.eccentric:
         up_to, beyond = integrals(mesh, elements)
         stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
-        blocks = tuple(make_blocks(assembly, green_of(mesh, elements), section, (up_to, beyond, weight)))
+        blocks = tuple(_make_blocks(assembly, green_of(mesh, elements), section, (up_to, beyond, weight)))
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
@@ -147,7 +161,7 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
         piece_moment=piece_moment,
         stiffness=numbers[0],
         moment=numbers[1],
-        arc_length=point_places(mesh, elements),
+        arc_length=(mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes).ravel(),
         weight=weight,
         point=point,
         tube=tube,
@@ -177,7 +191,8 @@ def _factor(assembly: Assembly, mesh: Mesh, here: Compliant | None, unknowns: tu
             if here is None:
                 compliance = (assembly.transmission[i] + green[mine[:, None], mine]) / assembly.torsional_stiffness[i]
             else:
-                compliance = green_of_pieces(mesh, elements, here, i)[mine[:, None], mine]
+                own = green_of(mesh, elements, here.rate[elements, :, i], reach(mesh, here)[elements, i])
+                compliance = own[mine[:, None], mine]
             factor[begin:end, begin:end] = np.linalg.cholesky(compliance)
     return factor
 
@@ -189,6 +204,39 @@ def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
     stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
     moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
     return stiffness, moment
+
+
+def _curved_groups(assembly: Assembly) -> list[Index]:
+    """Tubes that are curved together, in groups that do not act on one another but from base to tip."""
+    groups: list[set[int]] = []
+    for row in assembly.curved:
+        mine = set(np.flatnonzero(row).tolist())
+        if mine:
+            groups = [g for g in groups if not g & mine] + [mine.union(*(g for g in groups if g & mine))]
+    acts = [_present(assembly, group) for group in groups]
+    for k, group in enumerate(groups):
+        if any(acts[k] & other and acts[j] & group for j, other in enumerate(groups) if j != k):
+            return [np.array(sorted(set().union(*groups)), dtype=np.intp)]
+    return [np.array(sorted(group), dtype=np.intp) for group in groups]
+
+
+def _present(assembly: Assembly, group: set[int]) -> set[int]:
+    """Tubes that run where some of a group are curved."""
+    there = assembly.curved[:, sorted(group)].any(1)
+    return set(np.flatnonzero(assembly.present[there].any(0)).tolist())
+
+
+def _make_blocks(assembly: Assembly, green: Array, section: Index, integrals: tuple[Array, ...]) -> list[Block]:
+    """The blocks of an assembly whose N points lie on sections `section`, with min(s, r) (N, N), and P, W, weights."""
+    up_to, beyond, weight = integrals
+    blocks = []
+    for tubes in _curved_groups(assembly):
+        points = np.flatnonzero(assembly.curved[section][:, tubes].any(1))
+        chosen = green[np.ix_(points, points)]
+        length = assembly.transmission[tubes][:, None, None] + chosen
+        compliance = length * weight[points] / assembly.torsional_stiffness[tubes][:, None, None]
+        blocks.append(Block(tubes, points, compliance, up_to[points], beyond[:, points]))
+    return blocks
 
 
 def on_centreline(problem: ReducedProblem) -> ReducedProblem:
@@ -280,12 +328,29 @@ def pull_rate(problem: ReducedProblem) -> Array:
     return np.asarray(each.reshape(-1, points).max(1, initial=0.0))
 
 
+def softness(problem: ReducedProblem) -> tuple[Array, Array]:
+    """(N, n) and (P + 1, n) int ds / kt from where each tube is held to the points and to the ends of the pieces."""
+    mesh, assembly = problem.mesh, problem.assembly
+    if problem.here is not None:
+        return ahead(mesh, problem.here), reach(mesh, problem.here)
+    ends = np.append(mesh.start, assembly.total_length)
+    inside, outside = (
+        (assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends)
+    )
+    return inside, outside
+
+
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
     """z (U,) of given rotations theta (N, n) at the collocation points."""
     p, t = problem.point, problem.tube
+    return whitened(problem, theta[p, t] - rotations[t])
+
+
+def whitened(problem: ReducedProblem, turns: Array) -> Array:
+    """z (U,) of turns (U,) of the unknown rotations, rad."""
     if not problem.size:
         return np.zeros(0)
-    return np.asarray(scipy.linalg.lapack.dtrtrs(problem.factor, theta[p, t] - rotations[t], lower=1)[0])
+    return np.asarray(scipy.linalg.lapack.dtrtrs(problem.factor, turns, lower=1)[0])
 
 
 def residual(problem: ReducedProblem, state: Evaluation) -> float:

@@ -17,8 +17,14 @@ def margin(problem: ReducedProblem, state: Evaluation) -> float:
         return 1.0
     if problem.assembly.eccentric:
         return 1.0 - float(softenings(problem, state.theta).max(initial=0.0))
-    values = scipy.linalg.lapack.dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0]
-    return min(1.0, float(values[0]))
+    return least(state.hessian)
+
+
+def least(matrix: Array) -> float:
+    """Least eigenvalue of a symmetric matrix, at most 1."""
+    if not len(matrix):
+        return 1.0
+    return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
 
 
 def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:

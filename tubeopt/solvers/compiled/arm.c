@@ -5,8 +5,8 @@ typedef struct {
     double moment[MOST_PIECES][MOST_DEGREE * N]; /* M / kt, (K, n) */
     double extra[MOST_PIECES][MOST_DEGREE * N];  /* (g - 1) w */
 #if GENERAL
-    double slope[MOST_PIECES][MOST_DEGREE * N]; /* (1 / kt - c) t at the points, c the mean of 1 / kt on the piece */
-    double compliance[MOST_PIECES][N];          /* c; `twist` is then the torque t, `moment` M itself */
+    /* c, the mean of 1 / kt on the piece: `twist` is then the torque t, `moment` M itself, `extra` (1 / kt - c) t */
+    double compliance[MOST_PIECES][N];
 #endif
 } Profile;
 
@@ -25,66 +25,22 @@ typedef struct {
 } Answer;
 
 #if GENERAL
-/* phi_i(s) as one polynomial per piece: torque from the moments, from the tip, then the turns from the base. */
-static void integrate(const Unknowns *q, const double *alpha, const State *state, Profile *arm) {
-    const Layout *l = q->layout;
+/* The mean of 1 / kt on a piece; what the torque turns a tube by beyond it goes to arm->extra. */
+static double even_out(const Unknowns *q, Profile *arm, int p, int i) {
     const Tableau *t = q->tableau;
-    double turn[MOST_PIECES][N], at[N] = {0};
-    int x = q->points, degree = t->degree;
-    for (int p = l->pieces - 1; p >= 0; p--) {
-        double h = l->length[p];
-        if (l->collocated[p]) x -= degree;
-        for (int i = 0; i < N; i++) {
-            double gain = 0, sum = 0, mean = 0, inner[MOST_DEGREE];
-            for (int k = 0; k < degree; k++) {
-                inner[k] = arm->moment[p][k * N + i] = l->collocated[p] ? state->moment[x + k][i] : 0;
-                gain += t->weights[k] * inner[k];
-                mean += t->weights[k] * q->rate[p][k][i];
-            }
-            arm->compliance[p][i] = mean;
-            at[i] -= h * gain;
-            arm->twist[p][i] = at[i];
-            for (int k = 0; k < degree; k++) {
-                double torque = at[i];
-                for (int j = 0; j < degree; j++) torque += h * t->matrix[k * degree + j] * inner[j];
-                arm->slope[p][k * N + i] = torque * (q->rate[p][k][i] - mean);
-                sum += t->weights[k] * torque * q->rate[p][k][i];
-            }
-            turn[p][i] = h * sum;
-        }
+    double mean = 0;
+    int degree = t->degree;
+    for (int k = 0; k < degree; k++) mean += t->weights[k] * q->rate[p][k][i];
+    for (int k = 0; k < degree; k++) {
+        double torque = arm->twist[p][i];
+        for (int j = 0; j < degree; j++)
+            torque += q->layout->length[p] * t->matrix[k * degree + j] * arm->moment[p][j * N + i];
+        arm->extra[p][k * N + i] = torque * (q->rate[p][k][i] - mean);
     }
-    for (int i = 0; i < N; i++) at[i] = alpha[i] + l->held[i] * (l->pieces ? at[i] : 0);
-    for (int p = 0; p < l->pieces; p++)
-        for (int i = 0; i < N; i++) {
-            arm->rotation[p][i] = at[i];
-            at[i] += turn[p][i];
-        }
+    return mean;
 }
+#endif
 
-/* phi of a tube at fraction x of a piece; `once`, `twice`: the Lagrange basis (degree) there, integrated. */
-static double rotation_at(const Unknowns *q, const Profile *arm, int p, int i, double x, const double *once,
-                     const double *twice) {
-    double h = q->layout->length[p], bent = 0, uneven = 0;
-    for (int k = 0; k < q->tableau->degree; k++) {
-        bent += twice[k] * arm->moment[p][k * N + i];
-        uneven += once[k] * arm->slope[p][k * N + i];
-    }
-    return arm->rotation[p][i] + h * (arm->compliance[p][i] * (x * arm->twist[p][i] + h * bent) + uneven);
-}
-
-/* phi at the points of `fine`, from the arm on the tableau of `coarse`; `bases` (2, fine K, coarse K) is the Lagrange
-   basis integrated once and twice. */
-static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *bases,
-                        double theta[][N]) {
-    int degree = coarse->tableau->degree, k = fine->tableau->degree;
-    for (int x = 0; x < fine->points; x++) {
-        int p = fine->piece[x];
-        const double *once = bases + (x % k) * degree, *twice = once + k * degree;
-        for (int i = 0; i < N; i++)
-            theta[x][i] = rotation_at(coarse, arm, p, i, fine->tableau->nodes[x % k], once, twice);
-    }
-}
-#else
 /* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and what the twist' gains at the
    beginnings of pieces and at the tip, or NULL. */
 static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N], Profile *arm) {
@@ -95,20 +51,28 @@ static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N
     for (int p = l->pieces - 1; p >= 0; p--) {
         double h = l->length[p];
         for (int i = 0; i < N; i++) {
-            double gain = 0, later = 0, stretched = 0;
+            double gain = 0, later = 0, stretched = 0, even = 1;
             for (int k = 0; k < t->degree; k++) {
                 double m = arm->moment[p][k * N + i];
                 gain += t->weights[k] * m;
                 later += t->weights[k] * (1 - t->nodes[k]) * m;
-                stretched += t->weights[k] * arm->extra[p][k * N + i];
             }
             at[i] -= h * gain;
             arm->twist[p][i] = at[i];
-            turn[p][i] = h * at[i] + h * h * later + h * stretched;
+#if GENERAL
+            even = arm->compliance[p][i] = even_out(q, arm, p, i);
+#endif
+            for (int k = 0; k < t->degree; k++) stretched += t->weights[k] * arm->extra[p][k * N + i];
+            turn[p][i] = even * (h * at[i] + h * h * later) + h * stretched;
             if (kicks) at[i] -= kicks[p][i];
         }
     }
-    for (int i = 0; i < N; i++) at[i] = alpha[i] + l->transmission[i] * (l->pieces ? at[i] : 0);
+#if GENERAL
+    const double *held = l->held;
+#else
+    const double *held = l->transmission;
+#endif
+    for (int i = 0; i < N; i++) at[i] = alpha[i] + held[i] * (l->pieces ? at[i] : 0);
     for (int p = 0; p <= l->pieces; p++)
         for (int i = 0; i < N; i++) {
             arm->rotation[p][i] = at[i];
@@ -123,32 +87,39 @@ static void integrate(const Unknowns *q, const double *alpha, const State *state
         int collocated = q->layout->collocated[p];
         for (int k = 0; k < degree; k++)
             for (int i = 0; i < N; i++) {
-                arm->moment[p][k * N + i] = collocated ? state->moment[x + k][i] / q->tubes->kt[i] : 0;
-                arm->extra[p][k * N + i] = collocated ? state->extra[x + k][i] : 0;
+                double kt = GENERAL ? 1 : q->tubes->kt[i];
+                arm->moment[p][k * N + i] = collocated ? state->moment[x + k][i] / kt : 0;
+                arm->extra[p][k * N + i] = collocated && !GENERAL ? state->extra[x + k][i] : 0;
             }
         if (collocated) x += degree;
     }
     turn_along(q, alpha, NULL, arm);
 }
 
-/* theta at the points of `fine`, from the arm on the tableau of `coarse`; `twice` (fine K, coarse K) is the Lagrange
-   basis integrated twice. */
-static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *twice,
+/* theta of a tube at fraction x of a piece, without (g - 1) w; `once`, `twice`: the Lagrange basis (degree) there,
+   integrated. */
+static double rotation_at(const Unknowns *q, const Profile *arm, int p, int i, double x, const double *once,
+                          const double *twice) {
+    double h = q->layout->length[p], bent = 0, uneven = 0, even = 1;
+    for (int k = 0; k < q->tableau->degree; k++) bent += twice[k] * arm->moment[p][k * N + i];
+#if GENERAL
+    even = arm->compliance[p][i];
+    for (int k = 0; k < q->tableau->degree; k++) uneven += once[k] * arm->extra[p][k * N + i];
+#endif
+    return arm->rotation[p][i] + h * (even * (x * arm->twist[p][i] + h * bent) + uneven);
+}
+
+/* theta at the points of `fine`, from the arm on the tableau of `coarse`; `bases` is the Lagrange basis integrated twice,
+   (fine K, coarse K), of tubes made of pieces once and twice, (2, fine K, coarse K). */
+static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *bases,
                         double theta[][N]) {
-    const Layout *l = fine->layout;
     int degree = coarse->tableau->degree, k = fine->tableau->degree;
     for (int x = 0; x < fine->points; x++) {
-        int p = fine->piece[x];
-        double h = l->length[p], along = fine->tableau->nodes[x % k] * h;
-        const double *basis = twice + (x % k) * degree;
-        for (int i = 0; i < N; i++) {
-            double bent = 0;
-            for (int j = 0; j < degree; j++) bent += basis[j] * arm->moment[p][j * N + i];
-            theta[x][i] = arm->rotation[p][i] + along * arm->twist[p][i] + h * h * bent;
-        }
+        const double *once = bases + (x % k) * degree, *twice = once + GENERAL * k * degree;
+        for (int i = 0; i < N; i++)
+            theta[x][i] = rotation_at(coarse, arm, fine->piece[x], i, fine->tableau->nodes[x % k], once, twice);
     }
 }
-#endif
 
 /* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. */
 static int never_softens(const Unknowns *q, const State *state, double *h) {

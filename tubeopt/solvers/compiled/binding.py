@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise
 from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
-from .library import MOST_TUBES, Library, library
+from .library import MOST_TUBES, Kernel, Library, library
 
 SOLVED = 0
 
@@ -42,18 +42,6 @@ class Start(NamedTuple):
     point_rotation: Array
     turn: Array
     translations: Array
-
-
-class Kernel(Protocol):
-    """A compiled function that needs memory: how much, and what it answers."""
-
-    @property
-    def answer(self) -> np.dtype[np.void]:
-        """Fields of its answer."""
-
-    @property
-    def workspace_size(self) -> int:
-        """Bytes that it works in."""
 
 
 @dataclass(eq=False)
@@ -139,25 +127,13 @@ def _pieces(table: Lengthwise, refinement: int) -> Any:
     return out
 
 
-def _general_tubes(robot: Robot, table: Lengthwise, refinement: int) -> tuple[Array, Any]:
-    """The C struct Tubes of a robot with tubes made of pieces, and what it points to."""
-    straight = [tube.straight_length for tube in robot.tubes]
-    whole = [tube.length for tube in robot.tubes]
-    none = [0.0] * robot.n_tubes
-    out = np.concatenate([none, none, none, straight, whole, none, none, [0.0, 0.0]])
-    pieces = _pieces(table, refinement)
-    out[-1:].view(np.int64)[0] = ctypes.addressof(pieces)
-    return out, pieces
-
-
-def _tubes(robot: Robot) -> Array:
-    """The C struct Tubes of a robot without pieces."""
-    home = robot.assembly(robot.home_translations)
-    straight = [tube.straight_length for tube in robot.tubes]
-    whole = [tube.length for tube in robot.tubes]
-    table = [home.bending_stiffness, home.torsional_stiffness, home.curvature, straight, whole]
-    out = np.concatenate([*table, home.offset, home.offset_angle, [0.0]])
-    out[-1:].view(np.int64)[0] = home.eccentric
+def _tubes(robot: Robot, pieces: Any = None) -> Array:
+    """The C struct Tubes of a robot, and of tubes made of pieces where these are."""
+    home, none = robot.assembly(robot.home_translations), [0.0] * robot.n_tubes
+    own = [none] * 3 if pieces is not None else [home.bending_stiffness, home.torsional_stiffness, home.curvature]
+    lengths = [tube.straight_length for tube in robot.tubes], [tube.length for tube in robot.tubes]
+    out = np.concatenate([*own, *lengths, home.offset, home.offset_angle, [0.0, 0.0]])
+    out[-2:].view(np.int64)[:] = home.eccentric, 0 if pieces is None else ctypes.addressof(pieces)
     return out
 
 
@@ -176,12 +152,10 @@ def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Library, Any, int] |
     kernel = kernel_of(robot)
     if kernel is None or (refinement and not is_general(robot)):
         return None
-    table, kept = robot.assembly(robot.home_translations).lengthwise, None
-    if table is None:
-        tubes = _tubes(robot)
-    else:
-        tubes, kept = _general_tubes(robot, table, refinement)
-    return kernel, (tubes, kept), address(tubes)
+    table = robot.assembly(robot.home_translations).lengthwise
+    pieces = None if table is None else _pieces(table, refinement)
+    tubes = _tubes(robot, pieces)
+    return kernel, (tubes, pieces), address(tubes)
 
 
 def address(array: NDArray[Any]) -> int:
@@ -227,7 +201,7 @@ def solve_compiled(
     room = room_of(kernel)
     room.fields["loading"] = time.perf_counter() - began
     memory, alpha, shift, guess = _pack(rotations, translations, start)
-    status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
+    status = kernel.functions.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
     room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
     return room.fields if status == SOLVED else None
 
@@ -266,7 +240,7 @@ def slopes_compiled(
     or has none.
     """
     prepared = with_kernel(robot, 0)
-    if prepared is None or prepared[0].differentiate is None:
+    if prepared is None or not prepared[0].differentiable:
         return None
     kernel, n = prepared[0], robot.n_tubes
     room = room_of(kernel)
@@ -282,7 +256,7 @@ def slopes_compiled(
     out = np.empty(more + 5 * n * (8 + n) * dimensions)
     at = _place(out)
     places = at, at + 8 * whole, at + 8 * more if dimensions else None
-    if not kernel.differentiate(_asked(robot, sides, compliance, either)[1], *room.at, *places):
+    if not kernel.functions.differentiate(_asked(robot, sides, compliance, either)[1], *room.at, *places):
         return None
     table = out[: whole - 36].reshape(8 + n, 2 * n)
     if dimensions:
@@ -330,5 +304,5 @@ def solve_many_compiled(
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (address(a) for a in (alpha, shift, table, declined))
     whole = (0, None) if arms is None else (arms.shape[2], address(arms))
-    kernel.solve_many(tubes, kernel.method, count, *places, *whole, *room.at)
+    kernel.functions.solve_many(tubes, kernel.method, count, *places, *whole, *room.at)
     return table, declined.astype(bool)

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...block.transcription.collocated import ENDS
-from ...block.transcription.general_arm import FINE, ROUGHER, SUBSTEPS
 from ...block.transcription.green import INWARDS
 from ...block.transcription.linear import hermite
 from ...block.transcription.mesh import DETAIL_PER_PIECE, KNOWN, SAMPLES, TWIST_PER_PIECE
 from ...block.transcription.piece import EXTRA_POINTS
 from ...block.transcription.tableau import tableau
+from ...block.transcription.whole_arm import FINE, ROUGHER, SUBSTEPS
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..rubbing import HONEST

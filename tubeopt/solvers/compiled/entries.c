@@ -9,8 +9,6 @@ CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const Method *method, const d
 }
 
 #if SLOPES
-CASADI_SYMBOL_EXPORT size_t slopes_size(void) { return sizeof(Slopes); }
-
 /* `slopes_of` what `solve` has just left, and by dimensions too where these are not NULL. */
 CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const Answer *out, Slopes *slopes,
                                        Along *along, Dimensions *dimensions) {

@@ -26,10 +26,10 @@ import numpy as np
 import platformdirs
 
 from ...block.transcription.collocated import STEPS
-from ...block.transcription.general_arm import SHAPE_RATIO
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.piece import COARSE_STEPS, piece_function
 from ...block.transcription.tableau import tableau
+from ...block.transcription.whole_arm import SHAPE_RATIO
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
@@ -89,19 +89,21 @@ COUPLING_FLOOR = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Library:
-    """The loaded kernel of robots with n tubes, where it is, and the sizes of its structures."""
+class Kernel:
+    """A loaded kernel: its functions, where it is, the fields of its answer, and the bytes that it works in."""
 
-    n_tubes: int
+    functions: Any
     path: Path
-    solve: Any
-    solve_many: Any
-    method: Any
     answer: np.dtype[np.void]
     workspace_size: int
-    constrained: Any
-    differentiate: Any = None
-    """None where the kernel has no derivatives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Library(Kernel):
+    """That of robots with so many tubes, with the C struct Method, and whether it has derivatives."""
+
+    method: Any
+    differentiable: bool
 
 
 def cache_directory() -> Path:
@@ -351,32 +353,32 @@ def open_library(path: Path) -> Any:
         return None
 
 
-def load_library(path: Path) -> Any:
-    """A shared library with the sizes of its structures; None where it cannot be opened."""
-    loaded = open_library(path)
-    for size in ("workspace_size", "answer_size") if loaded is not None else ():
-        getattr(loaded, size).restype = ctypes.c_size_t
-    return loaded
+def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) -> Kernel | None:
+    """The kernel of a kind with this answer, of no fields where it is not asked for one; None where there is none."""
+    path = kernel_path(kind, text)
+    loaded = None if path is None else open_library(path)
+    if path is None or loaded is None:
+        return None
+    for size in (loaded.workspace_size, loaded.answer_size):
+        size.restype = ctypes.c_size_t
+    if answer.itemsize not in (0, loaded.answer_size()):
+        raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
+    return Kernel(loaded, path, answer, loaded.workspace_size())
 
 
 @lru_cache(maxsize=16)
 def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
     what = "general" if general else "eccentric" if eccentric else "concentric"
-    path = kernel_path((n, what), lambda: source(n, eccentric, general))
-    loaded = None if path is None else load_library(path)
-    if path is None or loaded is None:
+    kernel = load_kernel((n, what), lambda: source(n, eccentric, general), _answer(n, general))
+    if kernel is None:
         return None
-    pointer, whole = ctypes.c_void_p, ctypes.c_longlong
-    loaded.solve.argtypes = [pointer] * 7
-    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
-    loaded.solve_many.restype = None
-    loaded.constrained.argtypes = [whole] * 3 + [pointer] * 3
-    answer, method = _answer(n, general), _method(general)
-    if loaded.answer_size() != answer.itemsize:
-        raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size(), loaded.constrained
-    if eccentric or general:
-        return Library(n, path, *parts)
-    loaded.differentiate.argtypes = [pointer] * 6
-    return Library(n, path, *parts, loaded.differentiate)
+    pointer, whole, functions = ctypes.c_void_p, ctypes.c_longlong, kernel.functions
+    functions.solve.argtypes = [pointer] * 7
+    functions.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
+    functions.solve_many.restype = None
+    functions.constrained.argtypes = [whole] * 3 + [pointer] * 3
+    differentiable = not (eccentric or general)
+    if differentiable:
+        functions.differentiate.argtypes = [pointer] * 6
+    return Library(**vars(kernel), method=ctypes.byref(_method(general)), differentiable=differentiable)

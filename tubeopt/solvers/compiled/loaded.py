@@ -15,10 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape
+from ...block.transcription.arm import ArmShape, shape_sections
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.loaded import LoadedProblem, compliances
-from ...block.transcription.loaded_arm import shape_sections
 from ...block.transcription.reduced import ReducedProblem
 from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
@@ -27,7 +26,7 @@ from ...typing import Array, Mask
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
 from .binding import address, room_of
-from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, kernel_path, load_library
+from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, Kernel, load_kernel
 from .text import c_text
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
@@ -136,14 +135,6 @@ class LoadedRules:
     check: LoadedProblem
 
 
-@dataclass(frozen=True, eq=False)
-class _Kernel:
-    solve: Any
-    solve_many: Any
-    answer: np.dtype[np.void]
-    workspace_size: int
-
-
 def _answer(n: int) -> np.dtype[np.void]:
     points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
     names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work")
@@ -156,19 +147,14 @@ def _answer(n: int) -> np.dtype[np.void]:
 
 
 @lru_cache(maxsize=MOST_TUBES)
-def _kernel(n: int) -> _Kernel | None:
-    path = kernel_path((n, "loaded"), lambda: loaded_source(n))
-    loaded = None if path is None else load_library(path)
-    if loaded is None:
-        return None
-    pointer = ctypes.c_void_p
-    loaded.solve_loaded.argtypes = [*[pointer] * 5, ctypes.c_double, *[pointer] * 2]
-    loaded.solve_many_loaded.argtypes = [pointer, ctypes.c_longlong, *[pointer] * 9]
-    loaded.solve_many_loaded.restype = None
-    answer = _answer(n)
-    if loaded.answer_size() != answer.itemsize:
-        raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    return _Kernel(loaded.solve_loaded, loaded.solve_many_loaded, answer, loaded.workspace_size())
+def _kernel(n: int) -> Kernel | None:
+    kernel = load_kernel((n, "loaded"), lambda: loaded_source(n), _answer(n))
+    if kernel is not None:
+        pointer, functions = ctypes.c_void_p, kernel.functions
+        functions.solve_loaded.argtypes = [*[pointer] * 5, ctypes.c_double, *[pointer] * 2]
+        functions.solve_many_loaded.argtypes = [pointer, ctypes.c_longlong, *[pointer] * 9]
+        functions.solve_many_loaded.restype = None
+    return kernel
 
 
 @lru_cache(maxsize=64)
@@ -231,7 +217,7 @@ def _structure(rules: LoadedRules) -> Any:
     return out
 
 
-def _usable(rules: LoadedRules) -> _Kernel | None:
+def _usable(rules: LoadedRules) -> Kernel | None:
     """The kernel for a problem; None where there is none."""
     problem = rules.problem
     n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
@@ -257,21 +243,17 @@ def solve_loaded_compiled(
     theta, curvature = start
     memory = np.concatenate([*joints, theta.ravel(), *([] if curvature is None else [curvature.ravel()])])
     at = address(memory)
-    status = kernel.solve(
+    status = kernel.functions.solve_loaded(
         ctypes.byref(_structure(rules)),
         at,
         at + 8 * n,
         at + 16 * n,
         None if curvature is None else at + 8 * (2 * n + theta.size),
         margin,
-        room.at[0],
-        room.at[1],
+        *room.at,
     )
-    return (
-        _answered(room.fields, len(problem.softness), STEPS * len(problem.mesh.length) + 1)
-        if status == SOLVED
-        else None
-    )
+    shape = len(problem.softness), STEPS * len(problem.mesh.length) + 1
+    return _answered(room.fields, *shape) if status == SOLVED else None
 
 
 def solve_many_loaded_compiled(
@@ -292,7 +274,7 @@ def solve_many_loaded_compiled(
     summary, compliance = np.zeros((count, 18 + rotations.shape[1])), np.zeros((count, 6, 6))
     declined = np.zeros(count, dtype=np.uint8)
     places = (address(a) for a in (*given, ends, summary, compliance, declined))
-    kernel.solve_many(ctypes.byref(_structure(rules)), count, *places, *room.at)
+    kernel.functions.solve_many_loaded(ctypes.byref(_structure(rules)), count, *places, *room.at)
     return summary, compliance, declined.astype(bool)
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib
 import platform
-import subprocess
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -74,42 +72,3 @@ def packaged_kernel(kind: Kind, features: Iterable[str]) -> Path | None:
     have = frozenset(features)
     paths = (g.kernel(FOLDER, kind) for g in generations() if g.needs <= have)
     return next((path for path in paths if path.exists()), None)
-
-
-def build_kernels(
-    sources: Mapping[Kind, str],
-    compile_to: Callable[[str, Path, Sequence[str]], None],
-    folder: Path,
-    chosen: Sequence[Generation],
-) -> list[Path]:
-    """Compile the C texts of kernels, by kind, for some generations; return the paths.
-
-    `compile_to` takes a text, the path of the library and the generation's flags, and raises OSError or
-    SubprocessError where the compiler cannot: so does this, for a wheel that lacks one of its kernels would be noticed
-    by nobody.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-
-    def build(job: tuple[Kind, Generation]) -> Path:
-        kind, generation = job
-        path = generation.kernel(folder, kind)
-        compile_to(sources[kind], path, generation.flags)
-        return path
-
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(build, [(kind, generation) for kind in sources for generation in chosen]))
-
-
-def known(
-    among: Sequence[Generation], compile_to: Callable[[str, Path, Sequence[str]], None], folder: Path
-) -> list[Generation]:
-    """Those generations whose flags the compiler knows, found by a text of one line."""
-
-    def compiles(generation: Generation) -> bool:
-        try:
-            compile_to("int known = 1;\n", folder / "known.so", generation.flags)
-        except (OSError, subprocess.SubprocessError):
-            return False
-        return True
-
-    return [generation for generation in among if compiles(generation)]

@@ -1,4 +1,4 @@
-/* The whole arm of tubes made of pieces: what block/transcription/general_arm.py does. */
+/* The whole arm of tubes made of pieces: what block/transcription/whole_arm.py does. */
 
 #define CHECK_DEGREE (MOST_DEGREE + EXTRA_POINTS)
 

@@ -41,4 +41,4 @@ class CompiledLeastSquares:
 def least_squares_of(robot: Robot) -> CompiledLeastSquares | None:
     """That of the kernel of a robot; None where it has none."""
     kernel = kernel_of(robot)
-    return None if kernel is None else CompiledLeastSquares(kernel.constrained)
+    return None if kernel is None else CompiledLeastSquares(kernel.functions.constrained)

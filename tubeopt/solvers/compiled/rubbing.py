@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import threading
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -15,9 +13,9 @@ from ...robots.friction import Friction
 from ...robots.robot import Robot, is_general
 from ...typing import Array
 from ..sticking import Signs
-from .binding import with_kernel
+from .binding import address, room_of, with_kernel
 from .constants import rubbing_constants
-from .library import MOST_TUBES, MOST_UNKNOWNS, kernel_path, kernel_text, load_library
+from .library import MOST_TUBES, MOST_UNKNOWNS, Kernel, kernel_text, load_kernel
 from .text import HERE, with_included
 
 
@@ -45,40 +43,19 @@ class Rubbed:
     signs: Signs
 
 
-@dataclass(frozen=True, eq=False)
-class _Kernel:
-    """The loaded kernel, and the bytes that it works in."""
-
-    rub: Any
-    workspace_size: int
-
-
 def rubbing_source(n: int) -> str:
     """The C text of the kernel for n concentric tubes that rub."""
     return kernel_text(n) + rubbing_constants() + with_included(HERE / "rubbing.c")
 
 
 @lru_cache(maxsize=MOST_TUBES)
-def _kernel(n: int) -> _Kernel | None:
-    path = kernel_path((n, "rubbing"), lambda: rubbing_source(n))
-    loaded = None if path is None else load_library(path)
-    if loaded is None:
-        return None
-    pointer, whole = ctypes.c_void_p, ctypes.c_longlong
-    loaded.rub.argtypes = [*[pointer] * 3, ctypes.c_double, whole, *[pointer] * 9]
-    loaded.rub.restype = whole
-    return _Kernel(loaded.rub, loaded.workspace_size())
-
-
-_rooms = threading.local()
-
-
-def _room(kernel: _Kernel) -> Array:
-    """Memory of one thread for one kernel."""
-    rooms: dict[Any, Array] = _rooms.__dict__
-    if kernel not in rooms:
-        rooms[kernel] = np.zeros(kernel.workspace_size // 8 + 1)
-    return rooms[kernel]
+def _kernel(n: int) -> Kernel | None:
+    kernel = load_kernel((n, "rubbing"), lambda: rubbing_source(n), np.dtype([]))
+    if kernel is not None:
+        pointer, whole = ctypes.c_void_p, ctypes.c_longlong
+        kernel.functions.rub.argtypes = [*[pointer] * 3, ctypes.c_double, whole, *[pointer] * 9]
+        kernel.functions.rub.restype = whole
+    return kernel
 
 
 def simple(friction: Friction) -> bool:
@@ -116,10 +93,10 @@ def rub_compiled(
     slips = np.zeros((len(joints), MOST_UNKNOWNS), dtype=np.int8)
     slips[0, : len(signs)] = signs
     out, behind = np.zeros((len(joints), 3 * len(behind) + 13 + n)), np.ascontiguousarray(behind)
-    room = _room(kernel)
-    places = [array.ctypes.data for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out, room)]
+    places = [address(array) for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out)]
     pieces = PIECES * 2.0**friction.refinement
-    count = kernel.rub(plain[2], plain[0].method, capacity.ctypes.data, pieces, len(joints), *places)
+    given = plain[2], plain[0].method, address(capacity), pieces, len(joints)
+    count = kernel.functions.rub(*given, *places, room_of(kernel).at[0])
     if count < 0:
         return None
     parts = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1, 1, 1]), axis=1)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from .heating import heating_source
 from .library import MOST_TUBES, compile_to, compiler, kept_as, source
 from .loaded import loaded_source
-from .packaged import Kind, build_kernels, generations, known, processor_features
+from .packaged import Generation, Kind, generations, processor_features
 from .rubbing import rubbing_source
 
 
@@ -20,10 +23,37 @@ def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
     if compiler() is None:
         return []
     here = processor_features()
+    all_known = known(generations())
+    return build_kernels(texts(), folder, all_known if everywhere else [next(g for g in all_known if g.needs <= here)])
+
+
+def known(among: Sequence[Generation]) -> list[Generation]:
+    """Those generations whose flags the compiler knows, found by a text of one line."""
     with tempfile.TemporaryDirectory() as scratch:
-        all_known = known(generations(), compile_to, Path(scratch))
-    chosen = all_known if everywhere else [next(g for g in all_known if g.needs <= here)]
-    return build_kernels(texts(), compile_to, folder, chosen)
+
+        def compiles(generation: Generation) -> bool:
+            try:
+                compile_to("int known = 1;\n", Path(scratch) / "known.so", generation.flags)
+            except (OSError, subprocess.SubprocessError):
+                return False
+            return True
+
+        return [generation for generation in among if compiles(generation)]
+
+
+def build_kernels(sources: Mapping[Kind, str], folder: Path, chosen: Sequence[Generation]) -> list[Path]:
+    """Compile the C texts of kernels, by kind, for some generations; return the paths. Raises OSError or
+    SubprocessError where the compiler cannot: a wheel that lacks one of its kernels would be noticed by nobody."""
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def build(job: tuple[Kind, Generation]) -> Path:
+        kind, generation = job
+        path = generation.kernel(folder, kind)
+        compile_to(sources[kind], path, generation.flags)
+        return path
+
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(build, [(kind, generation) for kind in sources for generation in chosen]))
 
 
 def texts() -> dict[Kind, str]:

@@ -6,7 +6,6 @@ import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from typing import Any
 
 from ...errors import InputError
@@ -18,17 +17,15 @@ class NotLoadedError(InputError):
     """Common data arrived at a worker that cannot load them, since it does not know their module."""
 
 
-@dataclass(frozen=True)
-class _NotLoaded:
-    reason: str
-
-
 def unpacked(packed: bytes) -> Any:
-    """Common data in a worker; where they cannot be loaded, what `common_data` will say about that."""
+    """Common data in a worker; where they cannot be loaded, the error that `common_data` raises then."""
     try:
         return pickle.loads(packed)
     except Exception as error:
-        return _NotLoaded(str(error) or type(error).__name__)
+        reason = str(error) or type(error).__name__
+        return NotLoadedError(
+            f"the function cannot be loaded by the workers ({reason}); it must be of a module they can import"
+        )
 
 
 def common_data() -> Any:
@@ -38,10 +35,8 @@ def common_data() -> Any:
         NotLoadedError: the worker cannot load them.
     """
     common = COMMON.get()
-    if isinstance(common, _NotLoaded):
-        raise NotLoadedError(
-            f"the function cannot be loaded by the workers ({common.reason}); it must be of a module they can import"
-        )
+    if isinstance(common, NotLoadedError):
+        raise common
     return common
 
 
