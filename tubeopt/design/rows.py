@@ -10,7 +10,6 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..robots.limits import JointLimits
 from ..typing import Array
-from .limit import Limit
 from .lookup import at_state
 from .order import Place, order_gaps
 from .requirements import (
@@ -28,7 +27,7 @@ from .requirements import (
     Wall,
 )
 from .state import FreePose, State
-from .statements import Statement, reach_parts
+from .statements import Limit, Statement, reach_parts
 
 HELD = 5e-8
 """Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""

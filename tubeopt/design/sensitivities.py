@@ -9,10 +9,10 @@ import scipy
 
 from ..typing import Array
 from .cells import cell_at, cell_rows
-from .limit import Limit
 from .parameters import UNITS
 from .program import stack, state_at, total_objective
 from .solve_one import Attempt, rows_at
+from .statements import Limit
 
 
 @dataclass(frozen=True)
