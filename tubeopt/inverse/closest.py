@@ -9,7 +9,7 @@ smooth: steps keep the order, and where it holds the minimum up, what lies beyon
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +44,7 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     return Search(here, reached, descent.steps, descent.solves)
 
 
-def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[], bool]) -> Search | None:
+def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None:
     """The allowed posture that misses the target least: of each group of ends, polished in their order until several
     agree. More ends at the end of a group never make it worse.
 
@@ -55,7 +55,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[
     for ends in groups:
         least, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
-            if agreeing >= goal.solver.closest_agreeing or (best is not None and late()):
+            if agreeing >= goal.solver.closest_agreeing or (best is not None and goal.late):
                 break
             found = approach(goal, end)
             if found is None:
@@ -166,8 +166,7 @@ class _Descent:
         goal = self.goal
         residual, slope = goal.residual(at), goal.slope(at, side=side) * goal.space.scale
         rows, bounds, names = _demands(goal, at)
-        kept, gap = breakpoint_order(goal, at).steps(at.q)
-        rows, bounds = np.vstack([rows, kept]), np.concatenate([np.minimum(bounds, 0.0), gap])
+        rows, bounds = breakpoint_order(goal, at).kept(at.q, rows, np.minimum(bounds, 0.0))
         square = slope.T @ slope
         square += (goal.solver.closest_curvature + 1e-3 * float(residual @ residual)) * np.eye(len(square))
         return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds, names)
@@ -203,12 +202,10 @@ class _Descent:
     def across(self, here: Posture) -> Posture | None:
         """The posture beyond a change of order that holds the minimum up; None where none is closer beyond."""
         goal = self.goal
-        order = breakpoint_order(goal, here)
-        gap = (order.rows @ here.q[goal.space.robot.n_tubes :] - order.bound)[: order.changeable]
+        shift, section = here.q[goal.space.robot.n_tubes :], goal.solver.short_section * goal.space.length
         now = left(goal, here)
-        for k in np.flatnonzero(gap <= goal.solver.short_section * goal.space.length):
-            other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
-            other = None if other is None else restored(goal, other, most=4)
+        for past in beyond(goal, here, breakpoint_order(goal, here).closed(shift, section)):
+            other = restored(goal, past, most=4)
             if other is None:
                 continue
             model = self._model(other)

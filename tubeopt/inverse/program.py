@@ -55,7 +55,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
         if score >= (least[0] * (1 - 1e-6), least[1] - 1e-9):
             break
         best, least = found, score
-        other = beyond(goal, found, crossed)
+        other = next(beyond(goal, found, crossed), None)
         if other is None:
             break
         here = other

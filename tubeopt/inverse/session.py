@@ -302,12 +302,9 @@ def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple
         yield here, fresh, None, True
     order = breakpoint_order(goal, here)
     yield here, fresh, order, True
-    shift = here.q[goal.space.robot.n_tubes :]
-    gap = (order.rows @ shift - order.bound)[: order.changeable]
-    for k in np.flatnonzero(gap <= goal.solver.session_section):
-        other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
-        if other is not None:
-            yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
+    near_by = order.closed(here.q[goal.space.robot.n_tubes :], goal.solver.session_section)
+    for other in beyond(goal, here, near_by):
+        yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
 
 
 def _roomy(goal: Goal, here: Posture) -> bool:
@@ -330,8 +327,7 @@ def _servo(
     if here.margin < goal.floor + solver.session_careful or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
-        kept, gap = order.steps(here.q)
-        rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+        rows, bounds = order.kept(here.q, rows, bounds)
     limits = boxed(goal, rows, np.minimum(bounds, 0.0), solver.first_step)
     scale = goal.space.scale
     matrix = np.vstack([solver.target_weight * near.target, np.diag(1 / scale)])
