@@ -9,8 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-import os
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,7 @@ from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
 from ..files.files import atomic_write
+from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .clock import Clock
 from .joints import JointSpace
@@ -115,18 +114,6 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
     except InputError:
         pass  # Without a place to keep it, the table is built anew in the next process: slower, not wrong.
     return table
-
-
-def cache_directory() -> Path:
-    """Where tables are kept: $TUBEOPT_CACHE, or `tubeopt` in the user's directory of caches."""
-    own = os.environ.get("TUBEOPT_CACHE")
-    if own:
-        return Path(own)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "tubeopt" / "cache"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "tubeopt"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tubeopt"
 
 
 def _key(space: JointSpace, size: int) -> str:
