@@ -3,10 +3,11 @@
 from ..block.own import OwnObjective, OwnRequirement
 from ..block.quantities import Quantities
 from .objectives import Objective
-from .optimize import DesignSolution, Dimension, optimize_design
+from .optimize import DesignSolution, optimize_design
 from .parameters import Free
 from .pareto import FrontPoint, ParetoFront, pareto_front
 from .relaxation import Change, InfeasibleDesignError, Relaxation
+from .remarks import Dimension
 from .requirements import (
     Avoid,
     Corridor,

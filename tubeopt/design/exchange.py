@@ -11,7 +11,7 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..block.quantities import recorded
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError
+from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
 from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
@@ -238,9 +238,3 @@ def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program,
         if first_old + k in old.guesses:
             new.guesses[first_new + k] = old.guesses[first_old + k]
     return new, np.clip(out, new.lower, new.upper)
-
-
-def check_rounds(task: DesignTask, count: int, why: str) -> None:
-    """Raises SolveError where exchange has not ended."""
-    if count >= task.solver.exchange_rounds:
-        raise SolveError(f"after {count} rounds of adding worst cases there are still some: {why}")

@@ -11,6 +11,7 @@ from ..equilibrium.along import curvature_at, position_at
 from ..typing import Array
 from .anatomy import arm_clearance
 from .bending import pose_strain, straightened_strain
+from .deflection import stroke_force, tip_deflection
 from .state import State
 
 Linear = Callable[[Quantity], tuple[Array, Array]]
@@ -22,29 +23,36 @@ def at_state(state: State) -> Linear:
 
     def look(one: Quantity) -> tuple[Array, Array]:
         """Value and change of one quantity."""
-        if one.name == "certificate":
-            return _row(state.certificate_at(one.at))
-        if one.name == "straightened_strain":
-            return _row(straightened_strain(state, *one.at))
-        if one.pose is None:
-            return np.array([getattr(tube, one.name) for tube in state.tubes]), state.slopes[one.name]
-        if one.name in ("rotations", "translations"):
-            part = ("rotations", "translations").index(one.name)
-            return state.joint_values(one.pose)[part], state.joint_slopes(one.pose)[part]
-        if one.name == "strain":
-            return _row(pose_strain(state, one.pose, one.at[0]))
-        if one.name == "deflection":
-            return state.deflection(one.pose, one.at)
-        if one.name == "stroke_force":
-            return _row(state.stroke_force(one.pose))
-        if one.name in ("jacobian", "turning"):
-            return state.jacobian(one.pose, turning=one.name == "turning")
-        if one.name == "clearance":
-            return arm_clearance(state, one.pose, one.at[0])
-        value, change = _of_pose(state, one, one.pose)
-        return value, change @ state.chain(one.pose)
+        if one not in state.known:
+            state.known[one] = _told(state, one)
+        return state.known[one]
 
     return look
+
+
+def _told(state: State, one: Quantity) -> tuple[Array, Array]:
+    if one.name == "certificate":
+        return _row(state.certificate_at(one.at))
+    if one.name == "straightened_strain":
+        return _row(straightened_strain(state, *one.at))
+    if one.pose is None:
+        return np.array([getattr(tube, one.name) for tube in state.tubes]), state.slopes[one.name]
+    match one.name:
+        case "rotations" | "translations":
+            part = ("rotations", "translations").index(one.name)
+            return state.joint_values(one.pose)[part], state.joint_slopes(one.pose)[part]
+        case "strain":
+            return _row(pose_strain(state, one.pose, one.at[0]))
+        case "deflection":
+            return tip_deflection(state, one.pose, one.at)
+        case "stroke_force":
+            return _row(stroke_force(state, one.pose))
+        case "jacobian" | "turning":
+            return state.jacobian(one.pose, turning=one.name == "turning")
+        case "clearance":
+            return arm_clearance(state, one.pose, one.at[0])
+    value, change = _of_pose(state, one, one.pose)
+    return value, change @ state.chain(one.pose)
 
 
 def _row(found: tuple[float, Array]) -> tuple[Array, Array]:

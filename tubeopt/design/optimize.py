@@ -15,7 +15,7 @@ from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
 from ..typing import Array, Sentence
 from .collocation import check_collocation
-from .exchange import carry, certified_at, check_rounds, robot_at, violations
+from .exchange import carry, certified_at, robot_at, violations
 from .force import Loaded, forced, raised, under_force, without_force
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
@@ -23,23 +23,12 @@ from .parameters import NAMES, UNITS
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
-from .remarks import remarks
+from .remarks import Dimension, remarks
 from .requirements import SnapFree
 from .sensitivities import Sensitivity, sensitivities
 from .solve import METHODS, Attempt, Report, solve
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
-
-
-@dataclass(frozen=True)
-class Dimension:
-    """One free dimension: its name, unit, and value before and after, in that unit; whether it lies on a bound."""
-
-    name: str
-    unit: str
-    before: float
-    after: float
-    bound: str
 
 
 class DesignStatus(Sentence):
@@ -253,7 +242,8 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
         added, why = violations(found.program, found.x)
         if not why:
             return found, rounds
-        check_rounds(found.program.task, rounds, why)
+        if rounds >= found.program.task.solver.exchange_rounds:
+            raise SolveError(f"after {rounds} rounds of adding worst cases there are still some: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
         following = solve(program, start, report, method)

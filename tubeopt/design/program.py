@@ -24,7 +24,7 @@ from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFre
 from .rows import Rows, joint_rows, order_rows, stated_rows
 from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
-from .statements import Statement, statements
+from .statements import Points, Statement, statements
 from .task import DesignTask, extreme_lengths
 
 STABLE = SnapFreeInUse(0.05, paths=False)
@@ -119,7 +119,6 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
     added = Added() if added is None else added
     poses: list[PoseKind] = []
     own: list[tuple[int, ...]] = []
-    boxes = iter(added.points)
 
     def free(count: int) -> tuple[int, ...]:
         first = sum(isinstance(pose, FreePose) for pose in poses)
@@ -127,17 +126,12 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
         poses.extend(FreePose(first + k) for k in range(count))
         return numbers
 
-    for one in task.requirements:
-        match one:
-            case Reach(targets=targets):
-                own.append(free(len(targets)))
-            case Coverage():
-                own.append(free(len(next(boxes, corners(one)))))
-            case Poses(rotations=rotations, translations=translations):
-                own.append(tuple(range(len(poses), len(poses) + len(rotations))))
-                poses.extend(FixedPose(*pair) for pair in zip(rotations, translations, strict=True))
-            case _:
-                own.append(())
+    for one, points in zip(task.requirements, points_of(task.requirements, added), strict=True):
+        if isinstance(one, Poses):
+            own.append(tuple(range(len(poses), len(poses) + len(one.rotations))))
+            poses.extend(FixedPose(*pair) for pair in zip(one.rotations, one.translations, strict=True))
+        else:
+            own.append(free(len(points)))
     deep = [one for one in built_in(task.objectives) if one.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
     certified = _certified(task, added)
@@ -166,14 +160,12 @@ def _recorded(
     count, depth_pose, certified = about
     pieces = [len(tube.pieces) or 1 for tube in task.space.robot_tubes]
     posed, passed = tuple(range(count)), tuple(range(count + len(added.vias)))
-    boxes = iter(added.points)
     stated = []
-    for number, one in enumerate(_all_requirements(task)):
+    requirements = _all_requirements(task)
+    for number, (one, points) in enumerate(zip(requirements, points_of(requirements, added), strict=True)):
         match one:
-            case Coverage():
-                stated.append(statements(one, pieces, own[number], next(boxes, corners(one))))
-            case Reach():
-                stated.append(statements(one, pieces, own[number]))
+            case Coverage() | Reach():
+                stated.append(statements(one, pieces, own[number], points))
             case SnapFreeInUse():
                 stated.append(statements(one, pieces, passed))
             case _:
@@ -185,6 +177,19 @@ def _recorded(
         if found is not None:
             aims[wanted] = found
     return tuple(stated), aims
+
+
+def points_of(requirements: Sequence[Requirement], added: Added) -> list[Points]:
+    """The points that the tip is to reach for every requirement: of a box its corners, or what exchange has made of
+    them; () of those that ask for none."""
+    boxes = iter(added.points)
+    out: list[Points] = []
+    for one in requirements:
+        if isinstance(one, Coverage):
+            out.append(next(boxes, corners(one)))
+        else:
+            out.append([target.position for target in one.targets] if isinstance(one, Reach) else [])
+    return out
 
 
 def corners(box: Coverage) -> tuple[tuple[float, ...], ...]:
@@ -314,7 +319,8 @@ def total_objective(program: Program, state: State) -> tuple[float, Array]:
     """What is minimised, and its change (X,)."""
     total, slope = 0.0, np.zeros(program.layout.size)
     if program.elastic:
-        slope[[k for k, name in enumerate(program.layout.names) if name.startswith("slack")]] = 1.0
+        slacks = [name for name in program.layout.auxiliary if name.startswith("slack")]
+        slope[[program.layout.column(name) for name in slacks]] = 1.0
         return float(slope @ state.x), slope
     for one in program.task.objectives:
         value, change = objective_value(program, state, one)

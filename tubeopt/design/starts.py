@@ -14,8 +14,8 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .piece_pose import PiecePose
 from .pose import Pose
-from .program import Program, built_in, corners
-from .requirements import Avoid, Coverage, Reach
+from .program import Program, built_in, points_of
+from .requirements import Avoid
 from .solved import solve_pose, twist_at
 from .state import FreePose
 
@@ -78,12 +78,8 @@ def _gap(tips: Array, aim: tuple[float, ...]) -> Array:
 def _aims(program: Program) -> dict[int, tuple[float, ...]]:
     """What the tip is to reach in every free pose: a point, or a height."""
     out: dict[int, tuple[float, ...]] = {}
-    boxes = iter(program.added.points)
-    for one, own in zip(program.task.requirements, program.own, strict=True):
-        if isinstance(one, Reach):
-            out |= dict(zip(own, (target.position for target in one.targets), strict=True))
-        if isinstance(one, Coverage):
-            out |= dict(zip(own, next(boxes, corners(one)), strict=True))
+    for own, points in zip(program.own, points_of(program.task.requirements, program.added), strict=True):
+        out |= dict(zip(own, points, strict=False))
     for aim in built_in(program.task.objectives):
         if aim.depth is not None and program.depth_pose is not None:
             out[program.depth_pose] = (aim.depth,)

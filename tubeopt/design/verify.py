@@ -19,7 +19,7 @@ from .drawn import SHARES, draw
 from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
 from .order import pose_places, worst_order
-from .program import Program, corners, state_at
+from .program import Program, points_of, state_at
 from .requirements import (
     Avoid,
     Coverage,
@@ -219,24 +219,21 @@ def clearance(one: Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> f
 
 def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
     place = {number: k for k, number in enumerate(program.task_poses)}
-    boxes = iter(program.added.points)
+    points = points_of(program.task.requirements, program.added)
     checks = []
-    for one, own in zip(program.task.requirements, program.own, strict=True):
-        if isinstance(one, Reach):
-            aims = [(np.array(target.position), target.tolerance) for target in one.targets]
-        elif isinstance(one, Coverage):
-            aims = [(np.array(point), one.tolerance) for point in next(boxes, corners(one))]
-        else:
+    for one, own, aims in zip(program.task.requirements, program.own, points, strict=True):
+        if not isinstance(one, Reach | Coverage):
             continue
-        gaps = [
-            float(np.linalg.norm(equilibria[place[number]].tip_position - aim) / tolerance)
-            for number, (aim, tolerance) in zip(own, aims, strict=True)
-        ]
-        worst = int(np.argmax(gaps))
+        reached = [equilibria[place[number]] for number in own]
+        targets = one.targets if isinstance(one, Reach) else [one] * len(aims)
+        allowed = np.array([target.tolerance for target in targets])
+        gaps = np.linalg.norm([e.tip_position for e in reached] - np.array(aims), axis=1)
+        worst = int(np.argmax(gaps / allowed))
         words = f"largest distance of the tip from {len(aims)} targets"
-        checks.append(Check(words, f"{gaps[worst] * aims[worst][1] * 1e3:.4f} mm", gaps[worst] <= 1 + 1e-3))
+        kept = bool(gaps[worst] <= (1 + 1e-3) * allowed[worst])
+        checks.append(Check(words, f"{gaps[worst] * 1e3:.4f} mm", kept))
         if isinstance(one, Reach):
-            checks += _directions(one, [equilibria[place[number]] for number in own])
+            checks += _directions(one, reached)
     return checks
 
 

@@ -11,8 +11,9 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
-from ..design.optimize import DesignSolution, Dimension
+from ..design.optimize import DesignSolution
 from ..design.pareto import ParetoFront, front_label
+from ..design.remarks import Dimension
 from ..design.sensitivities import Sensitivity
 from ..design.stock import objective_label
 from ..design.tolerance import ToleranceAnalysis
