@@ -36,9 +36,6 @@ def aim(
 
     `poses` are those whose margin counts, `certified` the translations of the certificate, `depth_pose` the pose of
     reach_radius.
-
-    Raises:
-        InputError: an own objective whose expression makes no sense.
     """
     if isinstance(one, Objective) and one.kind == "change":
         return None

@@ -81,11 +81,7 @@ def check_collocation(task: DesignTask) -> None:
 
 
 def collocate(program: Program, x: Array) -> Attempt:
-    """The optimum of the collocated program from x (X,), SI, at which the poses have equilibria.
-
-    Raises:
-        InputError: a requirement that no block expresses; a margin at points on joint paths.
-    """
+    """The optimum of the collocated program from x (X,), SI, at which the poses have equilibria."""
     check_collocation(program.task)
     if any(isinstance(pose, Via) for pose in program.layout.poses):
         raise InputError(

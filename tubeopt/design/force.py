@@ -8,26 +8,19 @@ answer is the best among designs of that certificate without force; another with
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..errors import SolveError
+from ..robots.concentric import ConcentricRobot
 from ..stability import snap_free_certificate
 from .exchange import certified_at
+from .program import Program
 from .requirements import SnapFree, of_kind
 from .settings import DesignSolver
-from .solve import Attempt
 from .task import DesignTask
 from .verify import Check
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """The certificate of a design under the force that a requirement names, and the check that says so."""
-
-    value: float
-    check: Check
 
 
 def forced(task: DesignTask) -> SnapFree | None:
@@ -41,20 +34,17 @@ def without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:
     return replace(task, requirements=tuple(plain if each is one else each for each in task.requirements))
 
 
-def under_force(attempt: Attempt, robot: object, one: SnapFree) -> Loaded:
-    """What a design bears at all translations for which its certificate was asked."""
-    rows = certified_at(attempt.program, robot)  # type: ignore[arg-type]
-    value = min(snap_free_certificate(robot, np.array(row), max_force=one.max_force) for row in rows)  # type: ignore[arg-type]
+def under_force(program: Program, robot: ConcentricRobot, one: SnapFree) -> tuple[float, Check]:
+    """The certificate of a design under the force that a requirement names, at all translations for which it was asked,
+    and the check that says so."""
+    rows = certified_at(program, robot)
+    value = min(snap_free_certificate(robot, np.array(row), max_force=one.max_force) for row in rows)
     words = f"certificate under forces on the tip of up to {one.max_force * 1e3:g} mN"
-    return Loaded(value, Check(words, f"{value:.5f}", value >= one.margin))
+    return value, Check(words, f"{value:.5f}", value >= one.margin)
 
 
 def raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver) -> float:
-    """The least floor, within `force_accuracy`, whose design bears the force; `bears` tells the certificate under it.
-
-    Raises:
-        SolveError: no floor below 1 does.
-    """
+    """The least floor, within `force_accuracy`, whose design bears the force; `bears` tells the certificate under it."""
     low, high = one.margin, None
     floor = one.margin
     for _ in range(solver.force_rounds):

@@ -16,7 +16,7 @@ from ..stability import snap_free_certificate
 from ..typing import Array, Sentence
 from .collocation import check_collocation
 from .exchange import carry, certified_at, robot_at, violations
-from .force import Loaded, forced, raised, under_force, without_force
+from .force import forced, raised, under_force, without_force
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
@@ -28,7 +28,7 @@ from .requirements import SnapFree
 from .sensitivities import Sensitivity, sensitivities
 from .solve import METHODS, Attempt, Report, solve
 from .task import DesignTask
-from .verify import Verification, solve_again, verify
+from .verify import Check, Verification, solve_again, verify
 
 
 class DesignStatus(Sentence):
@@ -172,15 +172,6 @@ def optimize_design(
     return solution_of(task, search(task, begin=begin), turns, began)
 
 
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """The best design of a search, all that it found, and how often the worst cases were added."""
-
-    best: Attempt
-    ranking: Ranking
-    rounds: int
-
-
 def _searched(
     task: DesignTask,
     begin: Attempt | None = None,
@@ -190,7 +181,8 @@ def _searched(
     seed: int,
     workers: int,
     progress: Progress | None,
-) -> Settled:
+) -> tuple[Ranking, int]:
+    """All designs that were found, the best of them for the worst cases, and how often these were added."""
     report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
     added = None if begin is None else begin.program.added
@@ -205,14 +197,14 @@ def _searched(
         raise infeasible(ranking)
     best, rounds = settle(ranking.designs[0], report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
-    return Settled(best, replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds)
+    return replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds
 
 
 def _bearing(
-    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], Settled], turns: int, began: float
+    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], tuple[Ranking, int]], turns: int, began: float
 ) -> DesignSolution:
     """The design for a task that names a force; only the one that bears it is verified."""
-    known: dict[float, tuple[Settled, Loaded]] = {}
+    known: dict[float, tuple[tuple[Ranking, int], Check]] = {}
 
     def bears(floor: float) -> float:
         try:
@@ -220,23 +212,20 @@ def _bearing(
         except InfeasibleDesignError as error:
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
-        known[floor] = found, under_force(found.best, robot_at(found.best.program, found.best.x), one)
-        return known[floor][1].value
+        best = found[0].designs[0]
+        value, check = under_force(best.program, robot_at(best.program, best.x), one)
+        known[floor] = found, check
+        return value
 
     floor = raised(one, bears, task.solver)
-    found, loaded = known[floor]
+    found, check = known[floor]
     solution = solution_of(without_force(task, one, floor), found, turns, began)
-    verification = Verification((*solution.verification.checks, loaded.check))
+    verification = Verification((*solution.verification.checks, check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
 
 
 def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
-    """A design for which all cases hold, and how many rounds of adding the worst of them that took.
-
-    Raises:
-        InfeasibleDesignError: with the cases added there is no design near the one found.
-        SolveError: the rounds did not end.
-    """
+    """A design for which all cases hold, and how many rounds of adding the worst of them that took."""
     rounds = 0
     while True:
         added, why = violations(found.program, found.x)
@@ -268,13 +257,12 @@ def infeasible(ranking: Ranking) -> InfeasibleDesignError:
     return InfeasibleDesignError(f"{head}; {', or '.join(way.words for way in ways)}", ways, ranking.failed[0])
 
 
-def solution_of(task: DesignTask, found: Settled, turns: int, began: float) -> DesignSolution:
-    """The answer that a design is, checked again; `began` is the moment from which it is timed.
-
-    Raises:
-        SolveError: the design does not keep what it promises.
-    """
-    program, x = found.best.program, found.best.x
+def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began: float) -> DesignSolution:
+    """The answer that the best of all designs is, checked again; how often worst cases were added to it, and the moment
+    `began`, from which it is timed, are told with it."""
+    ranking, rounds = found
+    best = ranking.designs[0]
+    program, x = best.program, best.x
     robot = robot_at(program, x)
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
@@ -287,12 +275,12 @@ def solution_of(task: DesignTask, found: Settled, turns: int, began: float) -> D
         robot=robot,
         certificate=min(snap_free_certificate(robot, row) for row in certified),
         equilibria=equilibria,
-        objective=next(iter(values.values())) if single else found.best.objective,
+        objective=next(iter(values.values())) if single else best.objective,
         objectives=values,
         dimensions=dimensions(program, x),
-        sensitivities=sensitivities(found.best),
-        ranking=found.ranking,
-        rounds=found.rounds,
+        sensitivities=sensitivities(best),
+        ranking=ranking,
+        rounds=rounds,
         added=program.added,
         verification=verification,
         seconds=time.perf_counter() - began,

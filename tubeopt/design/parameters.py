@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -207,24 +208,15 @@ class DesignSpace:
                 out[column] = largest_bend_slope(tube, place[1], (field, spot.order, value))
         return out
 
-    def slopes(self, tubes: Sequence[Tube]) -> dict[str, Array]:
-        """Change (n, D) of every one of GRADED with x, at these tubes."""
-        n, count = len(tubes), len(self.unknowns)
-        out = {name: np.zeros((n, count)) for name in GRADED}
-        for column, (field, chosen, scaled) in enumerate(self.unknowns):
-            for i in chosen if field in out else ():
-                out[field][i, column] = getattr(self.robot_tubes[i], field) if scaled else 1.0
-        if self.spots:
-            return out
-        for i, tube in enumerate(tubes):
-            # I = pi / 64 (OD^4 - ID^4), J = 2 I
-            moved = (
-                tube.outer_diameter**3 * out["outer_diameter"][i] - tube.inner_diameter**3 * out["inner_diameter"][i]
-            )
-            area = np.pi / 16 * moved
-            out["bending_stiffness"][i] = tube.material.youngs_modulus * area
-            out["torsional_stiffness"][i] = tube.material.shear_modulus * 2 * area
-        return out
+    @cached_property
+    def _graded(self) -> ca.Function:
+        x = ca.MX.sym("x", len(self.unknowns))
+        slopes = [ca.densify(ca.jacobian(column, x)) for column in self.expressions(x).values()]
+        return ca.Function("slopes", [x], slopes)
+
+    def slopes(self, x: Array) -> dict[str, Array]:
+        """Change (n, D) of every one of GRADED with x (D,)."""
+        return {name: slope.full() for name, slope in zip(GRADED, self._graded(x), strict=True)}
 
 
 def _entries(free: Sequence[Free], n: int) -> Iterator[tuple[Free, tuple[int, ...]]]:

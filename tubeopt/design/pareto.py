@@ -49,12 +49,7 @@ def with_margin(task: DesignTask, margin: float) -> DesignTask:
 
 
 def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
-    """Margins in order of size, each with the task in which it is demanded.
-
-    Raises:
-        InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
-            or with several objectives.
-    """
+    """Margins in order of size, each with the task in which it is demanded."""
     if not len(margins):
         raise InputError("margins is empty; a front needs at least one")
     if len(task.objectives) > 1 or key_of(task.objectives[0]) == "margin":
@@ -80,7 +75,8 @@ def pareto_front(
         begin: an answer for the least of them, or near it.
 
     Raises:
-        InputError: as `front_tasks`.
+        InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
+            or with several objectives.
         SolveError: not even the least margin is feasible.
     """
     one = task.objectives[0]

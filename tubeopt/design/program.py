@@ -111,11 +111,7 @@ def _all_requirements(task: DesignTask) -> tuple[Requirement, ...]:
 
 
 def compile_task(task: DesignTask, added: Added | None = None) -> Program:
-    """Lay out the unknowns of a task, and record its requirements and objectives as expressions.
-
-    Raises:
-        InputError: the expression of an own requirement or objective makes no sense.
-    """
+    """Lay out the unknowns of a task, and record its requirements and objectives as expressions."""
     added = Added() if added is None else added
     poses: list[PoseKind] = []
     own: list[tuple[int, ...]] = []

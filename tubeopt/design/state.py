@@ -115,10 +115,10 @@ class State:
     @cached_property
     def slopes(self) -> dict[str, Array]:
         """(n, X) change of every dimension and stiffness."""
-        space = self.layout.space
-        designs = space.slopes(self.tubes)
+        space, x = self.layout.space, self.x[: self.layout.designs]
+        designs = space.slopes(x)
         if space.spots:
-            designs["curvature"] = space.bend_slopes(self.tubes, self.x[: self.layout.designs])
+            designs["curvature"] = space.bend_slopes(self.tubes, x)
         return {name: np.pad(part, ((0, 0), (0, self.layout.size - part.shape[1]))) for name, part in designs.items()}
 
     def joint_values(self, index: PoseNumber) -> tuple[Array, Array]:

@@ -81,9 +81,6 @@ def statements(
     `poses` are those that it is about: its own for Reach and Coverage, also those on joint paths for SnapFreeInUse, all
     task poses for others. `points` are those of a box in the program for Coverage, the translations of the certificate
     for SnapFree.
-
-    Raises:
-        InputError: an own requirement whose expression makes no sense.
     """
     n, count, own = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, OwnRequirement)
 

@@ -17,10 +17,11 @@ from ..files.marks import NOT_NEGATIVE, OneOf, unit
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import OfCrossSection, Tube
+from ..solvers.parallel.executors import executor
 from ..stability import snap_free_certificate
 from ..stability.certificate import least_of_worst_case
 from ..typing import Array
-from .pool import Progress, executor, run_all
+from .pool import Progress, run_all
 
 NORMAL_95 = 1.959963984540054
 """Half width of the 95 % interval of the normal distribution."""
@@ -94,6 +95,7 @@ def tolerance_analysis(
     if not isinstance(tolerances, Tolerances):
         raise InputError(f"tolerances is {tolerances!r}; it must be Tolerances")
     whole("samples", samples, 2)
+    whole("workers", workers, 1)
     rows = [robot.home_translations] if translations is None else translations
     where = tuple(tuple(vector("translations", row, robot.n_tubes).tolist()) for row in rows)
     for pose in poses:

@@ -247,9 +247,6 @@ def joint_space(
     `section_length` (m); the curved part of an eccentric segment begins beyond the end of the next outer one. No tube
     leaves its actuator, none is withdrawn past the plate. Where the order leaves two carriages no play, as for two
     tubes of equal length, they are one joint.
-
-    Raises:
-        InputError: limits for another number of tubes, or that leave nothing.
     """
     allowed = limits if limits is not None else robot.limits
     n = robot.n_tubes
@@ -365,11 +362,7 @@ def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
 
 
 def scaled_weights(space: JointSpace, weights: Any) -> Array:
-    """(m,) weights of the joints in a distance: given per rad and per m, else one over the scale of each.
-
-    Raises:
-        InputError: not a pair of (n,) numbers, one that is not finite or negative.
-    """
+    """(m,) weights of the joints in a distance: given per rad and per m, else one over the scale of each."""
     if weights is None:
         return 1 / space.scale
     n = space.robot.n_tubes

@@ -64,11 +64,7 @@ class Way:
 def find_way(
     task: Task, start: Array, goals: Sequence[Array], clock: Clock, search: Search = DEFAULT_SEARCH, *, seed: int = 0
 ) -> Way:
-    """A way from a point to the first goal that is found, the nearest ones tried first.
-
-    Raises:
-        InputError: the search needs OMPL, which is not installed.
-    """
+    """A way from a point to the first goal that is found, the nearest ones tried first."""
     tried = 0
     for goal in goals:
         tried += 1
@@ -157,9 +153,6 @@ def by_sampling(
 
     `reason`: what stands against a way, in words. It ends the search early, and so does a start or a goal that turns
     out to lie in a closed pocket.
-
-    Raises:
-        InputError: OMPL is not installed.
     """
     try:
         from ompl import base, geometric, util
