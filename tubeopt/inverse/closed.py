@@ -98,9 +98,7 @@ def _any(task: Task, z: Array, clock: Clock) -> bool:
             return False
         arms = task.arms(some)
         q = task.chart.joints(some, arms)
-        allowed = arms.stable.copy()
-        if len(space.least):
-            allowed &= (q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)
+        allowed = arms.stable & space.ordered(q)
         if task.obstacles:
             slack = 1e-6 * space.scale[:n]
             allowed &= ((q[:, :n] >= space.lower[:n] - slack) & (q[:, :n] <= space.upper[:n] + slack)).all(1)

@@ -20,7 +20,6 @@ from .descent import SLACK, Search, boxed
 from .goal import Goal
 from .least_squares import constrained_least_squares
 from .order import apart, beyond, breakpoint_order
-from .outline import MOST_CONTACTS
 from .posture import Posture
 
 
@@ -91,32 +90,13 @@ def restored(goal: Goal, at: Posture, *, most: int) -> Posture | None:
         chosen = constrained_least_squares(
             np.diag(1 / goal.space.scale),
             np.zeros(len(at.q)),
-            *boxed(goal, *_demands(goal, at)[:2], goal.solver.first_step),
+            *boxed(goal, *goal.demands(at)[:2], goal.solver.first_step),
         )
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if there is None:
             return None
         at = there
     return at if goal.allowed(at, SLACK) else None
-
-
-def _demands(goal: Goal, at: Posture) -> tuple[Array, Array, Index]:
-    """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, own constraints, and
-    clearances; and (c,) numbers that name them, by which the rows of two postures can be compared."""
-    rows, bounds = goal.space.inequalities(at.q)
-    slope = at.margin_slope()
-    rows = np.vstack([rows, slope])
-    bounds = np.append(bounds, goal.floor + 1e-9 - at.margin if slope.any() else -np.inf)
-    if goal.extras.constraints:
-        rows = np.vstack([rows, goal.extras.slopes(at)])
-        bounds = np.concatenate([bounds, -goal.extras.room(at)])
-    names = -1 - np.arange(len(rows))
-    if goal.scene.bodies:
-        contacts = goal.ahead(at)
-        rows = np.vstack([rows, at.contact_slopes(goal.scene, contacts)])
-        bounds = np.concatenate([bounds, goal.gap - contacts.distance])
-        names = np.concatenate([names, contacts.body * MOST_CONTACTS + contacts.rank])
-    return rows, bounds, names
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +145,7 @@ class _Descent:
     def _model(self, at: Posture, side: int = 1) -> _Model:
         goal = self.goal
         residual, slope = goal.residual(at), goal.slope(at, side=side) * goal.space.scale
-        rows, bounds, names = _demands(goal, at)
+        rows, bounds, names = goal.demands(at)
         rows, bounds = breakpoint_order(goal, at).kept(at.q, rows, np.minimum(bounds, 0.0))
         square = slope.T @ slope
         square += (goal.solver.closest_curvature + 1e-3 * float(residual @ residual)) * np.eye(len(square))

@@ -121,15 +121,12 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
         if clock.over:
             return
         known = any(np.linalg.norm((shift - other) / task.scale[n:]) < 0.08 for other in found)
-        if not known and _certificate(task, shift) >= task.min_margin + task.margin_room:
+        if known:
+            continue
+        translations = space.split(np.append(np.zeros(n), shift))[1]
+        if _certificate_at(space.robot, translations) >= task.min_margin + task.margin_room:
             found.append(shift)
             yield shift
-
-
-def _certificate(task: Task, shift: Array) -> float:
-    space = task.chart.space
-    q = np.append(np.zeros(space.robot.n_tubes), shift)
-    return _certificate_at(space.robot, space.split(q)[1])
 
 
 @lru_cache(maxsize=8192)
