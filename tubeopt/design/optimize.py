@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice, whole
@@ -16,7 +18,6 @@ from ..stability import snap_free_certificate
 from ..typing import Array, Sentence
 from .collocation import check_collocation
 from .exchange import carry, certified_at, robot_at, violations
-from .force import forced, raised, under_force, without_force
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
@@ -24,8 +25,9 @@ from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
 from .remarks import Dimension, remarks
-from .requirements import SnapFree
+from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
+from .settings import DesignSolver
 from .solve import METHODS, Attempt, Report, solve
 from .task import DesignTask
 from .verify import Check, Verification, solve_again, verify
@@ -166,7 +168,7 @@ def optimize_design(
         check_collocation(task)
     began = time.perf_counter()
     search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
-    one = forced(task)
+    one = _forced(task)
     if one is not None:
         return _bearing(task, one, search, turns, began)
     return solution_of(task, search(task, begin=begin), turns, began)
@@ -203,25 +205,71 @@ def _searched(
 def _bearing(
     task: DesignTask, one: SnapFree, search: Callable[[DesignTask], tuple[Ranking, int]], turns: int, began: float
 ) -> DesignSolution:
-    """The design for a task that names a force; only the one that bears it is verified."""
+    """The design for a task that names a force; only the one that bears it is verified.
+
+    The certificate under force is at most that without, and falls with it. So the floor of that one is raised until the
+    design that is best above it keeps the other, which is computed anew for every such design (see
+    `stability.loaded_certificate`). The answer is the best among designs of that certificate without force; another
+    with a smaller one may bear the force too.
+    """
     known: dict[float, tuple[tuple[Ranking, int], Check]] = {}
 
     def bears(floor: float) -> float:
         try:
-            found = search(without_force(task, one, floor))
+            found = search(_without_force(task, one, floor))
         except InfeasibleDesignError as error:
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
         best = found[0].designs[0]
-        value, check = under_force(best.program, robot_at(best.program, best.x), one)
+        value, check = _under_force(best.program, robot_at(best.program, best.x), one)
         known[floor] = found, check
         return value
 
-    floor = raised(one, bears, task.solver)
+    floor = _raised(one, bears, task.solver)
     found, check = known[floor]
-    solution = solution_of(without_force(task, one, floor), found, turns, began)
+    solution = solution_of(_without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
+
+
+def _forced(task: DesignTask) -> SnapFree | None:
+    """The requirement that names a force; None without one."""
+    return next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
+
+
+def _without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:
+    """The task with a floor of the certificate without force in place of the requirement."""
+    plain = replace(one, margin=floor, max_force=0.0)
+    return replace(task, requirements=tuple(plain if each is one else each for each in task.requirements))
+
+
+def _under_force(program: Program, robot: ConcentricRobot, one: SnapFree) -> tuple[float, Check]:
+    """The certificate of a design under the force that a requirement names, at all translations for which it was asked,
+    and the check that says so."""
+    rows = certified_at(program, robot)
+    value = min(snap_free_certificate(robot, np.array(row), max_force=one.max_force) for row in rows)
+    words = f"certificate under forces on the tip of up to {one.max_force * 1e3:g} mN"
+    return value, Check(words, f"{value:.5f}", value >= one.margin)
+
+
+def _raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver) -> float:
+    """The least floor, to `force_accuracy`, whose design bears the force; `bears` tells the certificate under it."""
+    low, high = one.margin, None
+    floor = one.margin
+    for _ in range(solver.force_rounds):
+        short = one.margin - bears(floor)
+        if short <= 0:
+            high = floor
+            if high - low <= solver.force_accuracy:
+                return high
+            # What is in hand, but not all of it: the two certificates do not fall alike.
+            floor = max((low + high) / 2, high + 0.9 * short)
+            continue
+        low = floor
+        floor = min(floor + 1.1 * short + solver.force_accuracy / 2, (low + (1.0 if high is None else high)) / 2)
+    if high is None:
+        raise SolveError(f"no design was found that bears {one.max_force * 1e3:g} mN: the floor reached {low:.4f}")
+    return high
 
 
 def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:

@@ -105,9 +105,3 @@ def pareto_front(
         if progress is not None:
             progress(k + 1, len(tasks))
     return ParetoFront(task, key_of(one), tuple(points), None)
-
-
-def front_label(front: ParetoFront) -> tuple[str, str, float]:
-    """Name, unit and factor of the front's objective."""
-    (one,) = front.task.objectives
-    return one.words, one.unit, one.factor

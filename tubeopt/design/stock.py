@@ -199,9 +199,3 @@ def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) 
         return Candidate(sizes, bound, None, None, f"infeasible: {error}")
     value = objective_value(found.program, state_at(found.program, found.x), task.objectives[0])[0]
     return Candidate(sizes, bound, value, robot_at(found.program, found.x), "design")
-
-
-def objective_label(task: DesignTask) -> tuple[str, str, float]:
-    """Name, unit and factor of the objective that candidates are ranked by."""
-    one = task.objectives[0]
-    return one.words, one.unit, one.factor

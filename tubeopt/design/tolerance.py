@@ -8,6 +8,7 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
+import scipy
 
 from ..block.transcription.mesh import make_mesh
 from ..block.transcription.reduced import reduce
@@ -22,9 +23,6 @@ from ..stability import snap_free_certificate
 from ..stability.certificate import least_of_worst_case
 from ..typing import Array
 from .pool import Progress, run_all
-
-NORMAL_95 = 1.959963984540054
-"""Half width of the 95 % interval of the normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +108,12 @@ def tolerance_analysis(
         parts = run_all(partial(_batch, translations=where, poses=tuple(poses)), batches, pool, progress)
     certificate, tip = (np.concatenate([part[k] for part in parts]) for k in range(2))
     gap = np.linalg.norm(tip - nominal[1], axis=2)
-    share = float((certificate > 0).mean())
+    free = int((certificate > 0).sum())
+    interval = scipy.stats.binomtest(free, samples).proportion_ci(0.95, method="wilson")
     return ToleranceAnalysis(
         certificate=certificate,
-        snap_free=share,
-        interval=wilson(share, samples),
+        snap_free=free / samples,
+        interval=(float(interval.low), float(interval.high)),
         margin=margin,
         margin_kept=float((certificate >= margin).mean()),
         tip=tip,
@@ -122,14 +121,6 @@ def tolerance_analysis(
         spread_95=np.nanquantile(gap, 0.95, axis=0),
         failed=int(np.isnan(gap).any(axis=1).sum()),
     )
-
-
-def wilson(share: float, count: int) -> tuple[float, float]:
-    """95 % interval of a probability of which a share of `count` trials was seen (Wilson 1927)."""
-    z2 = NORMAL_95**2 / count
-    middle = (share + z2 / 2) / (1 + z2)
-    half = np.sqrt(z2 * (share * (1 - share) + z2 / 4)) / (1 + z2)
-    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
 
 
 def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, seed: int = 0) -> list[tuple[Tube, ...]]:

@@ -16,8 +16,8 @@ from ..robots.load import Load
 from ..robots.tubes import piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
-from .deflection import STRONGEST
 from .drawn import draw
+from .lookup import STRONGEST
 from .requirements import Strain
 from .verify_tubes import largest_strain, least_room
 
