@@ -31,7 +31,7 @@ from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
 from .program import BOUNDED, Program, objective_size, objective_value, state_at
 from .requirements import Avoid, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
-from .rows import joint_rows, order_rows
+from .rows import linear_rows
 from .solve_one import Attempt, attempt
 from .state import Via
 from .task import DesignTask
@@ -115,7 +115,8 @@ class _Collocated:
         for k in range(len(layout.poses)):
             self._block(k)
         self._known: dict[Quantity, Any] = {}
-        self._linear()
+        values, slopes = linear_rows(self.state, program.task.places, program.task.robot.joint_limits)
+        self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
         for statement in chain.from_iterable(program.stated):
             self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
         size = objective_size(program, self.state)
@@ -143,7 +144,7 @@ class _Collocated:
 
     def _at_least(self, expression: Any, size: float = 1.0) -> None:
         # What no unknown moves was kept at the start.
-        if ca.depends_on(expression, self.opti.x):
+        if expression.numel() and ca.depends_on(expression, self.opti.x):
             self.opti.subject_to(ca.vec(expression) / size >= 0)
 
     # --- quantities ---------------------------------------------------------------------------------------------------
@@ -197,14 +198,6 @@ class _Collocated:
         return 1 - root
 
     # --- what is posed ------------------------------------------------------------------------------------------------
-
-    def _linear(self) -> None:
-        """Order of the tubes and limits of the joints, which are linear in the unknowns."""
-        task = self.program.task
-        parts = joint_rows(self.state, task.robot.joint_limits), order_rows(self.state, task.places)
-        for values, slopes in parts:
-            if len(values):
-                self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
 
     def _aim(self, one: AnyObjective) -> Any:
         """An objective in its own sign, SI; of several numbers an unknown that none is worse than."""

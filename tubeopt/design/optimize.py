@@ -289,14 +289,11 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
         found = following
 
 
-def _the(name: str) -> str:
-    return name if name.startswith("an ") else f"the {name}"
-
-
 def infeasible(ranking: Ranking) -> InfeasibleDesignError:
     """What to raise where no start is feasible."""
     name, count = next(iter(ranking.failures.items()))
-    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {_the(name)}"
+    limit = name if name.startswith("an ") else f"the {name}"
+    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {limit}"
     ways = smallest_relaxations(ranking.failed)
     if not ways:
         return InfeasibleDesignError(

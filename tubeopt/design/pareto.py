@@ -40,24 +40,20 @@ class ParetoFront:
     ended: float | None
 
 
-def with_margin(task: DesignTask, margin: float) -> DesignTask:
-    """The task with another margin demanded."""
-    changed = tuple(
-        replace(one, margin=margin) if isinstance(one, SnapFree | SnapFreeInUse) else one for one in task.requirements
-    )
-    return replace(task, requirements=changed)
-
-
 def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
     """Margins in order of size, each with the task in which it is demanded."""
     if not len(margins):
         raise InputError("margins is empty; a front needs at least one")
     if len(task.objectives) > 1 or key_of(task.objectives[0]) == "margin":
         raise InputError("a front needs one objective, and that other than the margin itself")
-    if not any(isinstance(one, SnapFree | SnapFreeInUse) for one in task.requirements):
+    margined = SnapFree | SnapFreeInUse
+    if not any(isinstance(one, margined) for one in task.requirements):
         raise InputError("a front needs a certificate or a margin in use among the requirements")
-    ordered = sorted(finite("a margin of the front", m) for m in margins)
-    return [(margin, with_margin(task, margin)) for margin in ordered]
+    out = []
+    for margin in sorted(finite("a margin of the front", m) for m in margins):
+        asked = [replace(one, margin=margin) if isinstance(one, margined) else one for one in task.requirements]
+        out.append((margin, replace(task, requirements=tuple(asked))))
+    return out
 
 
 def pareto_front(

@@ -21,7 +21,7 @@ from .lookup import at_state
 from .objectives import POSED as OF_POSES
 from .objectives import AnyObjective, Objective, key_of
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .rows import Rows, joint_rows, order_rows, stated_rows
+from .rows import Rows, linear_rows, stated_rows
 from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
 from .statements import Points, Statement, statements
@@ -75,7 +75,7 @@ class Program:
     """A task with what exchange has added, laid out as unknowns and rows.
 
     own: for every requirement, the poses that are its own.  depth_pose: that of the objective reach_radius.
-    stated: every one of `requirements` as expressions; aims: the objectives that are expressions.
+    stated: every requirement as expressions; aims: the objectives that are expressions.
     elastic: whether every group of rows has a slack, of which the sum is minimised in place of the objective.
     """
 
@@ -98,13 +98,9 @@ class Program:
         """Numbers of the task poses, without those on the way."""
         return tuple(k for k, pose in enumerate(self.layout.poses) if not isinstance(pose, Via))
 
-    @property
-    def requirements(self) -> tuple[Requirement, ...]:
-        """Those of the task, and that poses be stable where nothing else says so."""
-        return _all_requirements(self.task)
-
 
 def _all_requirements(task: DesignTask) -> tuple[Requirement, ...]:
+    """Those of the task, and that poses be stable where nothing else says so."""
     given = task.requirements
     speaks = of_kind(given, SnapFree) + of_kind(given, SnapFreeInUse)
     return given if speaks or not task.has_poses else (*given, STABLE)
@@ -276,8 +272,8 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
 def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     """Rows that are never relaxed: joint limits, the order of the tubes, the depth of the reach, the bounds behind
     strain and margin."""
-    jointed = joint_rows(state, program.task.robot.joint_limits), order_rows(state, program.task.places)
-    parts, changes = [values for values, _ in jointed], [slopes for _, slopes in jointed]
+    linear = linear_rows(state, program.task.places, program.task.robot.joint_limits)
+    parts, changes = [linear[0]], [linear[1]]
     look = at_state(state)
     for one in built_in(program.task.objectives):
         if one.depth is not None and program.depth_pose is not None:

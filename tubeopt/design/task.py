@@ -123,14 +123,9 @@ def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
     return found
 
 
-def least_straight(task: DesignTask) -> list[float]:
-    """Least straight length that every tube may get, m: how far it may be advanced from home."""
-    least: list[float] = extreme_lengths(task, "lower")["straight_length"].tolist()
-    return least
-
-
 def _advanced(task: DesignTask, row: Sequence[float]) -> None:
-    for i, (shift, most) in enumerate(zip(row, least_straight(task), strict=True)):
+    least = extreme_lengths(task, "lower")["straight_length"].tolist()
+    for i, (shift, most) in enumerate(zip(row, least, strict=True)):
         if shift > most + 1e-12:
             raise InputError(
                 f"translation of tube {i + 1} is {shift:g} m; it must be at most the least straight length that the "
