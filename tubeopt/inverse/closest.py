@@ -35,7 +35,7 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     descent = _Descent(goal)
     here = descent.minimum(first)
     for _ in range(goal.solver.closest_orders):
-        there = descent.across(here) if descent.solves < goal.solver.closest_postures and not goal.late else None
+        there = descent.across(here) if descent.solves < goal.solver.closest_postures and not goal.clock.over else None
         if there is None:
             break
         here = descent.minimum(there)
@@ -54,7 +54,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None
     for ends in groups:
         least, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
-            if agreeing >= goal.solver.closest_agreeing or (best is not None and goal.late):
+            if agreeing >= goal.solver.closest_agreeing or (best is not None and goal.clock.over):
                 break
             found = approach(goal, end)
             if found is None:
@@ -125,7 +125,7 @@ class _Descent:
         here, size, side = self._model(start), self.goal.solver.first_step, 1
         hessian = here.square
         for _ in range(self.goal.solver.closest_steps):
-            if self.solves >= self.goal.solver.closest_postures or self.goal.late:
+            if self.solves >= self.goal.solver.closest_postures or self.goal.clock.over:
                 break
             there, size, force = self._step(here, hessian, size)
             if there is None and side > 0 and len(here.at.q) > self.goal.space.robot.n_tubes:

@@ -45,7 +45,7 @@ def reach(goal: Goal, start: Posture) -> Search:
         slope = np.vstack([goal.slope(here, side=side), across])
         rows, bounds = goal.inequalities(here)
         there, promised, touched = None, 0.0, len(goal.touched)
-        while there is None and not goal.late:
+        while there is None and not goal.clock.over:
             chosen = _towards(goal, slope, missing, rows, bounds, step)
             promised = sizes[-1] - float(np.linalg.norm(missing + slope @ chosen.x)) if chosen is not None else 0.0
             if chosen is None or promised <= solver.least_promise * sizes[-1] or step < solver.shortest_step:
@@ -56,11 +56,11 @@ def reach(goal: Goal, start: Posture) -> Search:
                 step = 0.35 * min(step, _length(goal, chosen.x))
                 if len(goal.touched) > touched:
                     (rows, bounds), touched = goal.inequalities(here), len(goal.touched)
-        if there is None and side > 0 and not goal.late and not _done(goal, here, 1e-8):
+        if there is None and side > 0 and not goal.clock.over and not _done(goal, here, 1e-8):
             # Breakpoints may coincide: what holds forwards may not hold backwards.
             side, step = -1, 0.5 * solver.first_step
             continue
-        if there is None or _stagnant(sizes, solver.patience) or goal.late:
+        if there is None or _stagnant(sizes, solver.patience) or goal.clock.over:
             here = here if there is None else there
             return Search(here, _done(goal, here, 1e-8), iteration, solves)
         here, side = there, 1
@@ -133,7 +133,7 @@ def improve(goal: Goal, start: Posture) -> Search:
         if there is None:
             return Search(here, True, iteration, path.solves)
         here = there
-        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.late:
+        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.clock.over:
             return Search(here, True, iteration + 1, path.solves)
         step = min(1.8 * step, goal.solver.first_step)
     return Search(here, True, goal.solver.improving_steps, path.solves)
@@ -151,7 +151,7 @@ class _Path:
         slope, residual = goal.slope(here), goal.residual(here)
         order = breakpoint_order(goal, here)
         limits, touched = order.kept(here.q, *goal.inequalities(here)), len(goal.touched)
-        while step > 1e-4 and not goal.late:
+        while step > 1e-4 and not goal.clock.over:
             chosen = _downhill(goal, here, (slope, residual), limits, step)
             if chosen is None or _length(goal, chosen.x) < 1e-7:
                 return None, step

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..bodies.scene import Scene
 from ..typing import Array, Index
+from .clock import Clock
 from .extra import NOTHING, Extras
 from .joints import JointSpace
 from .outline import MOST_CONTACTS, Contacts
@@ -27,7 +27,7 @@ class Goal:
     makes |t - direction|^2 a cost of that weight.
     min_margin, clearance (m) of all bodies of the scene: what must hold.
     objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
-    until: moment of `time.perf_counter` at which searches end where they are.   solver: how hard they search.
+    clock: when it is over, searches end where they are.   solver: how hard they search.
     touched: numbers of bodies that an arm was found too close to, which are looked at however many are closer.
     """
 
@@ -42,19 +42,9 @@ class Goal:
     reference: Array
     weights: Array
     extras: Extras = NOTHING
-    until: float = np.inf
+    clock: Clock = field(default_factory=lambda: Clock(np.inf))
     solver: InverseSolver = DEFAULT_SOLVER
     touched: set[int] = field(default_factory=set, init=False)
-
-    @property
-    def left(self) -> float:
-        """Seconds that a search may take."""
-        return max(0.0, self.until - time.perf_counter())
-
-    @property
-    def late(self) -> bool:
-        """Whether time is over."""
-        return self.left == 0.0
 
     @property
     def pointed(self) -> bool:

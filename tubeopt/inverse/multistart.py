@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -69,7 +68,6 @@ class Multistart:
     first: Posture | None
     near: bool
     options: InverseOptions
-    began: float
     tries: int = 0
     clear: int = 0
     """Of the tries, those from starts that are clear of the obstacles."""
@@ -145,7 +143,7 @@ class Multistart:
                 found = True
                 yield answer, False
         for start in self._starts(4 * most):
-            if self.goal.late or self.tries >= most or (not found and self._hopeless()):
+            if self.goal.clock.over or self.tries >= most or (not found and self._hopeless()):
                 break
             answers = list(self._from(start, "table"))
             if not answers:
@@ -160,7 +158,7 @@ class Multistart:
             return
         self.ends.append([])
         for start in self.stalled[: self.goal.solver.program_starts]:
-            if self.goal.late:
+            if self.goal.clock.over:
                 return
             yield from self._finished(self._by_program(start), "table", "nlp")
 
@@ -171,23 +169,18 @@ class Multistart:
         self.ends.append([])
         clear = (start for start in self._starts(self.goal.solver.pool) if self.goal.violation(start) == 0)
         for start in islice(clear, self.goal.solver.clear_starts):
-            if self.goal.late:
+            if self.goal.clock.over:
                 return
             before = self.tries
             yield from self._from(start, "table")
             self.clear += self.tries - before
-
-    @property
-    def seconds(self) -> float:
-        """Seconds since the question was asked."""
-        return time.perf_counter() - self.began
 
     def _starts(self, most: int) -> Iterator[Posture]:
         """Stable postures of the table, the most promising first; they may be in an obstacle."""
         goal = self.goal
         reference = goal.reference if self.near else None
         target = (goal.position, goal.direction)
-        known = known_starts(goal.space, Clock(goal.left))
+        known = known_starts(goal.space, goal.clock)
         near = nearest_starts(
             goal.space, known, target, min_margin=goal.floor, reference=reference, solver=self.goal.solver
         )
@@ -293,14 +286,16 @@ class Multistart:
             straight_from_seed=straight,
             active=tuple(held_by(goal, at)),
             status=status,
-            statistics=InverseStatistics(method, name, max(self.tries, 1), self.iterations, self.solves, self.seconds),
+            statistics=InverseStatistics(
+                method, name, max(self.tries, 1), self.iterations, self.solves, goal.clock.seconds
+            ),
             reachable=None if way is None else True,
             way=way,
         )
 
     def failure(self, on_failure: str) -> InverseSolution:
         """The closest pose, returned or raised with a message that says by how far the target is missed, and why."""
-        goal, late = self.goal, self.goal.late
+        goal, late = self.goal, self.goal.clock.over
         search = closest_of(goal, self.ends)
         if search is None:
             raise SolveError(self._without_a_pose(late))

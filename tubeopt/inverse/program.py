@@ -45,7 +45,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
     for _ in range(goal.solver.program_orders + 1):
-        if goal.left < building(goal):
+        if goal.clock.left < building(goal):
             break
         found, count, crossed = _solve_order(goal, here)
         iterations += count
@@ -105,7 +105,7 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
 
 def _in_time(goal: Goal) -> Ipopt:
     """Settings with the time that is left, cut to a power of two: a solver is built for every time limit."""
-    left = max(goal.left, building(goal))
+    left = max(goal.clock.left, building(goal))
     return SETTINGS if left == math.inf else replace(SETTINGS, time_limit=2.0 ** math.floor(math.log2(left)))
 
 

@@ -17,6 +17,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
+from .clock import Clock
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, angle
 from .joints import Configuration
@@ -131,8 +132,7 @@ class IkSession:
         pointing = None if direction is None else unit_vector("direction", direction)
         if self._here is None:
             return [self._first(target, pointing)]
-        until = time.perf_counter() + self._time_limit
-        goal = replace(self._goal, position=target, direction=pointing, until=until)
+        goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._time_limit))
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
         before = self._here, self._near, self._solution
@@ -152,7 +152,7 @@ class IkSession:
             end = done + share if done + share < 1 - 1e-9 else 1.0
             began = time.perf_counter()
             assert self._here is not None
-            if goal.late:
+            if goal.clock.over:
                 raise SolveError(_stalled(goal, self._here))
             part = goal if end == 1 else _between(goal, first, end)
             there, near, solves = self._step((part, goal), self._here, self._near)
@@ -346,7 +346,7 @@ def _servo(
 
 
 def _stalled(goal: Goal, at: Posture) -> str:
-    if goal.late:
+    if goal.clock.over:
         return f"the time ran out on the way to the target: {missed_by(goal, at)}"
     why = ", ".join(held_by(goal, at)) or "the branch of equilibria does not lead on"
     return f"the target cannot be reached from here: {missed_by(goal, at)}: {why}"

@@ -120,7 +120,7 @@ def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> In
     """The answer with a way to it from a posture, its `reachable` False where none is found in time."""
     if answer.way is not None:
         return answer
-    found, solver, seconds = None, goal.solver, min(goal.solver.way_seconds, goal.left)
+    found, solver, seconds = None, goal.solver, min(goal.solver.way_seconds, goal.clock.left)
     if begin is not None and seconds > 0:
         ends = begin.equilibrium, answer.equilibrium
         found = snap_free_way(goal.space, *ends, seconds=seconds, least_margin=solver.way_margin)
