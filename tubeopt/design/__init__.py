@@ -31,7 +31,8 @@ from .settings import DesignSolver
 from .stock import Candidate, StockChoice, StockTube, choose_from_stock
 from .task import DesignTask
 from .tolerance import ToleranceAnalysis, Tolerances, tolerance_analysis
-from .verify import Check, Verification, count_snaps
+from .verify import Verification, count_snaps
+from .verify_tubes import Check
 
 __all__ = [
     "Avoid",

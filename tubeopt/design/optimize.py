@@ -30,7 +30,8 @@ from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
 from .solve import METHODS, Attempt, Report, solve
 from .task import DesignTask
-from .verify import Check, Verification, solve_again, verify
+from .verify import Verification, solve_again, verify
+from .verify_tubes import Check
 
 
 class DesignStatus(Sentence):

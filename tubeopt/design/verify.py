@@ -30,19 +30,10 @@ from .requirements import (
     of_kind,
 )
 from .verify_own import check_own, numbers_of
-from .verify_tubes import check_tubes, least_room
+from .verify_tubes import Check, check_tubes, least_room
 
 SLACK = 1e-6
 """By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One promise: what it is, what was found, whether it is kept."""
-
-    what: str
-    found: str
-    kept: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +103,11 @@ def verify(
         if isinstance(one, SnapFree):
             checks += _certificate(program, robot, one, turns)
         elif isinstance(one, SnapFreeInUse) and equilibria:
-            least = min(e.margin for e in equilibria)
-            checks.append(Check("margin at the task poses", f"{least:.4f}", least >= one.margin - one.tolerance))
+            arms = {"margin at the task poses": equilibria}
             if one.deployed:
-                least = min(e.margin for e in on_the_way(robot, equilibria))
-                words = "margin on the way out to the task poses"
+                arms["margin on the way out to the task poses"] = on_the_way(robot, equilibria)
+            for words, some in arms.items():
+                least = min(e.margin for e in some)
                 checks.append(Check(words, f"{least:.4f}", least >= one.margin - one.tolerance))
             if one.paths and len(equilibria) > 1:
                 checks.append(_paths(program, robot, x, one))
@@ -125,8 +116,8 @@ def verify(
         elif isinstance(one, Avoid):
             checks.append(_anatomy(one, robot, equilibria))
         elif isinstance(one, OwnRequirement):
-            checks.append(Check(*check_own(one, robot, equilibria)))
-        checks += [Check(*found) for found in check_tubes(one, robot, equilibria)]
+            checks.append(check_own(one, robot, equilibria))
+        checks += check_tubes(one, robot, equilibria)
     checks += _order(program, robot, equilibria)
     checks += _tips(program, equilibria)
     return Verification(tuple(checks))
@@ -176,9 +167,9 @@ def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array], count: int
     return [Check(words, f"{least:.5f}", least >= one.margin - one.tolerance - SLACK)]
 
 
-def on_the_way(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Equilibrium]:
+def on_the_way(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> tuple[Equilibrium, ...]:
     """Arms on their way out to poses."""
-    return [draw(robot, one, share) for one in equilibria for share in SHARES]
+    return tuple(draw(robot, one, share) for one in equilibria for share in SHARES)
 
 
 def _order(program: Program, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
@@ -208,13 +199,8 @@ def _stroke_force(one: StrokeForce, robot: ConcentricRobot, equilibria: tuple[Eq
 
 def _anatomy(one: Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
     drawn = on_the_way(robot, equilibria) if one.deployed else ()
-    room = min((clearance(one, robot, e) for e in (*equilibria, *drawn)), default=np.inf)
+    room = min((least_room(one, robot, e) for e in (*equilibria, *drawn)), default=np.inf) - one.clearance
     return Check("room between the arm and the obstacles at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
-
-
-def clearance(one: Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
-    """Least room (m) between the surface of the arm at its shape points and the anatomy, beyond what is demanded."""
-    return least_room(one, robot, equilibrium) - one.clearance
 
 
 def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:

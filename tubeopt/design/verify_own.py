@@ -19,7 +19,7 @@ from ..typing import Array
 from .drawn import draw
 from .lookup import STRONGEST
 from .requirements import Strain
-from .verify_tubes import largest_strain, least_room
+from .verify_tubes import Check, largest_strain, least_room
 
 MISSED = 1e-6
 """Part of a step by which an own requirement may be missed."""
@@ -69,14 +69,13 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
     return look
 
 
-def check_own(one: OwnRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> tuple[str, str, bool]:
-    """An own requirement: what it is, what was found, and whether it is kept."""
+def check_own(one: OwnRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
+    """What becomes of an own requirement."""
     pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
     expression = recorded(one.expression, robot.n_tubes, len(equilibria), one.words, pieces)
     try:
         least = float(expression(numbers_of(robot, equilibria)).min())
     except FloatingPointError:
-        return one.words, "not a finite number", False
+        return Check(one.words, "not a finite number", False)
     value = one.limit - least if one.most else one.limit + least
-    kept = least >= -MISSED * one.size
-    return one.words, f"{value * one.factor:.6g} {one.unit}".strip(), kept
+    return Check(one.words, f"{value * one.factor:.6g} {one.unit}".strip(), least >= -MISSED * one.size)

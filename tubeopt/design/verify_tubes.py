@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -18,11 +19,17 @@ from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 MISSED = 1e-6
 """Part of a limit by which it may be missed."""
 
-Finding = tuple[str, str, bool]
-"""A promise, what was found, whether it is kept."""
+
+@dataclass(frozen=True)
+class Check:
+    """One promise: what it is, what was found, whether it is kept."""
+
+    what: str
+    found: str
+    kept: bool
 
 
-def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Finding]:
+def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
     """What becomes of a promise about tubes; nothing for other requirements."""
     match one:
         case Strain(limits=limits):
@@ -30,20 +37,21 @@ def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equi
             worst = int(np.argmax(found / np.array(limits)))
             where = ["held straight"] * one.straightened + ["at the task poses"] * (one.in_poses and bool(equilibria))
             words = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
-            return [(words, f"{found[worst] * 100:.4f} %", bool((found <= np.array(limits) * (1 + MISSED)).all()))]
+            kept = bool((found <= np.array(limits) * (1 + MISSED)).all())
+            return [Check(words, f"{found[worst] * 100:.4f} %", kept)]
         case Wall(thickness=limit):
             least = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)
-            return [("least wall thickness", _mm(least), least >= limit * (1 - MISSED))]
+            return [Check("least wall thickness", _mm(least), least >= limit * (1 - MISSED))]
         case Nesting(clearance=limit) if robot.n_tubes > 1:
             least = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
-            return [("least clearance of the diameters", _mm(least), least >= limit - 1e-3 * MISSED)]
+            return [Check("least clearance of the diameters", _mm(least), least >= limit - 1e-3 * MISSED)]
         case Length(field=field, tube=i, limit=limit, least=at_least):
             value = getattr(robot.tubes[i], field)
             kept = value >= limit * (1 - MISSED) if at_least else value <= limit * (1 + MISSED)
-            return [(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(value), kept)]
+            return [Check(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(value), kept)]
         case Stroke(limit=limit) if equilibria:
             travel = float(np.ptp([e.translations for e in equilibria], axis=0).max())
-            return [("longest travel of a carriage", _mm(travel), travel <= limit * (1 + MISSED))]
+            return [Check("longest travel of a carriage", _mm(travel), travel <= limit * (1 + MISSED))]
         case _:
             return []
 

@@ -146,41 +146,39 @@ class IkSession:
         """Answers along the line from a posture to a goal, in parts that are halved where the robot would leap."""
         answers: list[InverseSolution] = []
         most = 1 / _parts(goal, first)
-        done, share = 0.0, most
+        done, share, here = 0.0, most, first
         while done < 1:
             share = min(share, 1 - done)
             end = done + share if done + share < 1 - 1e-9 else 1.0
             began = time.perf_counter()
-            assert self._here is not None
             if goal.clock.over:
-                raise SolveError(_stalled(goal, self._here))
+                raise SolveError(_stalled(goal, here))
             part = goal if end == 1 else _between(goal, first, end)
-            there, near, solves = self._step((part, goal), self._here, self._near)
-            words, safe = leap(goal, self._here, there)
-            if words and share > most * goal.solver.session_part and self._finer(goal, first, (done, share)):
+            there, near, solves = self._step((part, goal), here, self._near)
+            words, safe = leap(goal, here, there)
+            if words and share > most * goal.solver.session_part and self._finer(goal, (first, here), done + share / 2):
                 share /= 2
                 continue
-            answers.append(self._keep(part, there, near, (words, safe, solves, began)))
-            done, share = end, min(2 * share, most)
-        return answers if len(answers) == 1 else self._merged(goal, first, answers)
-
-    def _merged(self, goal: Goal, first: Posture, answers: list[InverseSolution]) -> list[InverseSolution]:
-        """The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere."""
-        assert self._here is not None
-        words, safe = leap(goal, first, self._here)
+            answers.append(self._keep(part, (here, there), near, (words, safe, solves, began)))
+            done, share, here = end, min(2 * share, most), there
+        if len(answers) == 1:
+            return answers
+        # The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere.
+        words, safe = leap(goal, first, here)
         if words:
             return answers
-        way = joint_way(LAST, goal.space, [first.q, self._here.q])
+        way = joint_way(LAST, goal.space, [first.q, here.q])
         self._solution = replace(
             answers[-1], way=way, straight_from_seed=safe, leaps="", statistics=_summed([a.statistics for a in answers])
         )
         return [self._solution]
 
-    def _finer(self, goal: Goal, first: Posture, part: tuple[float, float]) -> bool:
-        """Whether the branch leads half of a part farther, too; a leap is better than no answer."""
-        assert self._here is not None
+    def _finer(self, goal: Goal, postures: tuple[Posture, Posture], share: float) -> bool:
+        """Whether the branch leads to a share of the way, too, from the first posture to the goal, and there from the
+        second; a leap is better than no answer."""
+        first, here = postures
         try:
-            self._step((_between(goal, first, part[0] + part[1] / 2), goal), self._here, self._near)
+            self._step((_between(goal, first, share), goal), here, self._near)
         except SolveError:
             return False
         return True
@@ -228,12 +226,11 @@ class IkSession:
         return other.posture, None, solves + search.solves + other.solves
 
     def _keep(
-        self, goal: Goal, at: Posture, near: _Slopes | None, how: tuple[str, bool, int, float]
+        self, goal: Goal, postures: tuple[Posture, Posture], near: _Slopes | None, how: tuple[str, bool, int, float]
     ) -> InverseSolution:
-        """The answer at a posture, which the session is at from now on."""
+        """The answer at the second of two postures, which the session is at from now on, after the first."""
+        (before, at), (words, safe, solves, began) = postures, how
         equilibrium = at.equilibrium
-        words, safe, solves, began = how
-        assert self._here is not None
         answer = InverseSolution(
             robot=self._robot,
             target_position=goal.position,
@@ -250,7 +247,7 @@ class IkSession:
             status=InverseStatus.REACHED,
             statistics=InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
             reachable=True if safe else None,
-            way=joint_way(LAST, goal.space, [self._here.q, at.q]) if safe else None,
+            way=joint_way(LAST, goal.space, [before.q, at.q]) if safe else None,
             leaps=words,
         )
         self._here, self._near, self._solution = at, near, answer

@@ -16,7 +16,7 @@ from ..design.pareto import ParetoFront
 from ..design.remarks import Dimension
 from ..design.sensitivities import Sensitivity
 from ..design.tolerance import ToleranceAnalysis
-from ..design.verify import Check
+from ..design.verify_tubes import Check
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.files import write_text
