@@ -13,7 +13,8 @@ from ..solvers.parallel.executors import executor
 from ..typing import Array
 from .pool import Progress, run_all
 from .program import Program
-from .solve import Attempt, Report, solve
+from .solve import solve
+from .solve_one import Attempt, Report
 from .starts import start_values
 
 

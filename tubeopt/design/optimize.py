@@ -28,7 +28,8 @@ from .remarks import Dimension, remarks
 from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
-from .solve import METHODS, Attempt, Report, solve
+from .solve import METHODS, solve
+from .solve_one import Attempt, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
 from .verify_tubes import Check

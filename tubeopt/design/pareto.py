@@ -14,7 +14,8 @@ from .optimize import infeasible, settle
 from .pool import Progress
 from .program import compile_task, objective_value, recompiled, state_at
 from .requirements import SnapFree, SnapFreeInUse
-from .solve import Attempt, solve
+from .solve import solve
+from .solve_one import Attempt
 from .task import DesignTask
 
 

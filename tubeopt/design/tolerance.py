@@ -10,17 +10,13 @@ from typing import Annotated
 import numpy as np
 import scipy
 
-from ..block.transcription.mesh import make_mesh
-from ..block.transcription.reduced import reduce
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector, whole
 from ..files.marks import NOT_NEGATIVE, OneOf, unit
-from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import OfCrossSection, Tube
 from ..solvers.parallel.executors import executor
 from ..stability import snap_free_certificate
-from ..stability.certificate import least_of_worst_case
 from ..typing import Array
 from .pool import Progress, run_all
 
@@ -169,17 +165,10 @@ def _batch(
     certificates = np.empty(len(batch))
     tips = np.full((len(batch), len(poses), 3), np.nan)
     for k, tubes in enumerate(batch):
-        straight = np.array([tube.straight_length for tube in tubes])
-        certificates[k] = min(_certificate(tubes, np.minimum(row, straight)) for row in translations)
+        robot, straight = ConcentricRobot(tubes), np.array([tube.straight_length for tube in tubes])
+        certificates[k] = min(snap_free_certificate(robot, np.minimum(row, straight)) for row in translations)
         if poses:
             rotations, shift = (np.array([pose[part] for pose in poses], dtype=float) for part in (0, 1))
-            found = forward_kinematics_batch(ConcentricRobot(tubes), rotations, np.minimum(shift, straight))
+            found = forward_kinematics_batch(robot, rotations, np.minimum(shift, straight))
             tips[k, found.stable] = found.tip_position[found.stable]
     return certificates, tips
-
-
-def _certificate(tubes: tuple[Tube, ...], translations: Array) -> float:
-    if any(tube.general for tube in tubes):
-        return snap_free_certificate(ConcentricRobot(tubes), translations)
-    assembly = assemble(tubes, translations)
-    return least_of_worst_case(reduce(assembly, make_mesh(assembly)))
