@@ -85,7 +85,7 @@ class Multistart:
         wanted = self.goal.solver.compared if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
-        for answer, from_seed in self._by_starts(self.options.starts):
+        for answer, from_seed in self._by_starts():
             if from_seed:
                 return answer
             (good if answer.cold_start_agrees else doubtful).append(answer)
@@ -111,7 +111,7 @@ class Multistart:
     def all(self) -> list[InverseSolution]:
         """Distinct answers, best first."""
         self.everywhere = True
-        found = [answer for answer, _ in self._by_starts(self.options.starts)]
+        found = [answer for answer, _ in self._by_starts()]
         found += self._by_programs()
         if not found:
             found += self._by_clear_starts()
@@ -130,9 +130,9 @@ class Multistart:
         q = self.goal.space.join(answer.rotations, answer.translations)
         return float(np.linalg.norm(self.goal.weights * (q - self.goal.reference)))
 
-    def _by_starts(self, most: int) -> Iterator[tuple[InverseSolution, bool]]:
+    def _by_starts(self) -> Iterator[tuple[InverseSolution, bool]]:
         """Answers from the seed and from the table, and whether they come from the seed."""
-        found, space = False, self.goal.space
+        found, space, most = False, self.goal.space, self.options.starts
         self.ends.append([])
         if self.first is not None:
             for answer in self._from(self.first, "seed"):
