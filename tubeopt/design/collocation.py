@@ -115,7 +115,7 @@ class _Collocated:
         for k in range(len(layout.poses)):
             self._block(k)
         self._known: dict[Quantity, Any] = {}
-        values, slopes = linear_rows(self.state, program.task.places, program.task.robot.joint_limits)
+        values, slopes = linear_rows(self.state, program.task)
         self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
         for statement in chain.from_iterable(program.stated):
             self._at_least(statement.expression(self.look) / statement.limit.size - self.held)

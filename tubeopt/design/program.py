@@ -272,8 +272,8 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
 def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     """Rows that are never relaxed: joint limits, the order of the tubes, the depth of the reach, the bounds behind
     strain and margin."""
-    linear = linear_rows(state, program.task.places, program.task.robot.joint_limits)
-    parts, changes = [linear[0]], [linear[1]]
+    values, change = linear_rows(state, program.task)
+    parts, changes = [values], [change]
     look = at_state(state)
     for one in built_in(program.task.objectives):
         if one.depth is not None and program.depth_pose is not None:

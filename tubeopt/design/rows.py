@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..block.own import OwnRequirement
-from ..robots.limits import JointLimits
 from ..typing import Array
 from .lookup import at_state
-from .order import Place, gaps_of, order_gaps
+from .order import gaps_of, order_gaps
 from .requirements import (
     Avoid,
     Coverage,
@@ -28,6 +27,7 @@ from .requirements import (
 )
 from .state import FreePose, State
 from .statements import Limit, Statement, reach_parts
+from .task import DesignTask
 
 HELD = 5e-8
 """Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
@@ -104,11 +104,11 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
             return requirement
 
 
-def linear_rows(state: State, places: Sequence[Place], limits: JointLimits | None) -> tuple[Array, Array]:
+def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
     """Rows that are linear in the unknowns, >= 0 where kept, in steps of 10 mm: in every free pose the order of the
     tubes, and the ranges of the translations that the robot's actuators have; that no tube is shorter than the next
     outer one; the order at given translations. What no unknown moves is left out, as the task has checked it."""
-    layout, unmoved = state.layout, np.zeros((state.layout.n, 1))
+    layout, unmoved, limits = state.layout, np.zeros((state.layout.n, 1)), task.robot.joint_limits
     straight, curved = (state.slopes[name] for name in ("straight_length", "curved_length"))
     length, longer = np.array([tube.length for tube in state.tubes]), straight + curved
     values: list[Array] = []
@@ -123,7 +123,7 @@ def linear_rows(state: State, places: Sequence[Place], limits: JointLimits | Non
             slopes += [moved, -moved]
     values.append(length[:-1] - length[1:])
     slopes.append(longer[:-1] - longer[1:])
-    for place in places:
+    for place in task.places:
         values.append(gaps_of(state.tubes, place.low, place.high))
         slopes.append(order_gaps(straight, curved, unmoved, unmoved))
     slope = np.concatenate(slopes)

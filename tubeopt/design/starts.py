@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from ..errors import InputError, SolveError
 from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
+from ..solvers.sampling import sobol
 from ..typing import Array
 from .piece_pose import PiecePose
 from .pose import Pose
@@ -26,9 +26,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     space = layout.space
     if count == 1:
         return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
-    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(
-        int(np.ceil(np.log2(program.task.solver.sampled_designs * count)))
-    )
+    unit = sobol(layout.designs, program.task.solver.sampled_designs * count, seed)
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
