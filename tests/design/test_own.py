@@ -40,7 +40,7 @@ from tubeopt.design import (
 from tubeopt.design.aims import aim
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import Program, compile_task, state_at
-from tubeopt.design.verify_own import check_own, numbers_of
+from tubeopt.design.rechecks import check_own, numbers_of
 from tubeopt.typing import Array
 
 MM = 1e-3

@@ -6,6 +6,7 @@ from .objectives import Objective
 from .optimize import DesignSolution, optimize_design
 from .parameters import Free
 from .pareto import FrontPoint, ParetoFront, pareto_front
+from .rechecks import Check
 from .relaxation import Change, InfeasibleDesignError, Relaxation
 from .remarks import Dimension
 from .requirements import (
@@ -32,7 +33,6 @@ from .stock import Candidate, StockChoice, StockTube, choose_from_stock
 from .task import DesignTask
 from .tolerance import ToleranceAnalysis, Tolerances, tolerance_analysis
 from .verify import Verification, count_snaps
-from .verify_tubes import Check
 
 __all__ = [
     "Avoid",

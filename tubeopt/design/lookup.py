@@ -19,7 +19,7 @@ from ..stability.stroke import stroke_slopes
 from ..typing import Array
 from .anatomy import arm_clearance
 from .bending import pose_strain, straightened_strain
-from .piece_pose import PiecePose
+from .pose import PiecePose
 from .state import State
 
 Linear = Callable[[Quantity], tuple[Array, Array]]

@@ -23,6 +23,7 @@ from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
+from .rechecks import Check
 from .relaxation import InfeasibleDesignError, smallest_relaxations
 from .remarks import Dimension, remarks
 from .requirements import SnapFree, of_kind
@@ -32,7 +33,6 @@ from .solve import METHODS, solve
 from .solve_one import Attempt, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
-from .verify_tubes import Check
 
 
 class DesignStatus(Sentence):

@@ -12,8 +12,7 @@ from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
 from ..solvers.sampling import sobol
 from ..typing import Array
-from .piece_pose import PiecePose
-from .pose import Pose
+from .pose import PiecePose, Pose
 from .program import Program, built_in, points_of
 from .requirements import Avoid
 from .solved import solve_pose, twist_at

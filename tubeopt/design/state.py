@@ -16,9 +16,8 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .drawn import drawn_back
 from .parameters import DesignSpace
-from .piece_pose import PiecePose
 from .pieces import change_of, given_of
-from .pose import Pose
+from .pose import PiecePose, Pose
 from .solved import Twist, solve_pose, twist_at, without_solving
 
 

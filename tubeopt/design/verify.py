@@ -20,6 +20,7 @@ from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
 from .order import pose_places, worst_order
 from .program import Program, points_of, state_at
+from .rechecks import Check, check_own, check_tubes, least_room, numbers_of
 from .requirements import (
     Avoid,
     Coverage,
@@ -29,8 +30,6 @@ from .requirements import (
     StrokeForce,
     of_kind,
 )
-from .verify_own import check_own, numbers_of
-from .verify_tubes import Check, check_tubes, least_room
 
 SLACK = 1e-6
 """By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""

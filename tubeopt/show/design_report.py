@@ -13,10 +13,10 @@ from rich.text import Text
 from ..design.objectives import AnyObjective, key_of, shown
 from ..design.optimize import DesignSolution
 from ..design.pareto import ParetoFront
+from ..design.rechecks import Check
 from ..design.remarks import Dimension
 from ..design.sensitivities import Sensitivity
 from ..design.tolerance import ToleranceAnalysis
-from ..design.verify_tubes import Check
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.files import write_text
