@@ -186,7 +186,7 @@ def improve(
     optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
     """
     iterations = program.task.solver.iterations if iterations is None else iterations
-    form = cubed if not exact else same if program.elastic else squared
+    form = squared if exact else cubed
     scale = program.scale
     known = evaluate(program, start)
     if known is None:
@@ -224,15 +224,10 @@ def improve(
     return attempt(program, inside, replace(optimum, x=inside))
 
 
-def same(group: Rows) -> Rows:
-    """The rows as they are."""
-    return group
-
-
 def squared(group: Rows) -> Rows:
     """Rows that limit the length of a vector, in its square: of constant curvature, the same to first order where they
-    bind."""
-    if group.vector is None:
+    bind; as they are where the limit is eased by slack."""
+    if group.vector is None or group.slack is not None:
         return group
     vector, change = group.vector
     most = group.limit.value / group.limit.size

@@ -124,11 +124,9 @@ def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, se
     random = np.random.default_rng(seed)
     size = (samples, len(tubes), 4)
     errors = random.standard_normal(size) if tolerances.distribution == "normal" else random.uniform(-1, 1, size)
-    out = []
-    for row in errors:
-        made = [_made(tube, tolerances, errors) for tube, errors in zip(tubes, row.tolist(), strict=True)]
-        out.append(tuple(made))
-    return out
+    return [
+        tuple(_made(tube, tolerances, own) for tube, own in zip(tubes, row, strict=True)) for row in errors.tolist()
+    ]
 
 
 def _made(tube: Tube, tolerances: Tolerances, errors: Sequence[float]) -> Tube:

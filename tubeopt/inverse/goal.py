@@ -146,8 +146,6 @@ class Goal:
 
     def contacts(self, at: Posture, within: float) -> Contacts:
         """Where the arm comes closer than `within`, m, to obstacles."""
-        if at.outline.clearance(self.scene, within) > within:
-            within = -np.inf
         return at.outline.contacts(self.scene, within)
 
     def ahead(self, at: Posture) -> Contacts:
