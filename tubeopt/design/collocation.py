@@ -108,6 +108,7 @@ class _Collocated:
         self.opti.set_initial(scaled, x / program.scale)
         self.opti.subject_to(self.opti.bounded(program.lower / program.scale, scaled, program.upper / program.scale))
         self.x = scaled * ca.DM(program.scale)
+        self.moved = self.x - ca.DM(self.state.x)
         layout = program.layout
         self.dimensions = layout.space.expressions(self.x[: layout.designs])
         self.robot = ConcentricRobot(self.state.tubes)
@@ -116,7 +117,7 @@ class _Collocated:
             self._block(k)
         self._known: dict[Quantity, Any] = {}
         values, slopes = linear_rows(self.state, program.task)
-        self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
+        self._at_least(ca.DM(values) + ca.DM(slopes) @ self.moved)
         for statement in chain.from_iterable(program.stated):
             self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
         size = objective_size(program, self.state)
@@ -130,13 +131,11 @@ class _Collocated:
         return self.blocks[k]
 
     def _posed(self, k: PoseNumber) -> EquilibriumBlock[Equilibrium]:
-        joints = self.state.joint_values(k)
-        slopes = self.state.joint_slopes(k)
+        joints, slopes = self.state.joint_values(k), self.state.joint_slopes(k)
         near = forward_kinematics(self.robot, *joints)
-        moved = self.x - ca.DM(self.state.x)
         # Joint values are linear in the unknowns.
         given = [
-            ca.DM(value) + ca.DM(slope) @ moved if slope.any() else value
+            ca.DM(value) + ca.DM(slope) @ self.moved if slope.any() else value
             for value, slope in zip(joints, slopes, strict=True)
         ]
         free = {name: self.dimensions[name] for name in DIMENSIONS if self.state.slopes[name].any()}

@@ -86,9 +86,8 @@ does not reach the target, the next may: what follows checks."""
 def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tuple[Array, float]]]:
     """Solve with the order of breakpoints of `at`; the posture reached, iterations, what to cross."""
     order = breakpoint_order(goal, at)
-    question = _question(goal, at, order)
-    if question.overdetermined:
-        return None, 0, []  # as where all tubes are withdrawn, and nothing is left to turn
+    if not len(at.solution.problem.mesh.length):
+        return None, 0, []  # all tubes are withdrawn, and nothing is left to turn
     program = posed(goal, at, order)
     found = program.attempt(_in_time(goal))
     if not all(np.isfinite(value).all() for value in found.values.values()):
