@@ -40,7 +40,7 @@ from tubeopt.design import (
 from tubeopt.design.aims import aim
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import Program, compile_task, state_at
-from tubeopt.design.verify_own import check_own, numbers_of
+from tubeopt.design.rechecks import check_own, numbers_of
 from tubeopt.typing import Array
 
 MM = 1e-3
@@ -204,10 +204,10 @@ def test_own_requirement_on_poses_is_kept_and_verified() -> None:
     assert min(e.tip_position[2] for e in design.equilibria) >= 0.113 - 1e-8
     without = optimize_design(replace(task, requirements=task.requirements[:2]), turns=0)
     assert min(e.tip_position[2] for e in without.equilibria) < 0.113
-    what, found, kept = check_own(Height(0.113), without.robot, without.equilibria)
-    assert not kept
-    assert found == f"{min(1e3 * e.tip_position[2] for e in without.equilibria):.6g} mm"
-    assert what == "height of the tips"
+    check = check_own(Height(0.113), without.robot, without.equilibria)
+    assert not check.kept
+    assert check.found == f"{min(1e3 * e.tip_position[2] for e in without.equilibria):.6g} mm"
+    assert check.what == "height of the tips"
 
 
 def test_infeasible_own_requirement_is_relaxed_in_words() -> None:

@@ -37,9 +37,9 @@ from tubeopt.design import (
 from tubeopt.design.anatomy import SHARES, arm_points, arm_slopes
 from tubeopt.design.lookup import at_state
 from tubeopt.design.parameters import design_space
+from tubeopt.design.rechecks import largest_strain
 from tubeopt.design.relaxation import InfeasibleDesignError
 from tubeopt.design.state import FixedPose, FreePose, Layout, State
-from tubeopt.design.verify_tubes import largest_strain
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
 from tubeopt.stability.certificate import convexity

@@ -40,8 +40,8 @@ from tubeopt.design import (
 from tubeopt.design.bending import pose_strain
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import Program, compile_task, evaluate, stack, state_at, total_objective
+from tubeopt.design.rechecks import largest_strain
 from tubeopt.design.starts import with_joints
-from tubeopt.design.verify_tubes import largest_strain
 from tubeopt.typing import Array
 
 MM = 1e-3

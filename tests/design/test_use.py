@@ -27,8 +27,8 @@ from tubeopt.design import (
 from tubeopt.design.drawn import SHARES, drawn_back
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import compile_task, state_at
+from tubeopt.design.rechecks import numbers_of
 from tubeopt.design.remarks import remarks
-from tubeopt.design.verify_own import numbers_of
 from tubeopt.typing import Array
 
 assert isinstance(CRL, ConcentricRobot)

@@ -34,9 +34,10 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.question import pose_question, unit_vector
-from tubeopt.inverse.table import build_table, cache_directory, nearest_starts, start_table
+from tubeopt.inverse.table import build_table, nearest_starts, start_table
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
+from tubeopt.solvers.compiled.library import cache_directory
 
 ETR = tubeopt.load_robot(CONFIGS / "thesis_etr.yaml")
 SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")

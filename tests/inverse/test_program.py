@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import casadi as ca
@@ -15,6 +14,7 @@ from tubeopt import InverseOptions, Ipopt, Problem, ProblemSolution, forward_kin
 from tubeopt.block.transcription.program import torsion_guess
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.inverse import program
+from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.goal import Goal
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.order import breakpoint_order
@@ -170,6 +170,6 @@ def test_ipopt_has_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(program, "building", lambda goal: 0.1)
     monkeypatch.setattr(Problem, "attempt", hurried)
-    late = replace(question(pose(THESIS)), until=time.perf_counter() + 100.0)
+    late = replace(question(pose(THESIS)), clock=Clock(100.0))
     assert not solve_program(late, pose(THESIS, 1)).reached
     assert limits[0] == 64.0

@@ -3,10 +3,12 @@
 from ..block.own import OwnObjective, OwnRequirement
 from ..block.quantities import Quantities
 from .objectives import Objective
-from .optimize import DesignSolution, Dimension, optimize_design
+from .optimize import DesignSolution, optimize_design
 from .parameters import Free
 from .pareto import FrontPoint, ParetoFront, pareto_front
+from .rechecks import Check
 from .relaxation import Change, InfeasibleDesignError, Relaxation
+from .remarks import Dimension
 from .requirements import (
     Avoid,
     Corridor,
@@ -30,7 +32,7 @@ from .settings import DesignSolver
 from .stock import Candidate, StockChoice, StockTube, choose_from_stock
 from .task import DesignTask
 from .tolerance import ToleranceAnalysis, Tolerances, tolerance_analysis
-from .verify import Check, Verification, count_snaps
+from .verify import Verification, count_snaps
 
 __all__ = [
     "Avoid",

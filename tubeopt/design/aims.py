@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import singledispatch
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -14,7 +14,7 @@ from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from ..errors import InputError
 from ..physics.torsion import cross_section
 from ..robots.assembly import ROUND_OFF
-from .objectives import Objective
+from .objectives import AnyObjective, Objective
 from .requirements import ROUNDED, deviations
 from .statements import Points, Poses
 
@@ -28,71 +28,59 @@ SLIGHT = 1e-7
 """What is added to squares of singular values of a turn, rad^2."""
 
 
-@singledispatch
-def aim(one: Any, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None) -> Expression | None:
+def aim(
+    one: AnyObjective, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None
+) -> Expression | None:
     """An objective in its own sign, SI, for tubes of so many pieces: the largest of its numbers counts where less is
     better, the least where more is; None for the change of the unknowns, which is no matter of tubes and poses.
 
     `poses` are those whose margin counts, `certified` the translations of the certificate, `depth_pose` the pose of
     reach_radius.
-
-    Raises:
-        InputError: an own objective whose expression makes no sense.
     """
-    raise NotImplementedError(type(one))
-
-
-@aim.register
-def _(one: OwnObjective, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None) -> Expression:
-    found = recorded(one.expression, len(pieces), max(poses, default=-1) + 1, one.words, pieces)
-    if found.value.numel_out() != 1:
+    if isinstance(one, Objective) and one.kind == "change":
+        return None
+    numbers = one.expression if isinstance(one, OwnObjective) else partial(_numbers, one, poses, certified, depth_pose)
+    last = max([*poses, depth_pose or 0] if isinstance(one, Objective) else poses, default=-1)
+    found = recorded(numbers, len(pieces), last + 1, one.words, pieces)
+    if isinstance(one, OwnObjective) and found.value.numel_out() != 1:
         raise InputError(f"the objective {one.words} has {found.value.numel_out()} numbers; it must be one")
     return found
 
 
-@aim.register
-def _(
-    one: Objective, pieces: Sequence[int], poses: Poses, certified: Points, depth_pose: int | None
-) -> Expression | None:
-    if one.kind == "change":
-        return None
-
-    def numbers(q: Quantities) -> Any:
-        match one.kind:
-            case "strain":
-                return ca.vertcat(*(q.straightened_strain(i) for i in range(len(pieces))))
-            case "margin" if certified:
-                return ca.vertcat(*(q.certificate(row) for row in certified))
-            case "margin":
-                return ca.vertcat(*(q.poses[k].margin for k in poses))
-            case "tip_deflection":
-                return ca.vertcat(*(ca.norm_2(q.poses[k].deflection(one.tip_force)) for k in poses))
-            case "tip_stiffness":
-                force = ca.DM(list(one.tip_force or ()))
-                return ca.vertcat(
-                    *(ca.sumsqr(force) / ca.dot(force, q.poses[k].deflection(one.tip_force)) for k in poses)
-                )
-            case "stroke_force":
-                return ca.vertcat(*(q.poses[k].stroke_force for k in poses))
-            case "dexterity":
-                return sum(_least_motion(q.poses[k].jacobian) for k in poses) / len(poses)
-            case "orientability":
-                return sum(_least_turn(q.poses[k]) for k in poses) / len(poses)
-            case "workspace_volume":
-                return _swept([q.poses[k].tip_position for k in poses])
-            case "deployment":
-                return ca.sqrt(ca.sumsqr(deviations(q, poses)) * 3 / deviations(q, poses).numel() + ROUNDED**2)
-            case "length":
-                return q.tubes["straight_length"] + q.tubes["curved_length"]
-            case "reach_radius":
-                assert depth_pose is not None
-                return ca.norm_2(q.poses[depth_pose].tip_position[:2])
-            case "tip_curvature":
-                return _tip_curvature(one, q)
-            case _:
-                return 1 / _tip_curvature(one, q)
-
-    return recorded(numbers, len(pieces), max([*poses, depth_pose or 0], default=-1) + 1, one.words, pieces)
+def _numbers(one: Objective, poses: Poses, certified: Points, depth_pose: int | None, q: Quantities) -> Any:
+    at = [q.poses[k] for k in poses]
+    match one.kind:
+        case "strain":
+            return ca.vertcat(*(q.straightened_strain(i) for i in range(q.n_tubes)))
+        case "margin" if certified:
+            return ca.vertcat(*(q.certificate(row) for row in certified))
+        case "margin":
+            return ca.vertcat(*(pose.margin for pose in at))
+        case "tip_deflection":
+            return ca.vertcat(*(ca.norm_2(pose.deflection(one.tip_force)) for pose in at))
+        case "tip_stiffness":
+            force = ca.DM(list(one.tip_force or ()))
+            return ca.vertcat(*(ca.sumsqr(force) / ca.dot(force, pose.deflection(one.tip_force)) for pose in at))
+        case "stroke_force":
+            return ca.vertcat(*(pose.stroke_force for pose in at))
+        case "dexterity":
+            return sum(_least_motion(pose.jacobian) for pose in at) / len(at)
+        case "orientability":
+            return sum(_least_turn(pose) for pose in at) / len(at)
+        case "workspace_volume":
+            return _swept([pose.tip_position for pose in at])
+        case "deployment":
+            gaps = deviations(q, poses)
+            return ca.sqrt(ca.sumsqr(gaps) * 3 / gaps.numel() + ROUNDED**2)
+        case "length":
+            return q.tubes["straight_length"] + q.tubes["curved_length"]
+        case "reach_radius":
+            assert depth_pose is not None
+            return ca.norm_2(q.poses[depth_pose].tip_position[:2])
+        case "tip_curvature":
+            return _tip_curvature(one, q)
+        case _:
+            return 1 / _tip_curvature(one, q)
 
 
 def _scaled(jacobian: Any) -> Any:

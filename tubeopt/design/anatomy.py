@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ..block.quantities import CLEARANCES, PoseNumber
 from ..block.transcription.linear import cross
 from ..typing import Array
-from .piece_pose import PiecePose
-from .pose import Pose
+from .pose import PiecePose, Pose
 from .state import State
 
 WITHIN = 16

@@ -14,8 +14,7 @@ from ..equilibrium.general_derivatives import Linearised
 from ..physics.strain import bend_from_own, surface_strain
 from ..robots.tubes import Tube
 from ..typing import Array
-from .piece_pose import PiecePose
-from .pose import Pose
+from .pose import PiecePose, Pose
 from .state import State
 
 

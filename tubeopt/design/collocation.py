@@ -31,7 +31,7 @@ from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
 from .program import BOUNDED, Program, objective_size, objective_value, state_at
 from .requirements import Avoid, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
-from .rows import joint_rows, order_rows
+from .rows import linear_rows
 from .solve_one import Attempt, attempt
 from .state import Via
 from .task import DesignTask
@@ -81,11 +81,7 @@ def check_collocation(task: DesignTask) -> None:
 
 
 def collocate(program: Program, x: Array) -> Attempt:
-    """The optimum of the collocated program from x (X,), SI, at which the poses have equilibria.
-
-    Raises:
-        InputError: a requirement that no block expresses; a margin at points on joint paths.
-    """
+    """The optimum of the collocated program from x (X,), SI, at which the poses have equilibria."""
     check_collocation(program.task)
     if any(isinstance(pose, Via) for pose in program.layout.poses):
         raise InputError(
@@ -112,6 +108,7 @@ class _Collocated:
         self.opti.set_initial(scaled, x / program.scale)
         self.opti.subject_to(self.opti.bounded(program.lower / program.scale, scaled, program.upper / program.scale))
         self.x = scaled * ca.DM(program.scale)
+        self.moved = self.x - ca.DM(self.state.x)
         layout = program.layout
         self.dimensions = layout.space.expressions(self.x[: layout.designs])
         self.robot = ConcentricRobot(self.state.tubes)
@@ -119,7 +116,8 @@ class _Collocated:
         for k in range(len(layout.poses)):
             self._block(k)
         self._known: dict[Quantity, Any] = {}
-        self._linear()
+        values, slopes = linear_rows(self.state, program.task)
+        self._at_least(ca.DM(values) + ca.DM(slopes) @ self.moved)
         for statement in chain.from_iterable(program.stated):
             self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
         size = objective_size(program, self.state)
@@ -133,13 +131,11 @@ class _Collocated:
         return self.blocks[k]
 
     def _posed(self, k: PoseNumber) -> EquilibriumBlock[Equilibrium]:
-        joints = self.state.joint_values(k)
-        slopes = self.state.joint_slopes(k)
+        joints, slopes = self.state.joint_values(k), self.state.joint_slopes(k)
         near = forward_kinematics(self.robot, *joints)
-        moved = self.x - ca.DM(self.state.x)
         # Joint values are linear in the unknowns.
         given = [
-            ca.DM(value) + ca.DM(slope) @ moved if slope.any() else value
+            ca.DM(value) + ca.DM(slope) @ self.moved if slope.any() else value
             for value, slope in zip(joints, slopes, strict=True)
         ]
         free = {name: self.dimensions[name] for name in DIMENSIONS if self.state.slopes[name].any()}
@@ -147,7 +143,7 @@ class _Collocated:
 
     def _at_least(self, expression: Any, size: float = 1.0) -> None:
         # What no unknown moves was kept at the start.
-        if ca.depends_on(expression, self.opti.x):
+        if expression.numel() and ca.depends_on(expression, self.opti.x):
             self.opti.subject_to(ca.vec(expression) / size >= 0)
 
     # --- quantities ---------------------------------------------------------------------------------------------------
@@ -201,14 +197,6 @@ class _Collocated:
         return 1 - root
 
     # --- what is posed ------------------------------------------------------------------------------------------------
-
-    def _linear(self) -> None:
-        """Order of the tubes and limits of the joints, which are linear in the unknowns."""
-        task = self.program.task
-        parts = joint_rows(self.state, task.robot.joint_limits), order_rows(self.state, task.places)
-        for values, slopes in parts:
-            if len(values):
-                self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
 
     def _aim(self, one: AnyObjective) -> Any:
         """An objective in its own sign, SI; of several numbers an unknown that none is worse than."""

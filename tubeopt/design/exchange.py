@@ -11,7 +11,7 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..block.quantities import recorded
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError
+from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
 from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
@@ -31,20 +31,15 @@ Box = tuple[tuple[float, ...], tuple[float, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A robot moved along its task poses: margins (W,) at fractions (W,) of each step, snaps, and where it arrives."""
+    """A robot moved from the `first` to the `second` of two task poses: margins and equilibria (W,) at fractions (W,)
+    of the step, and the one at which it snaps, None where it does not."""
 
     first: int
-    """Number of the task pose that it comes from."""
     second: int
-    """Number of the one that it goes to."""
     fraction: Array
-    """(W,) of the step, where the margins are."""
     margin: Array
-    """(W,) on the way."""
     equilibria: Sequence[Equilibrium]
-    """(W,) on the way."""
     snap: float | None
-    """Fraction of the step at which it snaps, None where it does not."""
 
 
 def robot_at(program: Program, x: Array) -> ConcentricRobot:
@@ -87,11 +82,7 @@ def certified_at(program: Program, robot: ConcentricRobot) -> tuple[tuple[float,
 
 
 def violations(program: Program, x: Array) -> tuple[Added, str]:
-    """What is to be added to a program whose optimum is x, and in a word why; nothing and "" where all cases hold.
-
-    Raises:
-        SolveError: a motion or a worst case cannot be computed.
-    """
+    """What is to be added to a program whose optimum is x, and in a word why; nothing and "" where all cases hold."""
     robot = robot_at(program, x)
     added, why = program.added, []
     # Where the margin is what is wanted, what the design claims must hold in the cases left out too.
@@ -238,9 +229,3 @@ def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program,
         if first_old + k in old.guesses:
             new.guesses[first_new + k] = old.guesses[first_old + k]
     return new, np.clip(out, new.lower, new.upper)
-
-
-def check_rounds(task: DesignTask, count: int, why: str) -> None:
-    """Raises SolveError where exchange has not ended."""
-    if count >= task.solver.exchange_rounds:
-        raise SolveError(f"after {count} rounds of adding worst cases there are still some: {why}")

@@ -9,11 +9,12 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError
+from ..solvers.parallel.executors import executor
 from ..typing import Array
-from .pool import Progress, executor, run_all
+from .pool import Progress, run_all
 from .program import Program
-from .solve import Attempt, Report, solve
+from .solve import solve
+from .solve_one import Attempt, Report
 from .starts import start_values
 
 
@@ -73,21 +74,9 @@ def multistart(
     report: Report | None = None,
     method: str = "reduced",
 ) -> Ranking:
-    """Solve from the task's own dimensions and from `starts` - 1 others.
-
-    Args:
-        seed: of the other dimensions and of the first joint values.
-        workers: processes.
-        report: told of every iteration; with one worker only.
-        method: one of `solve.METHODS`.
-
-    Raises:
-        InputError: fewer than one start or worker.
-    """
-    if starts < 1:
-        raise InputError(f"starts is {starts}; it must be at least 1")
-    begin = start_values(program, seed, starts)
-    with executor(min(workers, starts)) as pool:
-        one = partial(solve_from, program, report=report if pool is None else None, method=method)
-        attempts = run_all(one, begin, pool, progress)
-    return rank(attempts)
+    """Solve from the task's own dimensions and from `starts` - 1 others, on so many processes; with one only, `report`
+    is told of every iteration. `seed` is of the other dimensions and of the first joint values."""
+    begin, workers = start_values(program, seed, starts), min(workers, starts)
+    one = partial(solve_from, program, report=report if workers == 1 else None, method=method)
+    with executor(workers) as pool:
+        return rank(run_all(one, begin, pool, progress))

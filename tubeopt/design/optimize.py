@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice, whole
@@ -15,31 +17,22 @@ from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
 from ..typing import Array, Sentence
 from .collocation import check_collocation
-from .exchange import carry, certified_at, check_rounds, robot_at, violations
-from .force import Loaded, forced, raised, under_force, without_force
+from .exchange import carry, certified_at, robot_at, violations
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
+from .rechecks import Check
 from .relaxation import InfeasibleDesignError, smallest_relaxations
-from .remarks import remarks
-from .requirements import SnapFree
+from .remarks import Dimension, remarks
+from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
-from .solve import METHODS, Attempt, Report, solve
+from .settings import DesignSolver
+from .solve import METHODS, solve
+from .solve_one import Attempt, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
-
-
-@dataclass(frozen=True)
-class Dimension:
-    """One free dimension: its name, unit, and value before and after, in that unit; whether it lies on a bound."""
-
-    name: str
-    unit: str
-    before: float
-    after: float
-    bound: str
 
 
 class DesignStatus(Sentence):
@@ -177,19 +170,10 @@ def optimize_design(
         check_collocation(task)
     began = time.perf_counter()
     search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
-    one = forced(task)
+    one = _forced(task)
     if one is not None:
         return _bearing(task, one, search, turns, began)
     return solution_of(task, search(task, begin=begin), turns, began)
-
-
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """The best design of a search, all that it found, and how often the worst cases were added."""
-
-    best: Attempt
-    ranking: Ranking
-    rounds: int
 
 
 def _searched(
@@ -201,7 +185,8 @@ def _searched(
     seed: int,
     workers: int,
     progress: Progress | None,
-) -> Settled:
+) -> tuple[Ranking, int]:
+    """All designs that were found, the best of them for the worst cases, and how often these were added."""
     report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
     added = None if begin is None else begin.program.added
@@ -216,44 +201,88 @@ def _searched(
         raise infeasible(ranking)
     best, rounds = settle(ranking.designs[0], report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
-    return Settled(best, replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds)
+    return replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds
 
 
 def _bearing(
-    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], Settled], turns: int, began: float
+    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], tuple[Ranking, int]], turns: int, began: float
 ) -> DesignSolution:
-    """The design for a task that names a force; only the one that bears it is verified."""
-    known: dict[float, tuple[Settled, Loaded]] = {}
+    """The design for a task that names a force; only the one that bears it is verified.
+
+    The certificate under force is at most that without, and falls with it. So the floor of that one is raised until the
+    design that is best above it keeps the other, which is computed anew for every such design (see
+    `stability.loaded_certificate`). The answer is the best among designs of that certificate without force; another
+    with a smaller one may bear the force too.
+    """
+    known: dict[float, tuple[tuple[Ranking, int], Check]] = {}
 
     def bears(floor: float) -> float:
         try:
-            found = search(without_force(task, one, floor))
+            found = search(_without_force(task, one, floor))
         except InfeasibleDesignError as error:
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
-        known[floor] = found, under_force(found.best, robot_at(found.best.program, found.best.x), one)
-        return known[floor][1].value
+        best = found[0].designs[0]
+        value, check = _under_force(best.program, robot_at(best.program, best.x), one)
+        known[floor] = found, check
+        return value
 
-    floor = raised(one, bears, task.solver)
-    found, loaded = known[floor]
-    solution = solution_of(without_force(task, one, floor), found, turns, began)
-    verification = Verification((*solution.verification.checks, loaded.check))
+    floor = _raised(one, bears, task.solver)
+    found, check = known[floor]
+    solution = solution_of(_without_force(task, one, floor), found, turns, began)
+    verification = Verification((*solution.verification.checks, check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
 
 
-def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
-    """A design for which all cases hold, and how many rounds of adding the worst of them that took.
+def _forced(task: DesignTask) -> SnapFree | None:
+    """The requirement that names a force; None without one."""
+    return next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
 
-    Raises:
-        InfeasibleDesignError: with the cases added there is no design near the one found.
-        SolveError: the rounds did not end.
-    """
+
+def _without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:
+    """The task with a floor of the certificate without force in place of the requirement."""
+    plain = replace(one, margin=floor, max_force=0.0)
+    return replace(task, requirements=tuple(plain if each is one else each for each in task.requirements))
+
+
+def _under_force(program: Program, robot: ConcentricRobot, one: SnapFree) -> tuple[float, Check]:
+    """The certificate of a design under the force that a requirement names, at all translations for which it was asked,
+    and the check that says so."""
+    rows = certified_at(program, robot)
+    value = min(snap_free_certificate(robot, np.array(row), max_force=one.max_force) for row in rows)
+    words = f"certificate under forces on the tip of up to {one.max_force * 1e3:g} mN"
+    return value, Check(words, f"{value:.5f}", value >= one.margin)
+
+
+def _raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver) -> float:
+    """The least floor, to `force_accuracy`, whose design bears the force; `bears` tells the certificate under it."""
+    low, high = one.margin, None
+    floor = one.margin
+    for _ in range(solver.force_rounds):
+        short = one.margin - bears(floor)
+        if short <= 0:
+            high = floor
+            if high - low <= solver.force_accuracy:
+                return high
+            # What is in hand, but not all of it: the two certificates do not fall alike.
+            floor = max((low + high) / 2, high + 0.9 * short)
+            continue
+        low = floor
+        floor = min(floor + 1.1 * short + solver.force_accuracy / 2, (low + (1.0 if high is None else high)) / 2)
+    if high is None:
+        raise SolveError(f"no design was found that bears {one.max_force * 1e3:g} mN: the floor reached {low:.4f}")
+    return high
+
+
+def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
+    """A design for which all cases hold, and how many rounds of adding the worst of them that took."""
     rounds = 0
     while True:
         added, why = violations(found.program, found.x)
         if not why:
             return found, rounds
-        check_rounds(found.program.task, rounds, why)
+        if rounds >= found.program.task.solver.exchange_rounds:
+            raise SolveError(f"after {rounds} rounds of adding worst cases there are still some: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
         following = solve(program, start, report, method)
@@ -262,14 +291,11 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
         found = following
 
 
-def _the(name: str) -> str:
-    return name if name.startswith("an ") else f"the {name}"
-
-
 def infeasible(ranking: Ranking) -> InfeasibleDesignError:
     """What to raise where no start is feasible."""
     name, count = next(iter(ranking.failures.items()))
-    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {_the(name)}"
+    limit = name if name.startswith("an ") else f"the {name}"
+    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {limit}"
     ways = smallest_relaxations(ranking.failed)
     if not ways:
         return InfeasibleDesignError(
@@ -278,13 +304,12 @@ def infeasible(ranking: Ranking) -> InfeasibleDesignError:
     return InfeasibleDesignError(f"{head}; {', or '.join(way.words for way in ways)}", ways, ranking.failed[0])
 
 
-def solution_of(task: DesignTask, found: Settled, turns: int, began: float) -> DesignSolution:
-    """The answer that a design is, checked again; `began` is the moment from which it is timed.
-
-    Raises:
-        SolveError: the design does not keep what it promises.
-    """
-    program, x = found.best.program, found.best.x
+def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began: float) -> DesignSolution:
+    """The answer that the best of all designs is, checked again; how often worst cases were added to it, and the moment
+    `began`, from which it is timed, are told with it."""
+    ranking, rounds = found
+    best = ranking.designs[0]
+    program, x = best.program, best.x
     robot = robot_at(program, x)
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
@@ -297,12 +322,12 @@ def solution_of(task: DesignTask, found: Settled, turns: int, began: float) -> D
         robot=robot,
         certificate=min(snap_free_certificate(robot, row) for row in certified),
         equilibria=equilibria,
-        objective=next(iter(values.values())) if single else found.best.objective,
+        objective=next(iter(values.values())) if single else best.objective,
         objectives=values,
         dimensions=dimensions(program, x),
-        sensitivities=sensitivities(found.best),
-        ranking=found.ranking,
-        rounds=found.rounds,
+        sensitivities=sensitivities(best),
+        ranking=ranking,
+        rounds=rounds,
         added=program.added,
         verification=verification,
         seconds=time.perf_counter() - began,

@@ -53,30 +53,30 @@ def ordered_places(
     return tuple({(place.low, place.high): place for place in reversed(found)}.values())[::-1]
 
 
-def order_gaps(straight: Array, curved: Array, place: Place) -> Array:
-    """(3 n - 2,) m by which the order holds at a place, < 0 where it does not: of carriages, of ends, from the plate.
+def order_gaps(straight: Array, curved: Array, low: Array, high: Array) -> Array:
+    """(3 n - 2,) m by which the order holds between two rows of translations, < 0 where it does not: of carriages, of
+    ends, from the plate; or, linear in all as it is, its change (3 n - 2, X) from those (n, X)."""
+    carriages = straight[:-1] - straight[1:] + low[1:] - high[:-1]
+    return np.concatenate([carriages, curved[:-1] - curved[1:] + low[:-1] - high[1:], curved + low])
 
-    `straight` and `curved` (n,) may be lengths, m, or have further columns: their changes, of which a place has none.
-    """
-    low, high = np.array(place.low), np.array(place.high)
-    gaps = [straight[:-1] - straight[1:], curved[:-1] - curved[1:], curved]
-    if straight.ndim == 1:
-        gaps = [gaps[0] + low[1:] - high[:-1], gaps[1] + low[:-1] - high[1:], gaps[2] + low]
-    return np.concatenate(gaps)
+
+def gaps_of(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Sequence[float] | Array) -> Array:
+    """(3 n - 2,) m by which the order of tubes holds."""
+    straight, curved = (
+        np.array([getattr(tube, name) for tube in tubes]) for name in ("straight_length", "curved_length")
+    )
+    return order_gaps(straight, curved, np.array(low), np.array(high))
 
 
 def worst_order(tubes: Sequence[Tube], places: Sequence[Place]) -> tuple[float, str]:
     """Least gap of the order at places, m, and in words where and of which tubes."""
-    straight, curved = (
-        np.array([getattr(tube, name) for tube in tubes]) for name in ("straight_length", "curved_length")
-    )
-    return min((_worst(order_gaps(straight, curved, place), place) for place in places), key=lambda found: found[0])
+    return min((_worst(gaps_of(tubes, place.low, place.high), place) for place in places), key=lambda found: found[0])
 
 
 def check_order(places: Sequence[Place], least: dict[str, Array], most: dict[str, Array]) -> None:
     """Raise InputError where no lengths within their bounds (n,) keep the order at places."""
     for place in places:
-        lows = order_gaps(most["straight_length"], most["curved_length"], place)
+        lows = order_gaps(most["straight_length"], most["curved_length"], np.array(place.low), np.array(place.high))
         n = len(place.low)
         # The outer tube of a pair counts with its least length.
         for name, first in (("straight_length", 0), ("curved_length", n - 1)):

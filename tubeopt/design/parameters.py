@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -207,24 +208,15 @@ class DesignSpace:
                 out[column] = largest_bend_slope(tube, place[1], (field, spot.order, value))
         return out
 
-    def slopes(self, tubes: Sequence[Tube]) -> dict[str, Array]:
-        """Change (n, D) of every one of GRADED with x, at these tubes."""
-        n, count = len(tubes), len(self.unknowns)
-        out = {name: np.zeros((n, count)) for name in GRADED}
-        for column, (field, chosen, scaled) in enumerate(self.unknowns):
-            for i in chosen if field in out else ():
-                out[field][i, column] = getattr(self.robot_tubes[i], field) if scaled else 1.0
-        if self.spots:
-            return out
-        for i, tube in enumerate(tubes):
-            # I = pi / 64 (OD^4 - ID^4), J = 2 I
-            moved = (
-                tube.outer_diameter**3 * out["outer_diameter"][i] - tube.inner_diameter**3 * out["inner_diameter"][i]
-            )
-            area = np.pi / 16 * moved
-            out["bending_stiffness"][i] = tube.material.youngs_modulus * area
-            out["torsional_stiffness"][i] = tube.material.shear_modulus * 2 * area
-        return out
+    @cached_property
+    def _graded(self) -> ca.Function:
+        x = ca.MX.sym("x", len(self.unknowns))
+        slopes = [ca.densify(ca.jacobian(column, x)) for column in self.expressions(x).values()]
+        return ca.Function("slopes", [x], slopes)
+
+    def slopes(self, x: Array) -> dict[str, Array]:
+        """Change (n, D) of every one of GRADED with x (D,)."""
+        return {name: slope.full() for name, slope in zip(GRADED, self._graded(x), strict=True)}
 
 
 def _entries(free: Sequence[Free], n: int) -> Iterator[tuple[Free, tuple[int, ...]]]:
@@ -242,33 +234,27 @@ def _entries(free: Sequence[Free], n: int) -> Iterator[tuple[Free, tuple[int, ..
 
 
 def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
-    """The unknowns of a design that starts from `tubes`; the start is brought within the bounds.
-
-    Raises:
-        InputError: a tube that is not there, a dimension that is free twice, none that is free.
-    """
-    if any(one.field in PIECE_FIELDS for one in free) or any(tube.general for tube in tubes):
-        return _piece_space(tuple(as_pieces(tube) for tube in tubes), free)
-    entries = list(_entries(free, len(tubes)))
-    if not entries:
+    """The unknowns of a design that starts from `tubes`; the start is brought within the bounds."""
+    pieced = any(one.field in PIECE_FIELDS for one in free) or any(tube.general for tube in tubes)
+    if pieced:
+        tubes, found = _piece_entries(tuple(as_pieces(tube) for tube in tubes), free)
+    else:
+        found = [(one, Spot(()), group) for one, group in _entries(free, len(tubes))]
+    if not found:
         raise InputError("free is empty; a design needs at least one free dimension")
-    lower = np.array([one.lower for one, _ in entries])
-    upper = np.array([one.upper for one, _ in entries])
-    start = [_whole_start(one, group, tubes) for one, group in entries]
-    begin, scale = _begin(start, lower, upper)
-    unknowns = tuple((one.field, group, one.tie == "scaled") for one, group in entries)
-    return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale)
-
-
-def _whole_start(one: Free, group: Sequence[int], tubes: Sequence[Tube]) -> float:
-    return 1.0 if one.tie == "scaled" else float(np.mean([getattr(tubes[i], one.field) for i in group]))
-
-
-def _begin(start: Sequence[float], lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Where to begin within the bounds, and the sizes of changes that matter."""
-    begin = np.clip(start, lower, upper)
+    lower, upper = (np.array([getattr(one, side) for one, _, _ in found]) for side in ("lower", "upper"))
+    begin = np.clip([_start(tubes, *entry) for entry in found], lower, upper)
     span = np.where(upper > lower, upper - lower, 1.0)
-    return begin, np.where(np.abs(begin) > 0, np.minimum(span, np.maximum(np.abs(begin), 0.1 * span)), span)
+    scale = np.where(np.abs(begin) > 0, np.minimum(span, np.maximum(np.abs(begin), 0.1 * span)), span)
+    unknowns = tuple((one.field, group, one.tie == "scaled") for one, _, group in found)
+    spots = tuple(spot for _, spot, _ in found) if pieced else ()
+    return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale, spots)
+
+
+def _start(tubes: Sequence[Tube], one: Free, spot: Spot, group: Sequence[int]) -> float:
+    if spot.pieces:
+        return float(np.mean([start_of(tubes[i], j, one.field, spot.order) for i, j in spot.pieces]))
+    return 1.0 if one.tie == "scaled" else float(np.mean([getattr(tubes[i], one.field) for i in group]))
 
 
 def _piece_words(field: str, spot: Spot) -> str:
@@ -277,8 +263,11 @@ def _piece_words(field: str, spot: Spot) -> str:
     return f"{order}{NAMES[field]} of piece{'s' * (len(spot.pieces) > 1)} {places}"
 
 
-def _piece_space(tubes: tuple[Tube, ...], free: Sequence[Free]) -> DesignSpace:
-    """The unknowns of a design of pieces."""
+def _piece_entries(
+    tubes: tuple[Tube, ...], free: Sequence[Free]
+) -> tuple[tuple[Tube, ...], list[tuple[Free, Spot, tuple[int, ...]]]]:
+    """The tubes with the slots that are free, and the unknowns of a design of pieces: what, of which pieces, of which
+    tubes."""
     straight = [one for one in free if one.field == "straight_length"]
     found = [(one, Spot(()), group) for one, group in _entries(straight, len(tubes))]
     for one in free:
@@ -304,16 +293,7 @@ def _piece_space(tubes: tuple[Tube, ...], free: Sequence[Free]) -> DesignSpace:
         for group in [(place,) for place in places] if one.tie == "each" else [tuple(places)]:
             own = tuple(sorted({i for i, _ in group}))
             found += [(one, Spot(group, k, one.torsion_share), own) for k in range(one.coefficients)]
-    lower, upper = (np.array([getattr(one, side) for one, _, _ in found]) for side in ("lower", "upper"))
-    start = [
-        float(np.mean([start_of(tubes[i], j, one.field, spot.order) for i, j in spot.pieces]))
-        if spot.pieces
-        else _whole_start(one, group, tubes)
-        for one, spot, group in found
-    ]
-    begin, scale = _begin(start, lower, upper)
-    unknowns = tuple((one.field, group, one.tie == "scaled") for one, _, group in found)
-    return DesignSpace(tubes, unknowns, begin, lower, upper, scale, tuple(spot for _, spot, _ in found))
+    return tubes, found
 
 
 def _places(one: Free, i: int, tubes: Sequence[Tube]) -> list[tuple[int, int]]:

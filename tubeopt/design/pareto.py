@@ -14,7 +14,8 @@ from .optimize import infeasible, settle
 from .pool import Progress
 from .program import compile_task, objective_value, recompiled, state_at
 from .requirements import SnapFree, SnapFreeInUse
-from .solve import Attempt, solve
+from .solve import solve
+from .solve_one import Attempt
 from .task import DesignTask
 
 
@@ -40,29 +41,20 @@ class ParetoFront:
     ended: float | None
 
 
-def with_margin(task: DesignTask, margin: float) -> DesignTask:
-    """The task with another margin demanded."""
-    changed = tuple(
-        replace(one, margin=margin) if isinstance(one, SnapFree | SnapFreeInUse) else one for one in task.requirements
-    )
-    return replace(task, requirements=changed)
-
-
 def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
-    """Margins in order of size, each with the task in which it is demanded.
-
-    Raises:
-        InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
-            or with several objectives.
-    """
+    """Margins in order of size, each with the task in which it is demanded."""
     if not len(margins):
         raise InputError("margins is empty; a front needs at least one")
     if len(task.objectives) > 1 or key_of(task.objectives[0]) == "margin":
         raise InputError("a front needs one objective, and that other than the margin itself")
-    if not any(isinstance(one, SnapFree | SnapFreeInUse) for one in task.requirements):
+    margined = SnapFree | SnapFreeInUse
+    if not any(isinstance(one, margined) for one in task.requirements):
         raise InputError("a front needs a certificate or a margin in use among the requirements")
-    ordered = sorted(finite("a margin of the front", m) for m in margins)
-    return [(margin, with_margin(task, margin)) for margin in ordered]
+    out = []
+    for margin in sorted(finite("a margin of the front", m) for m in margins):
+        asked = [replace(one, margin=margin) if isinstance(one, margined) else one for one in task.requirements]
+        out.append((margin, replace(task, requirements=tuple(asked))))
+    return out
 
 
 def pareto_front(
@@ -80,7 +72,8 @@ def pareto_front(
         begin: an answer for the least of them, or near it.
 
     Raises:
-        InputError: as `front_tasks`.
+        InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
+            or with several objectives.
         SolveError: not even the least margin is feasible.
     """
     one = task.objectives[0]
@@ -109,9 +102,3 @@ def pareto_front(
         if progress is not None:
             progress(k + 1, len(tasks))
     return ParetoFront(task, key_of(one), tuple(points), None)
-
-
-def front_label(front: ParetoFront) -> tuple[str, str, float]:
-    """Name, unit and factor of the front's objective."""
-    (one,) = front.task.objectives
-    return one.words, one.unit, one.factor

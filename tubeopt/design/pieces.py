@@ -70,11 +70,7 @@ def with_slots(tubes: Sequence[Tube], places: Sequence[Place], slots: Slots) -> 
 
 
 def start_of(tube: Tube, number: int, field: str, order: int) -> float:
-    """What a piece has before it is changed.
-
-    Raises:
-        InputError: a twist that varies, or a bend out of the x axis whose coefficients are asked for.
-    """
+    """What a piece has before it is changed."""
     piece = tube.pieces[number]
     x, y, z = piece.precurvature
     match field:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from typing import TypeVar
 
-from ..errors import InputError
-from ..solvers.parallel import executors as parallel
+from ..solvers.parallel.executors import SerialExecutor
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -17,27 +15,11 @@ Progress = Callable[[int, int], object]
 """Called with how much is done and how much there is."""
 
 
-@contextmanager
-def executor(workers: int) -> Iterator[Executor | None]:
-    """Processes to compute on; None, this one, for one worker.
-
-    Raises:
-        InputError: fewer than one worker.
-    """
-    if workers < 1:
-        raise InputError(f"workers is {workers}; it must be at least 1")
-    if workers == 1:
-        yield None
-        return
-    with parallel.executor(workers) as pool:
-        yield pool
-
-
 def run_all(
-    function: Callable[[A], B], items: Sequence[A], pool: Executor | None, progress: Progress | None = None
+    function: Callable[[A], B], items: Sequence[A], pool: Executor, progress: Progress | None = None
 ) -> list[B]:
     """`function` of every item, in order."""
-    answers = map(function, items) if pool is None else pool.map(function, items)
+    answers = map(function, items) if isinstance(pool, SerialExecutor) else pool.map(function, items)
     out = []
     for answer in answers:
         out.append(answer)

@@ -21,10 +21,10 @@ from .lookup import at_state
 from .objectives import POSED as OF_POSES
 from .objectives import AnyObjective, Objective, key_of
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .rows import Rows, joint_rows, order_rows, stated_rows
+from .rows import Rows, linear_rows, stated_rows
 from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
-from .statements import Statement, statements
+from .statements import Points, Statement, statements
 from .task import DesignTask, extreme_lengths
 
 STABLE = SnapFreeInUse(0.05, paths=False)
@@ -75,7 +75,7 @@ class Program:
     """A task with what exchange has added, laid out as unknowns and rows.
 
     own: for every requirement, the poses that are its own.  depth_pose: that of the objective reach_radius.
-    stated: every one of `requirements` as expressions; aims: the objectives that are expressions.
+    stated: every requirement as expressions; aims: the objectives that are expressions.
     elastic: whether every group of rows has a slack, of which the sum is minimised in place of the objective.
     """
 
@@ -98,28 +98,19 @@ class Program:
         """Numbers of the task poses, without those on the way."""
         return tuple(k for k, pose in enumerate(self.layout.poses) if not isinstance(pose, Via))
 
-    @property
-    def requirements(self) -> tuple[Requirement, ...]:
-        """Those of the task, and that poses be stable where nothing else says so."""
-        return _all_requirements(self.task)
-
 
 def _all_requirements(task: DesignTask) -> tuple[Requirement, ...]:
+    """Those of the task, and that poses be stable where nothing else says so."""
     given = task.requirements
     speaks = of_kind(given, SnapFree) + of_kind(given, SnapFreeInUse)
     return given if speaks or not task.has_poses else (*given, STABLE)
 
 
 def compile_task(task: DesignTask, added: Added | None = None) -> Program:
-    """Lay out the unknowns of a task, and record its requirements and objectives as expressions.
-
-    Raises:
-        InputError: the expression of an own requirement or objective makes no sense.
-    """
+    """Lay out the unknowns of a task, and record its requirements and objectives as expressions."""
     added = Added() if added is None else added
     poses: list[PoseKind] = []
     own: list[tuple[int, ...]] = []
-    boxes = iter(added.points)
 
     def free(count: int) -> tuple[int, ...]:
         first = sum(isinstance(pose, FreePose) for pose in poses)
@@ -127,17 +118,12 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
         poses.extend(FreePose(first + k) for k in range(count))
         return numbers
 
-    for one in task.requirements:
-        match one:
-            case Reach(targets=targets):
-                own.append(free(len(targets)))
-            case Coverage():
-                own.append(free(len(next(boxes, corners(one)))))
-            case Poses(rotations=rotations, translations=translations):
-                own.append(tuple(range(len(poses), len(poses) + len(rotations))))
-                poses.extend(FixedPose(*pair) for pair in zip(rotations, translations, strict=True))
-            case _:
-                own.append(())
+    for one, points in zip(task.requirements, points_of(task.requirements, added), strict=True):
+        if isinstance(one, Poses):
+            own.append(tuple(range(len(poses), len(poses) + len(one.rotations))))
+            poses.extend(FixedPose(*pair) for pair in zip(one.rotations, one.translations, strict=True))
+        else:
+            own.append(free(len(points)))
     deep = [one for one in built_in(task.objectives) if one.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
     certified = _certified(task, added)
@@ -166,14 +152,12 @@ def _recorded(
     count, depth_pose, certified = about
     pieces = [len(tube.pieces) or 1 for tube in task.space.robot_tubes]
     posed, passed = tuple(range(count)), tuple(range(count + len(added.vias)))
-    boxes = iter(added.points)
     stated = []
-    for number, one in enumerate(_all_requirements(task)):
+    requirements = _all_requirements(task)
+    for number, (one, points) in enumerate(zip(requirements, points_of(requirements, added), strict=True)):
         match one:
-            case Coverage():
-                stated.append(statements(one, pieces, own[number], next(boxes, corners(one))))
-            case Reach():
-                stated.append(statements(one, pieces, own[number]))
+            case Coverage() | Reach():
+                stated.append(statements(one, pieces, own[number], points))
             case SnapFreeInUse():
                 stated.append(statements(one, pieces, passed))
             case _:
@@ -185,6 +169,19 @@ def _recorded(
         if found is not None:
             aims[wanted] = found
     return tuple(stated), aims
+
+
+def points_of(requirements: Sequence[Requirement], added: Added) -> list[Points]:
+    """The points that the tip is to reach for every requirement: of a box its corners, or what exchange has made of
+    them; () of those that ask for none."""
+    boxes = iter(added.points)
+    out: list[Points] = []
+    for one in requirements:
+        if isinstance(one, Coverage):
+            out.append(next(boxes, corners(one)))
+        else:
+            out.append([target.position for target in one.targets] if isinstance(one, Reach) else [])
+    return out
 
 
 def corners(box: Coverage) -> tuple[tuple[float, ...], ...]:
@@ -275,8 +272,8 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
 def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     """Rows that are never relaxed: joint limits, the order of the tubes, the depth of the reach, the bounds behind
     strain and margin."""
-    jointed = joint_rows(state, program.task.robot.joint_limits), order_rows(state, program.task.places)
-    parts, changes = [values for values, _ in jointed], [slopes for _, slopes in jointed]
+    values, change = linear_rows(state, program.task)
+    parts, changes = [values], [change]
     look = at_state(state)
     for one in built_in(program.task.objectives):
         if one.depth is not None and program.depth_pose is not None:
@@ -314,7 +311,8 @@ def total_objective(program: Program, state: State) -> tuple[float, Array]:
     """What is minimised, and its change (X,)."""
     total, slope = 0.0, np.zeros(program.layout.size)
     if program.elastic:
-        slope[[k for k, name in enumerate(program.layout.names) if name.startswith("slack")]] = 1.0
+        slacks = [name for name in program.layout.auxiliary if name.startswith("slack")]
+        slope[[program.layout.column(name) for name in slacks]] = 1.0
         return float(slope @ state.x), slope
     for one in program.task.objectives:
         value, change = objective_value(program, state, one)

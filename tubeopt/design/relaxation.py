@@ -9,11 +9,11 @@ import numpy as np
 
 from ..errors import SolveError
 from ..typing import Array
-from .limit import Limit
 from .program import Program, elastic, evaluate, recompiled
 from .rows import Rows, relaxed
 from .solve import best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
+from .statements import Limit
 from .task import DesignTask
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,25 +15,23 @@ GRAVITY = 9.81
 """m/s^2."""
 
 
-class Held(Protocol):
-    """A dimension of a design: its name and unit, its value in that unit, and the bound on which it lies, or ""."""
+@dataclass(frozen=True)
+class Dimension:
+    """One free dimension: its name, unit, and value before and after, in that unit; whether it lies on a bound."""
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def after(self) -> float: ...
-    @property
-    def bound(self) -> str: ...
+    name: str
+    unit: str
+    before: float
+    after: float
+    bound: str
 
 
-def remarks(robot: ConcentricRobot, dimensions: Sequence[Held]) -> tuple[str, ...]:
+def remarks(robot: ConcentricRobot, dimensions: Sequence[Dimension]) -> tuple[str, ...]:
     """Sentences on a designed robot, each with its number."""
     return (*_bounds(dimensions), *_useless(robot))
 
 
-def _bounds(dimensions: Sequence[Held]) -> Iterator[str]:
+def _bounds(dimensions: Sequence[Dimension]) -> Iterator[str]:
     for one in dimensions:
         if one.bound:
             yield f"{one.name} lies on its {one.bound} bound, {one.after:.4g} {one.unit}, which the design hangs on"

@@ -13,6 +13,7 @@ from ..block.own import OwnRequirement
 from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle
+from ..bodies.scene import scene_of
 from ..errors import InputError, finite, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
 from ..typing import Array
@@ -319,17 +320,13 @@ class Avoid:
 
     def signed_distance(self, points: Array) -> Array:
         """(m,) distance of points (m, 3) from the nearest obstacle, m, < 0 inside."""
-        return np.asarray(np.min([body.signed_distance(points) for body in self.obstacles], axis=0))
+        return scene_of(self.obstacles).nearest(points)
 
     def gradient(self, points: Array) -> Array:
         """(m, 3) of `signed_distance`."""
-        if len(self.obstacles) == 1:
-            return np.asarray(self.obstacles[0].gradient(points))
-        nearest = np.argmin([body.signed_distance(points) for body in self.obstacles], axis=0)
-        gradient = np.empty_like(points)
-        for k in np.unique(nearest).tolist():
-            gradient[nearest == k] = self.obstacles[k].gradient(points[nearest == k])
-        return gradient
+        scene = scene_of(self.obstacles)
+        distances = scene.distances(np.arange(len(self.obstacles)), points)
+        return scene.gradients(distances.argmin(0), points)
 
 
 def Corridor(centreline: tuple[tuple[float, float, float], ...], radius: float | tuple[float, ...]) -> Avoid:

@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..block.own import OwnRequirement
-from ..robots.limits import JointLimits
 from ..typing import Array
-from .limit import Limit
 from .lookup import at_state
-from .order import Place, order_gaps
+from .order import gaps_of, order_gaps
 from .requirements import (
     Avoid,
     Coverage,
@@ -28,7 +26,8 @@ from .requirements import (
     Wall,
 )
 from .state import FreePose, State
-from .statements import Statement, reach_parts
+from .statements import Limit, Statement, reach_parts
+from .task import DesignTask
 
 HELD = 5e-8
 """Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
@@ -105,43 +104,28 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
             return requirement
 
 
-def order_rows(state: State, places: Sequence[Place]) -> tuple[Array, Array]:
-    """The order of the tubes at given translations, and that none is shorter than the next outer one, >= 0 where kept,
-    in steps of 10 mm; what no unknown moves is left out, as the task has checked it."""
-    straight, curved = (
-        np.array([getattr(tube, name) for tube in state.tubes]) for name in ("straight_length", "curved_length")
-    )
-    length, longer = straight + curved, state.slopes["straight_length"] + state.slopes["curved_length"]
-    values, slopes = [length[:-1] - length[1:]], [longer[:-1] - longer[1:]]
-    for place in places:
-        values.append(order_gaps(straight, curved, place))
-        slopes.append(order_gaps(state.slopes["straight_length"], state.slopes["curved_length"], place))
+def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
+    """Rows that are linear in the unknowns, >= 0 where kept, in steps of 10 mm: in every free pose the order of the
+    tubes, and the ranges of the translations that the robot's actuators have; that no tube is shorter than the next
+    outer one; the order at given translations. What no unknown moves is left out, as the task has checked it."""
+    layout, unmoved, limits = state.layout, np.zeros((state.layout.n, 1)), task.robot.joint_limits
+    straight, curved = (state.slopes[name] for name in ("straight_length", "curved_length"))
+    length, longer = np.array([tube.length for tube in state.tubes]), straight + curved
+    values: list[Array] = []
+    slopes: list[Array] = []
+    for k in (k for k, pose in enumerate(layout.poses) if isinstance(pose, FreePose)):
+        shift, moved = state.joint_values(k)[1], state.joint_slopes(k)[1]
+        values.append(gaps_of(state.tubes, shift, shift))
+        slopes.append(order_gaps(straight, curved, moved, moved))
+        if limits is not None:
+            low, high = np.array(limits.translations).T
+            values += [shift - low, high - shift]
+            slopes += [moved, -moved]
+    values.append(length[:-1] - length[1:])
+    slopes.append(longer[:-1] - longer[1:])
+    for place in task.places:
+        values.append(gaps_of(state.tubes, place.low, place.high))
+        slopes.append(order_gaps(straight, curved, unmoved, unmoved))
     slope = np.concatenate(slopes)
     moves = slope.any(axis=1)
     return np.concatenate(values)[moves] / 1e-2 - ORDERED, slope[moves] / 1e-2
-
-
-def joint_rows(state: State, limits: JointLimits | None) -> tuple[Array, Array]:
-    """Limits of the joint values of every free pose, >= 0 where kept, in steps of 10 mm: carriages and ends in order,
-    no tube withdrawn past the plate, and the ranges of the translations that the robot's actuators have."""
-    layout = state.layout
-    straight, curved = (state.slopes[name] for name in ("straight_length", "curved_length"))
-    length = np.array([tube.length for tube in state.tubes])
-    values: list[Array] = [np.zeros(0)]
-    slopes: list[Array] = [np.zeros((0, layout.size))]
-    for pose in layout.poses:
-        if not isinstance(pose, FreePose):
-            continue
-        place = layout.joints(pose)[1]
-        beta, moved = state.x[place], np.zeros((layout.n, layout.size))
-        moved[:, place] = np.eye(layout.n)
-        end, ended = beta + length, moved + straight + curved
-        values += [beta[1:] - beta[:-1], end[:-1] - end[1:], end]
-        slopes += [moved[1:] - moved[:-1], ended[:-1] - ended[1:], ended]
-        if limits is not None:
-            low, high = np.array(limits.translations).T
-            shift = beta + np.array([tube.straight_length for tube in state.tubes])
-            shifted = moved + straight
-            values += [shift - low, high - shift]
-            slopes += [shifted, -shifted]
-    return np.concatenate(values) / 1e-2 - ORDERED, np.concatenate(slopes) / 1e-2

@@ -20,7 +20,7 @@ from ..typing import Array
 from .exchange import robot_at
 from .multistart import multistart, rank
 from .objectives import Objective
-from .optimize import DesignSolution, DesignStatus, Settled, infeasible, solution_of
+from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
 from .pool import Progress
 from .program import Program, compile_task
 from .requirements import SnapFree
@@ -315,9 +315,7 @@ def _searched(
         search.best, (_, search.value) = search.place(first, zero), search.told(first, zero)
     designs, own = search.design(search.best)
     found = [attempt(program, x, None) for program, x in zip(programs, designs, strict=True)]
-    solutions = [
-        solution_of(task, Settled(each, rank([each]), 0), turns, began) for task, each in zip(plain, found, strict=True)
-    ]
+    solutions = [solution_of(task, (rank([each]), 0), turns, began) for task, each in zip(plain, found, strict=True)]
     spent = time.perf_counter() - began
     return solutions, (wanted.words, before, search.value, own, search.tried, spent)
 

@@ -9,10 +9,10 @@ import scipy
 
 from ..typing import Array
 from .cells import cell_at, cell_rows
-from .limit import Limit
 from .parameters import UNITS
 from .program import stack, state_at, total_objective
 from .solve_one import Attempt, rows_at
+from .statements import Limit
 
 
 @dataclass(frozen=True)
@@ -106,16 +106,11 @@ def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
     else:
         name, unit, factor, direction = "weighted objective", "", 1.0, 1
     derivative = -direction * price * sign
-    step = _round_step(limit)
+    # a round amount of the limit, in the unit in which it is shown
+    step = float(10.0 ** np.floor(np.log10(max(limit.size * limit.factor, 1e-12)) + 1e-9))
     gain = abs(price) * step / limit.factor * factor
     verb = "more" if limit.most else "less"
     change = "less" if direction > 0 else "more"
     shown = f"{step:g} {limit.unit}".strip()
     sentence = f"{shown} {verb} {limit.words} buys {f'{gain:.3g} {unit}'.strip()} {change} {name}"
     return Sensitivity(limit, derivative, sentence)
-
-
-def _round_step(limit: Limit) -> float:
-    """A round amount of the limit, in the unit in which it is shown."""
-    size = limit.size * limit.factor
-    return float(10.0 ** np.floor(np.log10(max(size, 1e-12)) + 1e-9))

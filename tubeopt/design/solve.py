@@ -8,7 +8,7 @@ from ..typing import Array
 from .cells import improve_by_cells
 from .collocation import collocate
 from .program import Program
-from .solve_one import FEASIBLE, Attempt, Report, attempt, cubed, improve, rows_at, to_feasibility, violation
+from .solve_one import Attempt, Report, attempt, cubed, improve, rows_at, to_feasibility, violation
 from .starts import with_joints
 
 METHODS = ("reduced", "collocation")
@@ -88,6 +88,3 @@ def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
 
 def _worse(one: Attempt) -> tuple[bool, float]:
     return not one.feasible, one.objective if one.feasible else one.violation
-
-
-__all__ = ["FEASIBLE", "Attempt", "Report", "solve"]

@@ -63,13 +63,13 @@ def violation(program: Program, x: Array) -> tuple[float, str]:
     found = evaluate(program, x)
     if found is None:
         return np.inf, "an equilibrium at every pose"
-    return largest_violation(found[1], found[2][0])
+    return largest_violation(found)
 
 
-def largest_violation(found: list[Rows], fixed: Array) -> tuple[float, str]:
+def largest_violation(found: Found) -> tuple[float, str]:
     """The same, of rows."""
-    worst = [(-float(group.values.min(initial=0.0)), group.limit.words) for group in found]
-    worst.append((-float(fixed.min(initial=0.0)), "limits of the joints and order of the tubes"))
+    worst = [(-float(group.values.min(initial=0.0)), group.limit.words) for group in found[1]]
+    worst.append((-float(found[2][0].min(initial=0.0)), "limits of the joints and order of the tubes"))
     return max(worst)
 
 
@@ -128,7 +128,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]
         if report is not None:
-            report("feasibility", largest_violation(found[1], found[2][0])[0])
+            report("feasibility", largest_violation(found)[0])
         return gap
 
     def jacobian(part: Array) -> Array:
@@ -186,7 +186,7 @@ def improve(
     optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
     """
     iterations = program.task.solver.iterations if iterations is None else iterations
-    form = cubed if not exact else same if program.elastic else squared
+    form = squared if exact else cubed
     scale = program.scale
     known = evaluate(program, start)
     if known is None:
@@ -224,15 +224,10 @@ def improve(
     return attempt(program, inside, replace(optimum, x=inside))
 
 
-def same(group: Rows) -> Rows:
-    """The rows as they are."""
-    return group
-
-
 def squared(group: Rows) -> Rows:
     """Rows that limit the length of a vector, in its square: of constant curvature, the same to first order where they
-    bind."""
-    if group.vector is None:
+    bind; as they are where the limit is eased by slack."""
+    if group.vector is None or group.slack is not None:
         return group
     vector, change = group.vector
     most = group.limit.value / group.limit.size

@@ -34,12 +34,7 @@ def twist_at(solved: Solution) -> Twist:
 
 
 def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, guess: Twist | None = None) -> Solution:
-    """The equilibrium near `guess`, or the one that descent reaches from tubes without torsion.
-
-    Raises:
-        InputError: a tube leaves its actuator.
-        SolveError: no equilibrium was found.
-    """
+    """The equilibrium near `guess`, or the one that descent reaches from tubes without torsion."""
     assembly = assemble(tubes, translations)
     problem = reduce(assembly, make_mesh(assembly))
     if guess is not None and len(guess.fraction) and problem.size:

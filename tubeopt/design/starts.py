@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from ..errors import InputError, SolveError
 from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
+from ..solvers.sampling import sobol
 from ..typing import Array
-from .piece_pose import PiecePose
-from .pose import Pose
-from .program import Program, built_in, corners
-from .requirements import Avoid, Coverage, Reach
+from .pose import PiecePose, Pose
+from .program import Program, built_in, points_of
+from .requirements import Avoid
 from .solved import solve_pose, twist_at
 from .state import FreePose
 
@@ -26,9 +25,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     space = layout.space
     if count == 1:
         return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
-    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(
-        int(np.ceil(np.log2(program.task.solver.sampled_designs * count)))
-    )
+    unit = sobol(layout.designs, program.task.solver.sampled_designs * count, seed)
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
@@ -78,12 +75,8 @@ def _gap(tips: Array, aim: tuple[float, ...]) -> Array:
 def _aims(program: Program) -> dict[int, tuple[float, ...]]:
     """What the tip is to reach in every free pose: a point, or a height."""
     out: dict[int, tuple[float, ...]] = {}
-    boxes = iter(program.added.points)
-    for one, own in zip(program.task.requirements, program.own, strict=True):
-        if isinstance(one, Reach):
-            out |= dict(zip(own, (target.position for target in one.targets), strict=True))
-        if isinstance(one, Coverage):
-            out |= dict(zip(own, next(boxes, corners(one)), strict=True))
+    for own, points in zip(program.own, points_of(program.task.requirements, program.added), strict=True):
+        out |= dict(zip(own, points, strict=False))
     for aim in built_in(program.task.objectives):
         if aim.depth is not None and program.depth_pose is not None:
             out[program.depth_pose] = (aim.depth,)

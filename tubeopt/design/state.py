@@ -7,21 +7,17 @@ from functools import cached_property
 
 import numpy as np
 
-from ..block.quantities import PoseNumber
+from ..block.quantities import PoseNumber, Quantity
 from ..equilibrium.general_change import Change
 from ..equilibrium.general_derivatives import Linearised
 from ..equilibrium.solving import Solution
-from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS
-from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..typing import Array
-from .deflection import stroke_force, tip_deflection
 from .drawn import drawn_back
 from .parameters import DesignSpace
-from .piece_pose import PiecePose
 from .pieces import change_of, given_of
-from .pose import Pose
+from .pose import PiecePose, Pose
 from .solved import Twist, solve_pose, twist_at, without_solving
 
 
@@ -89,18 +85,14 @@ class Layout:
         first = self.designs + 2 * self.n * pose.index
         return slice(first, first + self.n), slice(first + self.n, first + 2 * self.n)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What each unknown is: a dimension, "joint", or the name of an auxiliary one."""
-        return (*self.space.names, *("joint",) * (2 * self.n * self.free_poses), *self.auxiliary)
-
     def column(self, name: str) -> int:
         """Column of an auxiliary unknown."""
         return self.designs + 2 * self.n * self.free_poses + self.auxiliary.index(name)
 
 
 class State:
-    """Everything at x; equilibria are solved when asked for, near `guesses` where there are some.
+    """Everything at x; equilibria are solved when asked for, near `guesses`, where the next poses close by begin too.
+    `known`: quantities that were told of it, with their change.
 
     Raises, when asked: InputError where the dimensions make no tubes, SolveError where a pose has no equilibrium.
     """
@@ -108,12 +100,10 @@ class State:
     def __init__(self, layout: Layout, x: Array, guesses: dict[PoseNumber, Twist] | None = None) -> None:
         self.layout = layout
         self.x = x
-        self._guesses: dict[PoseNumber, Twist] = {} if guesses is None else guesses
+        self.guesses: dict[PoseNumber, Twist] = {} if guesses is None else guesses
+        self.known: dict[Quantity, tuple[Array, Array]] = {}
         self._poses: dict[PoseNumber, Pose | PiecePose] = {}
-        self._deflected: dict[tuple[PoseNumber, tuple[float, float, float]], tuple[Array, Array]] = {}
-        self._strokes: dict[PoseNumber, tuple[float, Array]] = {}
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
-        self._certified: dict[tuple[float, ...], Pose | PiecePose] = {}
         self._chains: dict[PoseNumber, Array] = {}
 
     @cached_property
@@ -124,10 +114,10 @@ class State:
     @cached_property
     def slopes(self) -> dict[str, Array]:
         """(n, X) change of every dimension and stiffness."""
-        space = self.layout.space
-        designs = space.slopes(self.tubes)
+        space, x = self.layout.space, self.x[: self.layout.designs]
+        designs = space.slopes(x)
         if space.spots:
-            designs["curvature"] = space.bend_slopes(self.tubes, self.x[: self.layout.designs])
+            designs["curvature"] = space.bend_slopes(self.tubes, x)
         return {name: np.pad(part, ((0, 0), (0, self.layout.size - part.shape[1]))) for name, part in designs.items()}
 
     def joint_values(self, index: PoseNumber) -> tuple[Array, Array]:
@@ -169,21 +159,10 @@ class State:
     def pose(self, index: PoseNumber) -> Pose | PiecePose:
         """The equilibrium of a pose."""
         if index not in self._poses:
-            solved = solve_pose(self.tubes, *self.joint_values(index), self._guesses.get(index))
-            self._guesses[index] = twist_at(solved)
+            solved = solve_pose(self.tubes, *self.joint_values(index), self.guesses.get(index))
+            self.guesses[index] = twist_at(solved)
             self._poses[index] = self._pose(solved)
         return self._poses[index]
-
-    def shaped(self, index: PoseNumber, what: str) -> Pose:
-        """The equilibrium of a pose, for what is told of its tubes along the arm.
-
-        Raises:
-            InputError: of a design of pieces, which has no `what`.
-        """
-        pose = self.pose(index)
-        if isinstance(pose, PiecePose):
-            raise InputError(f"an expression speaks of the {what} in a pose; a design of pieces has none for it")
-        return pose
 
     def _pose(self, solved: Solution) -> Pose | PiecePose:
         space = self.layout.space
@@ -236,34 +215,11 @@ class State:
         change = np.zeros((12 * self.layout.n, self.layout.size))
         for column in np.flatnonzero(self.chain(index).any(0)).tolist():
             step = np.eye(self.layout.size)[column] * 1e-4 * size[column]
-            ends = (here(State(self.layout, x, dict(self._guesses))) for x in (self.x + step, self.x - step))
+            ends = (here(State(self.layout, x, dict(self.guesses))) for x in (self.x + step, self.x - step))
             change[:, column] = -np.diff(np.stack(list(ends)), axis=0)[0] / (2 * step[column])
         return here(self), change
 
-    def deflection(self, index: PoseNumber, force: tuple[float, float, float]) -> tuple[Array, Array]:
-        """(3,) m, how far a force, N, moves the tip of a pose, and its change (3, X)."""
-        key = index, force
-        if key not in self._deflected:
-            pose, shift = self.shaped(index, "deflection"), self.joint_values(index)[1]
-            robot = ConcentricRobot(self.tubes)
-            self._deflected[key] = tip_deflection(pose, robot, shift, force, self.chain(index))
-        return self._deflected[key]
-
-    def stroke_force(self, index: PoseNumber) -> tuple[float, Array]:
-        """The stroke force of a pose, N, and its change (X,)."""
-        if index not in self._strokes:
-            pose, shift = self.shaped(index, "stroke force"), self.joint_values(index)[1]
-            self._strokes[index] = stroke_force(pose, ConcentricRobot(self.tubes), shift, self.chain(index))
-        return self._strokes[index]
-
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
         """mu_cert at translations (n,), m, and its change (X,)."""
-        if translations not in self._certified:
-            self._certified[translations] = self._pose(without_solving(self.tubes, np.array(translations)))
-        value, slope = self._certified[translations].certificate
+        value, slope = self._pose(without_solving(self.tubes, np.array(translations))).certificate
         return value, slope[2 * self.layout.n :] @ self._reshaped
-
-    @property
-    def guesses(self) -> dict[PoseNumber, Twist]:
-        """Where the next poses close by begin."""
-        return self._guesses

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial, singledispatch
+from functools import partial
 from itertools import permutations
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from .drawn import SHARES
-from .limit import Limit
 from .requirements import (
     Avoid,
     Coverage,
@@ -33,6 +32,29 @@ from .requirements import (
 Function = Callable[[Quantities], Any]
 
 
+@dataclass(frozen=True)
+class Limit:
+    """What a group of rows is about.
+
+    words: what is limited.  value: the limit, SI.  most: whether the limit is an upper one.  unit, factor: how it is
+    shown.  size: SI change that counts as one step when limits are relaxed against each other.  movable: whether it
+    may be relaxed.
+    """
+
+    words: str
+    value: float
+    most: bool
+    unit: str
+    factor: float
+    size: float
+    movable: bool = True
+
+    def shown(self, value: float | None = None) -> str:
+        """The limit, or another value of the same kind, with its unit."""
+        number = f"{(self.value if value is None else value) * self.factor:.4g}"
+        return f"{number} {self.unit}".strip()
+
+
 @dataclass(frozen=True, eq=False)
 class Statement:
     """A limit as an expression (K,) >= 0, SI. Where it limits the length of a vector, `vector` (3 K,) is that, one
@@ -48,6 +70,7 @@ class Statement:
 
 Poses = tuple[int, ...]
 Points = Sequence[tuple[float, ...]]
+Stated = Iterator[tuple[Limit, Function, Function | None]]
 
 
 def statements(
@@ -58,43 +81,76 @@ def statements(
     `poses` are those that it is about: its own for Reach and Coverage, also those on joint paths for SnapFreeInUse, all
     task poses for others. `points` are those of a box in the program for Coverage, the translations of the certificate
     for SnapFree.
-
-    Raises:
-        InputError: an own requirement whose expression makes no sense.
     """
-    n, count = len(pieces), max(poses, default=-1) + 1
-    out = []
-    for k, (limit, function, vector) in enumerate(_stated(requirement, n, poses, points)):
-        own = isinstance(requirement, OwnRequirement)
-        words = limit.words
-        found = None if vector is None else recorded(vector, n, count, words, pieces)
-        out.append(Statement(k, limit, recorded(function, n, count, words, pieces), found, own))
-    return tuple(out)
+    n, count, own = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, OwnRequirement)
+
+    def record(function: Function, limit: Limit) -> Expression:
+        return recorded(function, n, count, limit.words, pieces)
+
+    return tuple(
+        Statement(k, limit, record(function, limit), None if vector is None else record(vector, limit), own)
+        for k, (limit, function, vector) in enumerate(_stated(requirement, n, poses, points))
+    )
 
 
-Stated = list[tuple[Limit, Function, Function | None]]
+def _stated(one: Requirement, n: int, poses: Poses, points: Points) -> Stated:
+    """Every limit, what is left of it, and the vector whose length it limits: of tubes and certificates."""
+    match one:
+        case OwnRequirement():
+            movable = one.relaxed(one.size) is not None
+            limit = Limit(one.words, float(one.limit), bool(one.most), one.unit, one.factor, one.size, movable)
+            yield limit, one.expression, None
+        case SnapFree(floor=least):
+            limit = Limit("certified margin", least, False, "", 1.0, 0.1)
+            yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - least, None
+        case Nesting(clearance=least) if n > 1:
+            limit = Limit("clearance of the diameters", least, False, "mm", 1e3, 1e-4)
+            yield limit, lambda q: q.tubes["inner_diameter"][1:] - q.tubes["outer_diameter"][:-1] - least, None
+        case Wall(thickness=least):
+            limit = Limit("wall thickness", least, False, "mm", 1e3, 1e-4)
+            yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - least, None
+        case Length(field=field, tube=i):
+            sign, whole = 1.0 if one.least else -1.0, field == "length"
+            words = f"{'overall length' if whole else field.replace('_', ' ')} of tube {i + 1}"
+            parts = ("straight_length", "curved_length") if whole else (field,)
+            limit = Limit(words, one.limit, not one.least, "mm", 1e3, 1e-2)
+            yield limit, lambda q: sign * (sum(q.tubes[part][i] for part in parts) - limit.value), None
+        case _:
+            yield from _stated_of_poses(one, poses, points)
 
 
-@singledispatch
-def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> Stated:
-    return []
-
-
-@_stated.register
-def _(requirement: OwnRequirement, n: int, poses: Poses, points: Points) -> Stated:
-    one, movable = requirement, requirement.relaxed(requirement.size) is not None
-    limit = Limit(one.words, float(one.limit), bool(one.most), one.unit, one.factor, one.size, movable)
-    return [(limit, one.expression, None)]
-
-
-@_stated.register
-def _(requirement: SnapFree, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("certified margin", requirement.floor, False, "", 1.0, 0.1)
-
-    def room(q: Quantities) -> Any:
-        return ca.vertcat(*(q.certificate(row) for row in points)) - requirement.floor
-
-    return [(limit, room, None)]
+def _stated_of_poses(one: Requirement, poses: Poses, points: Points) -> Stated:
+    match one:
+        case SnapFreeInUse(margin=least) if poses:
+            limit = Limit("margin in use", least, False, "", 1.0, 0.1)
+            yield limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, one.deployed))) - least, None
+        case Strain(limits=limits):
+            posed = poses if one.in_poses else ()
+            for i, most in enumerate(limits if one.straightened or posed else ()):
+                limit = Limit(f"strain of tube {i + 1}", most, True, "%", 1e2, 1e-3)
+                yield limit, partial(_unstrained, one, posed, i), None
+        case Avoid(clearance=least) if poses:
+            limit = Limit("clearance of the obstacles", least, False, "mm", 1e3, 1e-3)
+            yield limit, lambda q: ca.vertcat(*(e.clearance(one) for e in arms(q, poses, one.deployed))) - least, None
+        case Stroke(limit=most) if len(poses) > 1:
+            limit = Limit("stroke of a carriage", most, True, "mm", 1e3, 1e-2)
+            yield limit, lambda q: most - ca.vertcat(*_travels(q, poses)), None
+        case StrokeForce(limit=least):
+            limit = Limit("stroke force", least, False, "mN", 1e3, 1e-2)
+            yield limit, lambda q: ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - least, None
+        case Reach(targets=targets):
+            for k, (pose, target) in enumerate(zip(poses, targets, strict=True), start=1):
+                limit = Limit(f"tolerance of target {k}", target.tolerance, True, "mm", 1e3, 1e-3)
+                yield _near(limit, (pose,), (target.position,))
+                if target.direction is not None:
+                    words, most = f"tolerance of the direction at target {k}", target.direction_tolerance
+                    limit = Limit(words, most, True, "deg", 180 / np.pi, np.radians(5.0))
+                    yield limit, partial(_along, limit, pose, target.direction), None
+        case Coverage(tolerance=most):
+            limit = Limit("tolerance of the workspace box", most, True, "mm", 1e3, 1e-3)
+            yield _near(limit, poses, points)
+        case _:
+            return
 
 
 def arms(q: Quantities, poses: Poses, deployed: bool) -> list[PoseQuantities]:
@@ -103,111 +159,14 @@ def arms(q: Quantities, poses: Poses, deployed: bool) -> list[PoseQuantities]:
     return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].drawn(share) for share in drawn))]
 
 
-@_stated.register
-def _(requirement: SnapFreeInUse, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("margin in use", requirement.margin, False, "", 1.0, 0.1)
-
-    def room(q: Quantities) -> Any:
-        return ca.vertcat(*(arm.margin for arm in arms(q, poses, requirement.deployed))) - requirement.margin
-
-    return [(limit, room, None)] if poses else []
+def _travels(q: Quantities, poses: Poses) -> list[Any]:
+    return [q.poses[a].translations - q.poses[b].translations for a, b in permutations(poses, 2)]
 
 
-@_stated.register
-def _(requirement: Strain, n: int, poses: Poses, points: Points) -> Stated:
-    posed = poses if requirement.in_poses else ()
-
-    def room(q: Quantities, tube: int) -> Any:
-        straight = [q.straightened_strain(tube)] if requirement.straightened else []
-        return requirement.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in posed))
-
-    limits = [Limit(f"strain of tube {i + 1}", most, True, "%", 1e2, 1e-3) for i, most in enumerate(requirement.limits)]
-    some = requirement.straightened or posed
-    return [(limit, partial(room, tube=i), None) for i, limit in enumerate(limits)] if some else []
-
-
-@_stated.register
-def _(requirement: Avoid, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("clearance of the obstacles", requirement.clearance, False, "mm", 1e3, 1e-3)
-
-    def room(q: Quantities) -> Any:
-        rooms = (arm.clearance(requirement) for arm in arms(q, poses, requirement.deployed))
-        return ca.vertcat(*rooms) - requirement.clearance
-
-    return [(limit, room, None)] if poses else []
-
-
-@_stated.register
-def _(requirement: Nesting, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("clearance of the diameters", requirement.clearance, False, "mm", 1e3, 1e-4)
-
-    def gaps(q: Quantities) -> Any:
-        return q.tubes["inner_diameter"][1:] - q.tubes["outer_diameter"][:-1] - requirement.clearance
-
-    return [(limit, gaps, None)] if n > 1 else []
-
-
-@_stated.register
-def _(requirement: Wall, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("wall thickness", requirement.thickness, False, "mm", 1e3, 1e-4)
-
-    def walls(q: Quantities) -> Any:
-        return (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - requirement.thickness
-
-    return [(limit, walls, None)]
-
-
-@_stated.register
-def _(requirement: Length, n: int, poses: Poses, points: Points) -> Stated:
-    field, i, sign = requirement.field, requirement.tube, 1.0 if requirement.least else -1.0
-    words = f"{'overall length' if field == 'length' else field.replace('_', ' ')} of tube {i + 1}"
-    limit = Limit(words, requirement.limit, not requirement.least, "mm", 1e3, 1e-2)
-    parts = ("straight_length", "curved_length") if field == "length" else (field,)
-
-    def room(q: Quantities) -> Any:
-        return sign * (sum(q.tubes[part][i] for part in parts) - requirement.limit)
-
-    return [(limit, room, None)]
-
-
-@_stated.register
-def _(requirement: Stroke, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("stroke of a carriage", requirement.limit, True, "mm", 1e3, 1e-2)
-
-    def room(q: Quantities) -> Any:
-        moved = [q.poses[a].translations - q.poses[b].translations for a, b in permutations(poses, 2)]
-        return requirement.limit - ca.vertcat(*moved)
-
-    return [(limit, room, None)] if len(poses) > 1 else []
-
-
-@_stated.register
-def _(requirement: StrokeForce, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("stroke force", requirement.limit, False, "mN", 1e3, 1e-2)
-
-    def room(q: Quantities) -> Any:
-        return ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - requirement.limit
-
-    return [(limit, room, None)]
-
-
-@_stated.register
-def _(requirement: Reach, n: int, poses: Poses, points: Points) -> Stated:
-    out: Stated = []
-    for k, (index, target) in enumerate(zip(poses, requirement.targets, strict=True)):
-        limit = Limit(f"tolerance of target {k + 1}", target.tolerance, True, "mm", 1e3, 1e-3)
-        out.append(_near(limit, (index,), (target.position,)))
-        if target.direction is not None:
-            words = f"tolerance of the direction at target {k + 1}"
-            limit = Limit(words, target.direction_tolerance, True, "deg", 180 / np.pi, np.radians(5.0))
-            out.append((limit, partial(_along, limit, index, target.direction), None))
-    return out
-
-
-@_stated.register
-def _(requirement: Coverage, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("tolerance of the workspace box", requirement.tolerance, True, "mm", 1e3, 1e-3)
-    return [_near(limit, poses, points)]
+def _unstrained(one: Strain, poses: Poses, tube: int, q: Quantities) -> Any:
+    """What is left of the strain of a tube."""
+    straight = [q.straightened_strain(tube)] if one.straightened else []
+    return one.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in poses))
 
 
 def reach_parts(requirement: Reach) -> list[tuple[int, str]]:

@@ -14,11 +14,12 @@ from ..errors import InputError, SolveError, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
+from ..solvers.parallel.executors import executor
 from .exchange import robot_at
 from .multistart import multistart
 from .objectives import key_of
 from .optimize import settle
-from .pool import Progress, executor, run_all
+from .pool import Progress, run_all
 from .program import compile_task, objective_value, state_at
 from .requirements import Length, Nesting, Strain, Wall
 from .task import DesignTask
@@ -103,23 +104,23 @@ def choose_from_stock(
         starts: of each design.
 
     Raises:
-        InputError: keep or starts below 1, and as `stock_choices`.
+        InputError: keep, starts or workers below 1, a clearance below 0, nothing in stock nests, a task in which
+            diameters are free or with several objectives.
         SolveError: no candidate is feasible.
     """
-    whole("keep", keep, 1)
-    whole("starts", starts, 1)
+    for name, value in (("keep", keep), ("starts", starts), ("workers", workers)):
+        whole(name, value, 1)
     choices = stock_choices(task, stock, clearance)
     bounds = [_bound(with_sizes(task, sizes)) for sizes in choices]
     order = np.argsort(bounds, kind="stable")
     done: list[Candidate] = []
     with executor(workers) as pool:
-        for k in range(0, len(order), max(1, workers)):
+        for k in range(0, len(order), workers):
             best = sorted(_minimised(task, one) for one in done if one.robot is not None)
             limit = best[keep - 1] if len(best) >= keep else np.inf
-            batch = [i for i in order[k : k + max(1, workers)] if bounds[i] < limit]
-            skipped = [i for i in order[k : k + max(1, workers)] if bounds[i] >= limit]
-            done += [Candidate(choices[i], bounds[i], None, None, "pruned") for i in skipped]
-            tasks = [(with_sizes(task, choices[i]), choices[i], bounds[i]) for i in batch]
+            batch = order[k : k + workers]
+            done += [Candidate(choices[i], bounds[i], None, None, "pruned") for i in batch if bounds[i] >= limit]
+            tasks = [(with_sizes(task, choices[i]), choices[i], bounds[i]) for i in batch if bounds[i] < limit]
             done += run_all(partial(_design, starts=starts), tasks, pool)
             if progress is not None:
                 progress(len(done), len(order))
@@ -131,12 +132,7 @@ def choose_from_stock(
 
 
 def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float) -> list[tuple[StockTube, ...]]:
-    """All choices of sizes for the tubes of a task, inner to outer.
-
-    Raises:
-        InputError: nothing in stock nests, a clearance below 0, a task in which diameters are free or with several
-            objectives.
-    """
+    """All choices of sizes for the tubes of a task, inner to outer."""
     if any(one.field in ("outer_diameter", "inner_diameter") for one in task.free):
         raise InputError("diameters are free in a task whose tubes come from stock; only one can decide on them")
     if len(task.objectives) > 1:
@@ -203,9 +199,3 @@ def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) 
         return Candidate(sizes, bound, None, None, f"infeasible: {error}")
     value = objective_value(found.program, state_at(found.program, found.x), task.objectives[0])[0]
     return Candidate(sizes, bound, value, robot_at(found.program, found.x), "design")
-
-
-def objective_label(task: DesignTask) -> tuple[str, str, float]:
-    """Name, unit and factor of the objective that candidates are ranked by."""
-    one = task.objectives[0]
-    return one.words, one.unit, one.factor

@@ -123,14 +123,10 @@ def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
     return found
 
 
-def least_straight(task: DesignTask) -> list[float]:
-    """Least straight length that every tube may get, m: how far it may be advanced from home."""
-    least: list[float] = extreme_lengths(task, "lower")["straight_length"].tolist()
-    return least
-
-
-def _advanced(task: DesignTask, row: Sequence[float]) -> None:
-    for i, (shift, most) in enumerate(zip(row, least_straight(task), strict=True)):
+def _advanced(task: DesignTask, name: str, row: Sequence[float]) -> None:
+    _per_tube(name, row, task.robot.n_tubes)
+    least = extreme_lengths(task, "lower")["straight_length"].tolist()
+    for i, (shift, most) in enumerate(zip(row, least, strict=True)):
         if shift > most + 1e-12:
             raise InputError(
                 f"translation of tube {i + 1} is {shift:g} m; it must be at most the least straight length that the "
@@ -149,13 +145,12 @@ def _check_requirements(task: DesignTask) -> None:
         match one:
             case SnapFree(translations=rows, box=box):
                 for row in (*(rows or ()), *(box or ())):
-                    _per_tube("translations of the certificate", row, n)
-                    _advanced(task, row)
+                    _advanced(task, "translations of the certificate", row)
             case Poses(rotations=rotations, translations=translations):
-                for row in (*rotations, *translations):
+                for row in rotations:
                     _per_tube("a pose", row, n)
                 for row in translations:
-                    _advanced(task, row)
+                    _advanced(task, "a pose", row)
             case Strain(limits=limits) if len(limits) != n:
                 raise InputError(f"strain has {len(limits)} limits; it must be 1 or {n} (one per tube)")
             case Length(tube=tube) if not 0 <= tube < n:
@@ -261,8 +256,7 @@ def _check_objectives(task: DesignTask) -> None:
                 raise InputError(f"an own objective is called {one.words!r} like a built-in one; it needs other words")
             continue
         if one.translations is not None:
-            _per_tube("translations of the objective", one.translations, task.robot.n_tubes)
-            _advanced(task, one.translations)
+            _advanced(task, "translations of the objective", one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
         if one.kind == "orientability" and task.robot.n_tubes < 3:

@@ -8,22 +8,17 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
+import scipy
 
-from ..block.transcription.mesh import make_mesh
-from ..block.transcription.reduced import reduce
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector, whole
 from ..files.marks import NOT_NEGATIVE, OneOf, unit
-from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import OfCrossSection, Tube
+from ..solvers.parallel.executors import executor
 from ..stability import snap_free_certificate
-from ..stability.certificate import least_of_worst_case
 from ..typing import Array
-from .pool import Progress, executor, run_all
-
-NORMAL_95 = 1.959963984540054
-"""Half width of the 95 % interval of the normal distribution."""
+from .pool import Progress, run_all
 
 
 @dataclass(frozen=True)
@@ -94,6 +89,7 @@ def tolerance_analysis(
     if not isinstance(tolerances, Tolerances):
         raise InputError(f"tolerances is {tolerances!r}; it must be Tolerances")
     whole("samples", samples, 2)
+    whole("workers", workers, 1)
     rows = [robot.home_translations] if translations is None else translations
     where = tuple(tuple(vector("translations", row, robot.n_tubes).tolist()) for row in rows)
     for pose in poses:
@@ -108,11 +104,12 @@ def tolerance_analysis(
         parts = run_all(partial(_batch, translations=where, poses=tuple(poses)), batches, pool, progress)
     certificate, tip = (np.concatenate([part[k] for part in parts]) for k in range(2))
     gap = np.linalg.norm(tip - nominal[1], axis=2)
-    share = float((certificate > 0).mean())
+    free = int((certificate > 0).sum())
+    interval = scipy.stats.binomtest(free, samples).proportion_ci(0.95, method="wilson")
     return ToleranceAnalysis(
         certificate=certificate,
-        snap_free=share,
-        interval=wilson(share, samples),
+        snap_free=free / samples,
+        interval=(float(interval.low), float(interval.high)),
         margin=margin,
         margin_kept=float((certificate >= margin).mean()),
         tip=tip,
@@ -122,24 +119,14 @@ def tolerance_analysis(
     )
 
 
-def wilson(share: float, count: int) -> tuple[float, float]:
-    """95 % interval of a probability of which a share of `count` trials was seen (Wilson 1927)."""
-    z2 = NORMAL_95**2 / count
-    middle = (share + z2 / 2) / (1 + z2)
-    half = np.sqrt(z2 * (share * (1 - share) + z2 / 4)) / (1 + z2)
-    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
-
-
 def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, seed: int = 0) -> list[tuple[Tube, ...]]:
     """`samples` sets of tubes as they may be made."""
     random = np.random.default_rng(seed)
     size = (samples, len(tubes), 4)
     errors = random.standard_normal(size) if tolerances.distribution == "normal" else random.uniform(-1, 1, size)
-    out = []
-    for row in errors:
-        made = [_made(tube, tolerances, errors) for tube, errors in zip(tubes, row.tolist(), strict=True)]
-        out.append(tuple(made))
-    return out
+    return [
+        tuple(_made(tube, tolerances, own) for tube, own in zip(tubes, row, strict=True)) for row in errors.tolist()
+    ]
 
 
 def _made(tube: Tube, tolerances: Tolerances, errors: Sequence[float]) -> Tube:
@@ -176,17 +163,10 @@ def _batch(
     certificates = np.empty(len(batch))
     tips = np.full((len(batch), len(poses), 3), np.nan)
     for k, tubes in enumerate(batch):
-        straight = np.array([tube.straight_length for tube in tubes])
-        certificates[k] = min(_certificate(tubes, np.minimum(row, straight)) for row in translations)
+        robot, straight = ConcentricRobot(tubes), np.array([tube.straight_length for tube in tubes])
+        certificates[k] = min(snap_free_certificate(robot, np.minimum(row, straight)) for row in translations)
         if poses:
             rotations, shift = (np.array([pose[part] for pose in poses], dtype=float) for part in (0, 1))
-            found = forward_kinematics_batch(ConcentricRobot(tubes), rotations, np.minimum(shift, straight))
+            found = forward_kinematics_batch(robot, rotations, np.minimum(shift, straight))
             tips[k, found.stable] = found.tip_position[found.stable]
     return certificates, tips
-
-
-def _certificate(tubes: tuple[Tube, ...], translations: Array) -> float:
-    if any(tube.general for tube in tubes):
-        return snap_free_certificate(ConcentricRobot(tubes), translations)
-    assembly = assemble(tubes, translations)
-    return least_of_worst_case(reduce(assembly, make_mesh(assembly)))

@@ -19,7 +19,8 @@ from .drawn import SHARES, draw
 from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
 from .order import pose_places, worst_order
-from .program import Program, corners, state_at
+from .program import Program, points_of, state_at
+from .rechecks import Check, check_own, check_tubes, least_room, numbers_of
 from .requirements import (
     Avoid,
     Coverage,
@@ -29,20 +30,9 @@ from .requirements import (
     StrokeForce,
     of_kind,
 )
-from .verify_own import check_own, numbers_of
-from .verify_tubes import check_tubes, least_room
 
 SLACK = 1e-6
 """By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One promise: what it is, what was found, whether it is kept."""
-
-    what: str
-    found: str
-    kept: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +102,11 @@ def verify(
         if isinstance(one, SnapFree):
             checks += _certificate(program, robot, one, turns)
         elif isinstance(one, SnapFreeInUse) and equilibria:
-            least = min(e.margin for e in equilibria)
-            checks.append(Check("margin at the task poses", f"{least:.4f}", least >= one.margin - one.tolerance))
+            arms = {"margin at the task poses": equilibria}
             if one.deployed:
-                least = min(e.margin for e in on_the_way(robot, equilibria))
-                words = "margin on the way out to the task poses"
+                arms["margin on the way out to the task poses"] = on_the_way(robot, equilibria)
+            for words, some in arms.items():
+                least = min(e.margin for e in some)
                 checks.append(Check(words, f"{least:.4f}", least >= one.margin - one.tolerance))
             if one.paths and len(equilibria) > 1:
                 checks.append(_paths(program, robot, x, one))
@@ -125,8 +115,8 @@ def verify(
         elif isinstance(one, Avoid):
             checks.append(_anatomy(one, robot, equilibria))
         elif isinstance(one, OwnRequirement):
-            checks.append(Check(*check_own(one, robot, equilibria)))
-        checks += [Check(*found) for found in check_tubes(one, robot, equilibria)]
+            checks.append(check_own(one, robot, equilibria))
+        checks += check_tubes(one, robot, equilibria)
     checks += _order(program, robot, equilibria)
     checks += _tips(program, equilibria)
     return Verification(tuple(checks))
@@ -176,9 +166,9 @@ def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array], count: int
     return [Check(words, f"{least:.5f}", least >= one.margin - one.tolerance - SLACK)]
 
 
-def on_the_way(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Equilibrium]:
+def on_the_way(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> tuple[Equilibrium, ...]:
     """Arms on their way out to poses."""
-    return [draw(robot, one, share) for one in equilibria for share in SHARES]
+    return tuple(draw(robot, one, share) for one in equilibria for share in SHARES)
 
 
 def _order(program: Program, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
@@ -208,35 +198,27 @@ def _stroke_force(one: StrokeForce, robot: ConcentricRobot, equilibria: tuple[Eq
 
 def _anatomy(one: Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
     drawn = on_the_way(robot, equilibria) if one.deployed else ()
-    room = min((clearance(one, robot, e) for e in (*equilibria, *drawn)), default=np.inf)
+    room = min((least_room(one, robot, e) for e in (*equilibria, *drawn)), default=np.inf) - one.clearance
     return Check("room between the arm and the obstacles at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
-
-
-def clearance(one: Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
-    """Least room (m) between the surface of the arm at its shape points and the anatomy, beyond what is demanded."""
-    return least_room(one, robot, equilibrium) - one.clearance
 
 
 def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
     place = {number: k for k, number in enumerate(program.task_poses)}
-    boxes = iter(program.added.points)
+    points = points_of(program.task.requirements, program.added)
     checks = []
-    for one, own in zip(program.task.requirements, program.own, strict=True):
-        if isinstance(one, Reach):
-            aims = [(np.array(target.position), target.tolerance) for target in one.targets]
-        elif isinstance(one, Coverage):
-            aims = [(np.array(point), one.tolerance) for point in next(boxes, corners(one))]
-        else:
+    for one, own, aims in zip(program.task.requirements, program.own, points, strict=True):
+        if not isinstance(one, Reach | Coverage):
             continue
-        gaps = [
-            float(np.linalg.norm(equilibria[place[number]].tip_position - aim) / tolerance)
-            for number, (aim, tolerance) in zip(own, aims, strict=True)
-        ]
-        worst = int(np.argmax(gaps))
+        reached = [equilibria[place[number]] for number in own]
+        targets = one.targets if isinstance(one, Reach) else [one] * len(aims)
+        allowed = np.array([target.tolerance for target in targets])
+        gaps = np.linalg.norm([e.tip_position for e in reached] - np.array(aims), axis=1)
+        worst = int(np.argmax(gaps / allowed))
         words = f"largest distance of the tip from {len(aims)} targets"
-        checks.append(Check(words, f"{gaps[worst] * aims[worst][1] * 1e3:.4f} mm", gaps[worst] <= 1 + 1e-3))
+        kept = bool(gaps[worst] <= (1 + 1e-3) * allowed[worst])
+        checks.append(Check(words, f"{gaps[worst] * 1e3:.4f} mm", kept))
         if isinstance(one, Reach):
-            checks += _directions(one, [equilibria[place[number]] for number in own])
+            checks += _directions(one, reached)
     return checks
 
 

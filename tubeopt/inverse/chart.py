@@ -9,8 +9,10 @@ snap.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,14 +79,9 @@ class Arms:
         return np.asarray(ends + h[..., None] * (a * x * (1 - x) ** 2 - b * x**2 * (1 - x)))
 
 
-@lru_cache(maxsize=64)
-def _mapped(kind: Kind, count: int, thread: int) -> Buffered:
-    return Buffered(explicit_arm(kind).map(count))
-
-
-@lru_cache(maxsize=64)
-def _turned(kind: Kind, count: int, thread: int) -> Buffered:
-    return Buffered(explicit_rotations(kind).map(count))
+@lru_cache(maxsize=128)
+def _mapped(function: Callable[[Kind], Any], kind: Kind, count: int, thread: int) -> Buffered:
+    return Buffered(function(kind).map(count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +138,7 @@ class Chart:
         out = np.empty(tip.shape)
         for k in range(0, len(z), BATCH):
             some = slice(k, k + BATCH)
-            function = _turned(self.kind, len(tip[some]), thread)
+            function = _mapped(explicit_rotations, self.kind, len(tip[some]), thread)
             out[some] = function(tip[some], shift[some], self.parameters)[0]
         return out
 
@@ -166,13 +163,9 @@ class Chart:
 
     def _batch(self, tip: Array, shift: Array, margin: Array) -> list[Array]:
         count = len(tip)
-        function = _mapped(self.kind, count, threading.get_ident())
-        out = function(tip, shift, margin, self.parameters)
-        rotations, fields, points, tangents, s = (array.copy() for array in out)
-        return [
-            rotations,
-            fields,
-            points.reshape(count, -1, 3),
-            tangents.reshape(count, -1, 3),
-            s.reshape(count, -1),
-        ]
+        function = _mapped(explicit_arm, self.kind, count, threading.get_ident())
+        rotations, fields, points, tangents, s = (
+            array.copy() for array in function(tip, shift, margin, self.parameters)
+        )
+        curves = [curve.reshape(count, -1, 3) for curve in (points, tangents)]
+        return [rotations, fields, *curves, s.reshape(count, -1)]

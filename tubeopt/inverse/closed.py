@@ -57,7 +57,13 @@ class _Section:
 def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> Wall | None:
     """What keeps a start from all goals, points (m,); None where nothing was found before the clock was over. Of
     several goals the one is told of which least is proved."""
-    bare = replace(task, min_margin=task.min_margin - task.effort.wall_doubt, margin_room=0.0, floor=0.0, ends=None)
+    margin, space = task.min_margin - task.effort.wall_doubt, task.chart.space
+    if not task.obstacles:  # turned as a whole, the robot is as it was: its joints may be turned at will
+        lower, upper, n = space.lower.copy(), space.upper.copy(), space.robot.n_tubes
+        lower[:n], upper[:n] = -np.inf, np.inf
+        space = replace(space, lower=lower, upper=upper)
+    chart = replace(task.chart, space=space)
+    bare = replace(task, chart=chart, min_margin=margin, margin_room=0.0, floor=0.0, ends=None)
     random = np.random.default_rng(seed)
     found = []
     for goal in goals:
@@ -89,27 +95,9 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
 
 
 def _any(task: Task, z: Array, clock: Clock) -> bool:
-    """Whether some state (N, m) is allowed; rotations of the joints may be any where there is nothing to collide with,
-    since the robot can be turned as a whole."""
-    space = task.chart.space
-    n = space.robot.n_tubes
-    for some in np.split(z, range(16, len(z), 16)):  # most sections have one that is allowed among the first
-        if clock.over:
-            return False
-        arms = task.arms(some)
-        q = task.chart.joints(some, arms)
-        allowed = arms.stable.copy()
-        if len(space.least):
-            allowed &= (q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)
-        if task.obstacles:
-            slack = 1e-6 * space.scale[:n]
-            allowed &= ((q[:, :n] >= space.lower[:n] - slack) & (q[:, :n] <= space.upper[:n] + slack)).all(1)
-            rows = np.flatnonzero(allowed)
-            if len(rows):
-                allowed[rows] = task.clearances(arms.some(rows), task.clearance) >= task.clearance
-        if allowed.any():
-            return True
-    return False
+    """Whether some state (N, m) is allowed, of which most sections have one among the first."""
+    parts = np.split(z, range(16, len(z), 16))
+    return any(bool(task.holds(some).any()) for some in parts if not clock.over)
 
 
 def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:

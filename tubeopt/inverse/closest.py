@@ -9,7 +9,7 @@ smooth: steps keep the order, and where it holds the minimum up, what lies beyon
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,6 @@ from .descent import SLACK, Search, boxed
 from .goal import Goal
 from .least_squares import constrained_least_squares
 from .order import apart, beyond, breakpoint_order
-from .outline import MOST_CONTACTS
 from .posture import Posture
 
 
@@ -36,7 +35,7 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     descent = _Descent(goal)
     here = descent.minimum(first)
     for _ in range(goal.solver.closest_orders):
-        there = descent.across(here) if descent.solves < goal.solver.closest_postures and not goal.late else None
+        there = descent.across(here) if descent.solves < goal.solver.closest_postures and not goal.clock.over else None
         if there is None:
             break
         here = descent.minimum(there)
@@ -44,7 +43,7 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     return Search(here, reached, descent.steps, descent.solves)
 
 
-def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[], bool]) -> Search | None:
+def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None:
     """The allowed posture that misses the target least: of each group of ends, polished in their order until several
     agree. More ends at the end of a group never make it worse.
 
@@ -55,7 +54,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[
     for ends in groups:
         least, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
-            if agreeing >= goal.solver.closest_agreeing or (best is not None and late()):
+            if agreeing >= goal.solver.closest_agreeing or (best is not None and goal.clock.over):
                 break
             found = approach(goal, end)
             if found is None:
@@ -91,32 +90,13 @@ def restored(goal: Goal, at: Posture, *, most: int) -> Posture | None:
         chosen = constrained_least_squares(
             np.diag(1 / goal.space.scale),
             np.zeros(len(at.q)),
-            *boxed(goal, *_demands(goal, at)[:2], goal.solver.first_step),
+            *boxed(goal, *goal.demands(at)[:2], goal.solver.first_step),
         )
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if there is None:
             return None
         at = there
     return at if goal.allowed(at, SLACK) else None
-
-
-def _demands(goal: Goal, at: Posture) -> tuple[Array, Array, Index]:
-    """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, own constraints, and
-    clearances; and (c,) numbers that name them, by which the rows of two postures can be compared."""
-    rows, bounds = goal.space.inequalities(at.q)
-    slope = at.margin_slope()
-    rows = np.vstack([rows, slope])
-    bounds = np.append(bounds, goal.floor + 1e-9 - at.margin if slope.any() else -np.inf)
-    if goal.extras.constraints:
-        rows = np.vstack([rows, goal.extras.slopes(at)])
-        bounds = np.concatenate([bounds, -goal.extras.room(at)])
-    names = -1 - np.arange(len(rows))
-    if goal.scene.bodies:
-        contacts = goal.ahead(at)
-        rows = np.vstack([rows, at.contact_slopes(goal.scene, contacts)])
-        bounds = np.concatenate([bounds, goal.gap - contacts.distance])
-        names = np.concatenate([names, contacts.body * MOST_CONTACTS + contacts.rank])
-    return rows, bounds, names
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +125,7 @@ class _Descent:
         here, size, side = self._model(start), self.goal.solver.first_step, 1
         hessian = here.square
         for _ in range(self.goal.solver.closest_steps):
-            if self.solves >= self.goal.solver.closest_postures or self.goal.late:
+            if self.solves >= self.goal.solver.closest_postures or self.goal.clock.over:
                 break
             there, size, force = self._step(here, hessian, size)
             if there is None and side > 0 and len(here.at.q) > self.goal.space.robot.n_tubes:
@@ -165,9 +145,8 @@ class _Descent:
     def _model(self, at: Posture, side: int = 1) -> _Model:
         goal = self.goal
         residual, slope = goal.residual(at), goal.slope(at, side=side) * goal.space.scale
-        rows, bounds, names = _demands(goal, at)
-        kept, gap = breakpoint_order(goal, at).steps(at.q)
-        rows, bounds = np.vstack([rows, kept]), np.concatenate([np.minimum(bounds, 0.0), gap])
+        rows, bounds, names = goal.demands(at)
+        rows, bounds = breakpoint_order(goal, at).kept(at.q, rows, np.minimum(bounds, 0.0))
         square = slope.T @ slope
         square += (goal.solver.closest_curvature + 1e-3 * float(residual @ residual)) * np.eye(len(square))
         return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds, names)
@@ -203,12 +182,10 @@ class _Descent:
     def across(self, here: Posture) -> Posture | None:
         """The posture beyond a change of order that holds the minimum up; None where none is closer beyond."""
         goal = self.goal
-        order = breakpoint_order(goal, here)
-        gap = (order.rows @ here.q[goal.space.robot.n_tubes :] - order.bound)[: order.changeable]
+        shift, section = here.q[goal.space.robot.n_tubes :], goal.solver.short_section * goal.space.length
         now = left(goal, here)
-        for k in np.flatnonzero(gap <= goal.solver.short_section * goal.space.length):
-            other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
-            other = None if other is None else restored(goal, other, most=4)
+        for past in beyond(goal, here, breakpoint_order(goal, here).closed(shift, section)):
+            other = restored(goal, past, most=4)
             if other is None:
                 continue
             model = self._model(other)

@@ -62,12 +62,6 @@ class Question:
     length: float
     closings: int
 
-    @property
-    def overdetermined(self) -> bool:
-        """Whether the target asks for more than the joints can choose."""
-        free = self.structure.grid.n_tubes + len(self.carriages) + (self.objective == "margin")
-        return not self.structure.section or 3 + 2 * self.pointed > free
-
 
 def inverse_program(question: Question, thread: int) -> Problem:
     """The program of a question, built once as long as it is among the last ones; each `thread` has its own numbers.

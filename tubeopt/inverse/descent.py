@@ -45,7 +45,7 @@ def reach(goal: Goal, start: Posture) -> Search:
         slope = np.vstack([goal.slope(here, side=side), across])
         rows, bounds = goal.inequalities(here)
         there, promised, touched = None, 0.0, len(goal.touched)
-        while there is None and not goal.late:
+        while there is None and not goal.clock.over:
             chosen = _towards(goal, slope, missing, rows, bounds, step)
             promised = sizes[-1] - float(np.linalg.norm(missing + slope @ chosen.x)) if chosen is not None else 0.0
             if chosen is None or promised <= solver.least_promise * sizes[-1] or step < solver.shortest_step:
@@ -56,11 +56,11 @@ def reach(goal: Goal, start: Posture) -> Search:
                 step = 0.35 * min(step, _length(goal, chosen.x))
                 if len(goal.touched) > touched:
                     (rows, bounds), touched = goal.inequalities(here), len(goal.touched)
-        if there is None and side > 0 and not goal.late and not _done(goal, here, 1e-8):
+        if there is None and side > 0 and not goal.clock.over and not _done(goal, here, 1e-8):
             # Breakpoints may coincide: what holds forwards may not hold backwards.
             side, step = -1, 0.5 * solver.first_step
             continue
-        if there is None or _stagnant(sizes, solver.patience) or goal.late:
+        if there is None or _stagnant(sizes, solver.patience) or goal.clock.over:
             here = here if there is None else there
             return Search(here, _done(goal, here, 1e-8), iteration, solves)
         here, side = there, 1
@@ -133,7 +133,7 @@ def improve(goal: Goal, start: Posture) -> Search:
         if there is None:
             return Search(here, True, iteration, path.solves)
         here = there
-        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.late:
+        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.clock.over:
             return Search(here, True, iteration + 1, path.solves)
         step = min(1.8 * step, goal.solver.first_step)
     return Search(here, True, goal.solver.improving_steps, path.solves)
@@ -150,11 +150,8 @@ class _Path:
         goal = self.goal
         slope, residual = goal.slope(here), goal.residual(here)
         order = breakpoint_order(goal, here)
-        kept, gap = order.steps(here.q)
-        rows, bounds = goal.inequalities(here)
-        touched = len(goal.touched)
-        while step > 1e-4 and not goal.late:
-            limits = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+        limits, touched = order.kept(here.q, *goal.inequalities(here)), len(goal.touched)
+        while step > 1e-4 and not goal.clock.over:
             chosen = _downhill(goal, here, (slope, residual), limits, step)
             if chosen is None or _length(goal, chosen.x) < 1e-7:
                 return None, step
@@ -168,25 +165,16 @@ class _Path:
                     return back.posture, step
             step = 0.35 * min(step, _length(goal, chosen.x))
             if len(goal.touched) > touched:
-                (rows, bounds), touched = goal.inequalities(here), len(goal.touched)
+                limits, touched = order.kept(here.q, *goal.inequalities(here)), len(goal.touched)
         return None, step
 
     def across(self, here: Posture) -> Posture | None:
         """The posture after a step beyond a change of order that holds the cost up; None where it rises beyond."""
         goal = self.goal
-        order = breakpoint_order(goal, here)
-        shift = here.q[goal.space.robot.n_tubes :]
-        gap = (order.rows @ shift - order.bound)[: order.changeable]
-        for k in np.flatnonzero(gap <= goal.solver.short_section * goal.space.length):
-            other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
-            back = (
-                None
-                if other is None
-                else correct(goal, other, goal.slope(other), close=goal.solver.search_tolerance).posture
-            )
-            if back is None:
-                continue
-            there, _ = self.step(back, 0.1 * goal.solver.first_step)
+        shift, section = here.q[goal.space.robot.n_tubes :], goal.solver.short_section * goal.space.length
+        for other in beyond(goal, here, breakpoint_order(goal, here).closed(shift, section)):
+            back = correct(goal, other, goal.slope(other), close=goal.solver.search_tolerance).posture
+            there = None if back is None else self.step(back, 0.1 * goal.solver.first_step)[0]
             if there is not None:
                 return there
         return None
@@ -233,8 +221,7 @@ def correct(
             return Correction(None, slope, solves)
         rows, bounds = goal.space.inequalities(at.q)
         if order is not None:
-            kept, gap = order.steps(at.q)
-            rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+            rows, bounds = order.kept(at.q, rows, bounds)
         chosen = _towards(goal, slope, residual, rows, np.minimum(bounds, 0.0), goal.solver.first_step)
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         solves += 1

@@ -63,11 +63,7 @@ NOTHING = Extras()
 
 
 def extras(cost: OwnObjective | None, constraints: Sequence[OwnRequirement], n: int) -> Extras:
-    """Own cost and constraints, checked and recorded.
-
-    Raises:
-        InputError: they are of another kind, or their expressions make no sense.
-    """
+    """Own cost and constraints, checked and recorded."""
     for one in constraints:
         if not isinstance(one, OwnRequirement):
             raise InputError(f"extra_constraints holds {one!r}; it must be a sequence of OwnRequirement")

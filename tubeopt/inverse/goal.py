@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..typing import Array
+from ..typing import Array, Index
+from .clock import Clock
 from .extra import NOTHING, Extras
 from .joints import JointSpace
-from .outline import Contacts
+from .outline import MOST_CONTACTS, Contacts
 from .posture import Posture
 from .settings import DEFAULT_SOLVER, InverseSolver
 
@@ -27,7 +27,7 @@ class Goal:
     makes |t - direction|^2 a cost of that weight.
     min_margin, clearance (m) of all bodies of the scene: what must hold.
     objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
-    until: moment of `time.perf_counter` at which searches end where they are.   solver: how hard they search.
+    clock: when it is over, searches end where they are.   solver: how hard they search.
     touched: numbers of bodies that an arm was found too close to, which are looked at however many are closer.
     """
 
@@ -42,19 +42,9 @@ class Goal:
     reference: Array
     weights: Array
     extras: Extras = NOTHING
-    until: float = np.inf
+    clock: Clock = field(default_factory=lambda: Clock(np.inf))
     solver: InverseSolver = DEFAULT_SOLVER
     touched: set[int] = field(default_factory=set, init=False)
-
-    @property
-    def left(self) -> float:
-        """Seconds that a search may take."""
-        return max(0.0, self.until - time.perf_counter())
-
-    @property
-    def late(self) -> bool:
-        """Whether time is over."""
-        return self.left == 0.0
 
     @property
     def pointed(self) -> bool:
@@ -156,8 +146,6 @@ class Goal:
 
     def contacts(self, at: Posture, within: float) -> Contacts:
         """Where the arm comes closer than `within`, m, to obstacles."""
-        if at.outline.clearance(self.scene, within) > within:
-            within = -np.inf
         return at.outline.contacts(self.scene, within)
 
     def ahead(self, at: Posture) -> Contacts:
@@ -165,22 +153,30 @@ class Goal:
         within = self.gap + self.solver.body_reach * self.space.length
         return at.outline.contacts(self.scene, within, self.solver.bodies, frozenset(self.touched))
 
-    def inequalities(self, at: Posture) -> tuple[Array, Array]:
-        """Rows and bounds of a step from `at` that keeps the joints' order, the margin, and what is clear now."""
+    def demands(self, at: Posture) -> tuple[Array, Array, Index]:
+        """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, own constraints, and
+        clearances; and (c,) numbers that name them, by which the rows of two postures can be compared."""
         rows, bounds = self.space.inequalities(at.q)
         slope = at.margin_slope()
         rows = np.vstack([rows, slope])
-        bounds = np.append(np.minimum(bounds, 0.0), min(self.floor - at.margin, 0.0) if slope.any() else -np.inf)
+        bounds = np.append(bounds, self.floor + 1e-9 - at.margin if slope.any() else -np.inf)
+        if self.extras.constraints:
+            rows = np.vstack([rows, self.extras.slopes(at)])
+            bounds = np.concatenate([bounds, -self.extras.room(at)])
+        names = -1 - np.arange(len(rows))
         if self.scene.bodies:
             contacts = self.ahead(at)
-            clear = contacts.chosen(contacts.distance >= self.gap)
-            rows = np.vstack([rows, at.contact_slopes(self.scene, clear)])
-            bounds = np.concatenate([bounds, self.gap - clear.distance])
-        if self.extras.constraints:
-            room = self.extras.room(at)
-            rows = np.vstack([rows, self.extras.slopes(at)[room >= 0]])
-            bounds = np.concatenate([bounds, -room[room >= 0]])
-        return rows, bounds
+            rows = np.vstack([rows, at.contact_slopes(self.scene, contacts)])
+            bounds = np.concatenate([bounds, self.gap - contacts.distance])
+            names = np.concatenate([names, contacts.body * MOST_CONTACTS + contacts.rank])
+        return rows, bounds, names
+
+    def inequalities(self, at: Posture) -> tuple[Array, Array]:
+        """Rows and bounds of a step from `at` that keeps the joints' order, the margin, and what is clear now."""
+        rows, bounds, _ = self.demands(at)
+        kept = bounds <= 0
+        kept[: len(at.room) + 1] = True
+        return rows[kept], np.minimum(bounds[kept], 0.0)
 
     def cost(self, at: Posture) -> float:
         """What is made small among all answers; 0 where nothing was asked for."""

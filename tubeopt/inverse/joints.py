@@ -15,7 +15,7 @@ from ..robots.eccentric import SegmentedEccentricRobot
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
-from ..typing import Array
+from ..typing import Array, Mask
 from .least_squares import constrained_least_squares
 
 CLOSE = 1e-6
@@ -89,7 +89,11 @@ class JointSpace:
         """Whether q keeps the ranges and the order, to within round-off."""
         slack = 1e-9
         inside = (q >= self.lower - slack * self.scale) & (q <= self.upper + slack * self.scale)
-        return bool(inside.all() and (self.rows @ q >= self.least - slack * self.length).all())
+        return bool(inside.all() and self.ordered(q))
+
+    def ordered(self, q: Array) -> Mask:
+        """(...) whether q (..., m) keep the order, to within round-off."""
+        return np.asarray((q @ self.rows.T >= self.least - 1e-9 * self.length).all(-1))
 
     def inequalities(self, q: Array) -> tuple[Array, Array]:
         """rows (2m + k, m) and bounds of a step from q that stays admissible."""
@@ -109,9 +113,9 @@ class JointSpace:
     def free_sides(self, room: Array) -> tuple[int, ...]:
         """(n,) of every tube: -1 where its translation can shrink but not grow, for its range or for the order of the
         tubes, else 1; from the bounds (2m + k,) of `inequalities`."""
-        m, sides, held = len(self.scale), self._ahead, room >= -1e-9 * self.length
+        m, held = len(self.scale), room >= -1e-9 * self.length
         if not held.any():
-            return sides
+            return (1,) * self.robot.n_tubes
         low, high = held[:m].tolist(), held[m : 2 * m].tolist()
         for row in np.flatnonzero(held[2 * m :]):
             for joint, sign in self._ordered[row]:
@@ -119,10 +123,6 @@ class JointSpace:
         back = [high[joint] and not low[joint] for joint in range(self.robot.n_tubes, m)]
         held_back = {tube for tubes, one in zip(self.carriages, back, strict=True) for tube in tubes if one}
         return tuple(-1 if tube in held_back else 1 for tube in range(self.robot.n_tubes))
-
-    @cached_property
-    def _ahead(self) -> tuple[int, ...]:
-        return (1,) * self.robot.n_tubes
 
     @cached_property
     def _ordered(self) -> list[list[tuple[int, float]]]:
@@ -247,9 +247,6 @@ def joint_space(
     `section_length` (m); the curved part of an eccentric segment begins beyond the end of the next outer one. No tube
     leaves its actuator, none is withdrawn past the plate. Where the order leaves two carriages no play, as for two
     tubes of equal length, they are one joint.
-
-    Raises:
-        InputError: limits for another number of tubes, or that leave nothing.
     """
     allowed = limits if limits is not None else robot.limits
     n = robot.n_tubes
@@ -365,11 +362,7 @@ def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
 
 
 def scaled_weights(space: JointSpace, weights: Any) -> Array:
-    """(m,) weights of the joints in a distance: given per rad and per m, else one over the scale of each.
-
-    Raises:
-        InputError: not a pair of (n,) numbers, one that is not finite or negative.
-    """
+    """(m,) weights of the joints in a distance: given per rad and per m, else one over the scale of each."""
     if weights is None:
         return 1 / space.scale
     n = space.robot.n_tubes

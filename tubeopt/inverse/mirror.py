@@ -132,7 +132,7 @@ def mirror_inverse(
     target = wanted * np.array([math.cos(azimuth), math.sin(azimuth)])
     found = arm.solve(target, lambda each: arc_curvature(each) - target, arm.most)
     if found.error > 1e-7 * arm.most:
-        most = arm.reach(azimuth)
+        most = float(np.linalg.norm(arc_curvature(arm.pose(*arm.inputs(arm.full))[1])))
         if wanted < most:
             raise SolveError(f"no mirror actuation was found: the best misses by {found.error:.3g} per m", found)
         raise InputError(
@@ -169,7 +169,6 @@ def mirror_to_tip(
     above = target - [0.0, 0.0, arm.plate]
     length = arm.length
     square = max(float(above @ above), 1e-6 * length**2)
-    most = arm.most * np.array([math.cos(azimuth), math.sin(azimuth)])
 
     def solve(start: Array) -> MirrorInput:
         return arm.solve(start, lambda each: each.tip_position - target, arm.most * length**2 / 2)
@@ -177,7 +176,7 @@ def mirror_to_tip(
     found = solve(2 * above[:2] / square)
     if found.error > tolerance:
         # Off the surface there can be several points that are closer than their neighbours.
-        found = min([found, solve(most), solve(most / 3)], key=lambda each: each.error)
+        found = min([found, solve(arm.full), solve(arm.full / 3)], key=lambda each: each.error)
     if found.error > tolerance:
         nearest = ", ".join(f"{1e3 * x:.4f}" for x in found.equilibrium.tip_position)
         raise InputError(
@@ -195,6 +194,7 @@ class _Arm:
     ) -> None:
         self.robot, self.translations, self.assignment, self.azimuth = robot, translations, assignment, azimuth
         self.most = abs(robot.tube.curvature)
+        self.full = self.most * np.array([math.cos(azimuth), math.sin(azimuth)])
         if self.most == 0 or robot.tube.curved_length == 0:
             raise InputError("the robot's tubes are straight; they cannot bend it")
         shift = shifts(robot, translations)
@@ -216,12 +216,6 @@ class _Arm:
         """Rotations and equilibrium for a direction and a separation."""
         rotations = mirror_rotations(direction, separation, self.assignment)
         return rotations, forward_kinematics(self.robot, rotations, self.translations)
-
-    def reach(self, azimuth: float) -> float:
-        """Curvature of the arc at separation 0, 1/m."""
-        full = self.most * np.array([math.cos(azimuth), math.sin(azimuth)])
-        direction, separation = self.inputs(full)
-        return float(np.linalg.norm(arc_curvature(self.pose(direction, separation)[1])))
 
     def solve(self, start: Array, gap: Callable[[Equilibrium], Array], scale: float) -> MirrorInput:
         """Least `gap` from a curvature vector (2,) on; `scale` is how much gap a whole curvature `most` makes.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -28,7 +27,6 @@ from .goal import Goal
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
-from .settings import InverseSolver
 from .table import StartTable, nearest_starts, spread_starts, start_table
 from .way import straight_way
 
@@ -70,7 +68,6 @@ class Multistart:
     first: Posture | None
     near: bool
     options: InverseOptions
-    began: float
     tries: int = 0
     clear: int = 0
     """Of the tries, those from starts that are clear of the obstacles."""
@@ -85,14 +82,14 @@ class Multistart:
     def one(self) -> InverseSolution | None:
         """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
         where any answer will do, several where one is to be the best."""
-        wanted = self.solver.compared if self.goal.ranked else 1
+        wanted = self.goal.solver.compared if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
-        for answer, from_seed in self._by_starts(self.options.starts):
+        for answer, from_seed in self._by_starts():
             if from_seed:
                 return answer
             (good if answer.cold_start_agrees else doubtful).append(answer)
-            if len(good) == wanted or len(doubtful) == self.solver.doubted:
+            if len(good) == wanted or len(doubtful) == self.goal.solver.doubted:
                 break
         if self.goal.ranked or not good:
             for answer in self._by_programs():
@@ -107,14 +104,14 @@ class Multistart:
         best, least = None, np.inf
         for answer in found:
             cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
-            if cost < least - self.solver.same_cost * max(abs(cost), 1e-3):
+            if cost < least - self.goal.solver.same_cost * max(abs(cost), 1e-3):
                 best, least = answer, cost
         return best
 
     def all(self) -> list[InverseSolution]:
         """Distinct answers, best first."""
         self.everywhere = True
-        found = [answer for answer, _ in self._by_starts(self.options.starts)]
+        found = [answer for answer, _ in self._by_starts()]
         found += self._by_programs()
         if not found:
             found += self._by_clear_starts()
@@ -133,9 +130,9 @@ class Multistart:
         q = self.goal.space.join(answer.rotations, answer.translations)
         return float(np.linalg.norm(self.goal.weights * (q - self.goal.reference)))
 
-    def _by_starts(self, most: int) -> Iterator[tuple[InverseSolution, bool]]:
+    def _by_starts(self) -> Iterator[tuple[InverseSolution, bool]]:
         """Answers from the seed and from the table, and whether they come from the seed."""
-        found, space = False, self.goal.space
+        found, space, most = False, self.goal.space, self.options.starts
         self.ends.append([])
         if self.first is not None:
             for answer in self._from(self.first, "seed"):
@@ -146,7 +143,7 @@ class Multistart:
                 found = True
                 yield answer, False
         for start in self._starts(4 * most):
-            if self.late or self.tries >= most or (not found and self._hopeless()):
+            if self.goal.clock.over or self.tries >= most or (not found and self._hopeless()):
                 break
             answers = list(self._from(start, "table"))
             if not answers:
@@ -160,8 +157,8 @@ class Multistart:
         if self.options.method != "auto" or not programmable(self.goal):
             return
         self.ends.append([])
-        for start in self.stalled[: self.solver.program_starts]:
-            if self.late:
+        for start in self.stalled[: self.goal.solver.program_starts]:
+            if self.goal.clock.over:
                 return
             yield from self._finished(self._by_program(start), "table", "nlp")
 
@@ -170,46 +167,35 @@ class Multistart:
         if not self.goal.hindered:
             return
         self.ends.append([])
-        clear = (start for start in self._starts(self.solver.pool) if self.goal.violation(start) == 0)
-        for start in islice(clear, self.solver.clear_starts):
-            if self.late:
+        clear = (start for start in self._starts(self.goal.solver.pool) if self.goal.violation(start) == 0)
+        for start in islice(clear, self.goal.solver.clear_starts):
+            if self.goal.clock.over:
                 return
             before = self.tries
             yield from self._from(start, "table")
             self.clear += self.tries - before
-
-    @property
-    def solver(self) -> InverseSolver:
-        """How hard it is searched."""
-        return self.options.solver
-
-    @property
-    def late(self) -> bool:
-        """Whether the time limit is reached."""
-        return self.seconds >= self.options.time_limit
-
-    @property
-    def seconds(self) -> float:
-        """Seconds since the question was asked."""
-        return time.perf_counter() - self.began
 
     def _starts(self, most: int) -> Iterator[Posture]:
         """Stable postures of the table, the most promising first; they may be in an obstacle."""
         goal = self.goal
         reference = goal.reference if self.near else None
         target = (goal.position, goal.direction)
-        known = known_starts(goal.space, Clock(max(0.0, self.options.time_limit - self.seconds)))
-        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference, solver=self.solver)
-        first = 0 if self.everywhere else self.solver.nearest
-        for q in spread_starts(goal.space, near, most, first=first, pool=self.solver.pool):
+        known = known_starts(goal.space, goal.clock)
+        near = nearest_starts(
+            goal.space, known, target, min_margin=goal.floor, reference=reference, solver=self.goal.solver
+        )
+        first = 0 if self.everywhere else self.goal.solver.nearest
+        for q in spread_starts(goal.space, near, most, first=first, pool=self.goal.solver.pool):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
                 yield start
 
     def _from(self, start: Posture, name: str) -> Iterator[InverseSolution]:
         """The answer that a search from one start gives, if it does."""
-        start = self._brought_inside(start)
-        if start.margin < self.goal.floor or not self.goal.space.admissible(start.q):
+        space = self.goal.space
+        if not space.admissible(start.q):
+            start = start.to(space.nearest(start.q)) or start
+        if start.margin < self.goal.floor or not space.admissible(start.q):
             return
         self.tries += 1
         if self.options.method == "nlp":
@@ -237,14 +223,6 @@ class Multistart:
             return False
         return name != "seed" or same_place(than.to(at.q), at)
 
-    def _brought_inside(self, start: Posture) -> Posture:
-        """The start moved into the ranges of the joints, where it lies outside."""
-        space = self.goal.space
-        if space.admissible(start.q):
-            return start
-        inside = start.to(space.nearest(start.q))
-        return inside if inside is not None else start
-
     def _by_program(self, start: Posture) -> Search:
         found = solve_program(self.goal, start)
         if found.reached:
@@ -256,10 +234,10 @@ class Multistart:
 
     def _hopeless(self) -> bool:
         """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
-        if self.agreeing >= self.solver.unanimous:
+        if self.agreeing >= self.goal.solver.unanimous:
             return True
-        far = self.least > self.solver.far * self.goal.space.length
-        return far and self.tries >= self.solver.far_starts
+        far = self.least > self.goal.solver.far * self.goal.space.length
+        return far and self.tries >= self.goal.solver.far_starts
 
     def _count(self, search: Search) -> None:
         self.iterations += search.iterations
@@ -267,7 +245,8 @@ class Multistart:
         if search.reached:
             return
         length = self.goal.space.length
-        miss, same = float(np.linalg.norm(self.goal.residual(search.posture))) * length, self.solver.same_miss * length
+        miss = float(np.linalg.norm(self.goal.residual(search.posture))) * length
+        same = self.goal.solver.same_miss * length
         if miss < self.least - same:
             self.agreeing = 0
         elif miss < self.least + same:
@@ -281,16 +260,11 @@ class Multistart:
             self._count(search)
         if not search.reached:
             return
-        answer = self._answer(search.posture, name, method)
-        if answer is not None:
-            yield answer
-
-    def _answer(self, at: Posture, name: str, method: str) -> InverseSolution | None:
-        goal = self.goal
+        goal, at = self.goal, search.posture
         if not goal.met(at):
             at = correct(goal, at, goal.slope(at), close=goal.solver.search_tolerance).posture or at
-        met = goal.met(at) and goal.allowed(at, SLACK)
-        return self._packed(at, InverseStatus.REACHED, (name, method)) if met else None
+        if goal.met(at) and goal.allowed(at, SLACK):
+            yield self._packed(at, InverseStatus.REACHED, (name, method))
 
     def _packed(self, at: Posture, status: InverseStatus, how: tuple[str, str]) -> InverseSolution:
         goal, equilibrium = self.goal, at.equilibrium
@@ -312,15 +286,17 @@ class Multistart:
             straight_from_seed=straight,
             active=tuple(held_by(goal, at)),
             status=status,
-            statistics=InverseStatistics(method, name, max(self.tries, 1), self.iterations, self.solves, self.seconds),
+            statistics=InverseStatistics(
+                method, name, max(self.tries, 1), self.iterations, self.solves, goal.clock.seconds
+            ),
             reachable=None if way is None else True,
             way=way,
         )
 
     def failure(self, on_failure: str) -> InverseSolution:
         """The closest pose, returned or raised with a message that says by how far the target is missed, and why."""
-        goal, late = self.goal, self.late
-        search = closest_of(goal, self.ends, lambda: self.late)
+        goal, late = self.goal, self.goal.clock.over
+        search = closest_of(goal, self.ends)
         if search is None:
             raise SolveError(self._without_a_pose(late))
         self.iterations, self.solves = self.iterations + search.iterations, self.solves + search.solves

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,12 +28,17 @@ class Order:
     bound: Array
     changeable: int
 
-    def steps(self, q: Array) -> tuple[Array, Array]:
-        """Rows (changeable, m) and bounds of a step from joint values q (m,) that keeps the order of breakpoints."""
-        groups = self.rows.shape[1]
-        rows = np.zeros((self.changeable, len(q)))
-        rows[:, len(q) - groups :] = self.rows[: self.changeable]
-        return rows, np.minimum(self.bound[: self.changeable] - rows @ q, 0.0)
+    def kept(self, q: Array, rows: Array, bounds: Array) -> tuple[Array, Array]:
+        """Rows and bounds of a step from joint values q (m,), with those that keep the order of breakpoints."""
+        own = np.zeros((self.changeable, len(q)))
+        own[:, len(q) - self.rows.shape[1] :] = self.rows[: self.changeable]
+        gap = np.minimum(self.bound[: self.changeable] - own @ q, 0.0)
+        return np.vstack([rows, own]), np.concatenate([bounds, gap])
+
+    def closed(self, shift: Array, section: float) -> list[tuple[Array, float]]:
+        """Changes of the order that are next: rows and bounds that translations (G,) keep by no more than `section`."""
+        gap = self.rows[: self.changeable] @ shift - self.bound[: self.changeable]
+        return [(self.rows[k], float(self.bound[k])) for k in np.flatnonzero(gap <= section)]
 
 
 def breakpoint_order(goal: Goal, at: Posture) -> Order:
@@ -96,9 +101,9 @@ def apart(goal: Goal, at: Posture) -> Posture:
     return at
 
 
-def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> Posture | None:
-    """The posture with breakpoints moved past each other, where the limits allow: by the first for which that can be of
-    pairs (row, bound) of an `Order`."""
+def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> Iterator[Posture]:
+    """The posture with breakpoints moved past each other, for each pair (row, bound) of an `Order` for which the limits
+    allow it."""
     space = goal.space
     n = space.robot.n_tubes
     for row, bound in crossed:
@@ -110,5 +115,4 @@ def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> P
             continue
         moved = at.to(q)
         if moved is not None and moved.margin >= goal.floor:
-            return moved
-    return None
+            yield moved

@@ -109,10 +109,6 @@ class Outline:
         own = s[1:] > s[:-1]
         return s if own.all() else s[np.append(True, own)]
 
-    @cached_property
-    def _step(self) -> float:
-        return float(np.diff(self.grid).max(initial=0.0))
-
     def at(self, s: Array) -> tuple[Array, Array]:
         """Centreline (p, 3) and radius of the arm (p,) at arc lengths."""
         return self.centreline(s), self.radius(s)

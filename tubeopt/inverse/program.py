@@ -45,7 +45,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
     for _ in range(goal.solver.program_orders + 1):
-        if goal.left < building(goal):
+        if goal.clock.left < building(goal):
             break
         found, count, crossed = _solve_order(goal, here)
         iterations += count
@@ -55,7 +55,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
         if score >= (least[0] * (1 - 1e-6), least[1] - 1e-9):
             break
         best, least = found, score
-        other = beyond(goal, found, crossed)
+        other = next(beyond(goal, found, crossed), None)
         if other is None:
             break
         here = other
@@ -86,9 +86,8 @@ does not reach the target, the next may: what follows checks."""
 def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tuple[Array, float]]]:
     """Solve with the order of breakpoints of `at`; the posture reached, iterations, what to cross."""
     order = breakpoint_order(goal, at)
-    question = _question(goal, at, order)
-    if question.overdetermined:
-        return None, 0, []  # as where all tubes are withdrawn, and nothing is left to turn
+    if not len(at.solution.problem.mesh.length):
+        return None, 0, []  # all tubes are withdrawn, and nothing is left to turn
     program = posed(goal, at, order)
     found = program.attempt(_in_time(goal))
     if not all(np.isfinite(value).all() for value in found.values.values()):
@@ -105,7 +104,7 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
 
 def _in_time(goal: Goal) -> Ipopt:
     """Settings with the time that is left, cut to a power of two: a solver is built for every time limit."""
-    left = max(goal.left, building(goal))
+    left = max(goal.clock.left, building(goal))
     return SETTINGS if left == math.inf else replace(SETTINGS, time_limit=2.0 ** math.floor(math.log2(left)))
 
 

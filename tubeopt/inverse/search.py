@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice, pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,29 +20,6 @@ from .task import Task
 
 SEARCHES = ("auto", "rrt_connect", "optimal")
 """Ways of searching."""
-
-
-class Search(Protocol):
-    """How to search: one of `SEARCHES`, and for how long (s) "optimal" improves what it finds."""
-
-    @property
-    def search(self) -> str:
-        """Which."""
-
-    @property
-    def search_seconds(self) -> float:
-        """How long."""
-
-
-@dataclass(frozen=True)
-class PlainSearch:
-    """A search as it is by default."""
-
-    search: str = "auto"
-    search_seconds: float = 5.0
-
-
-DEFAULT_SEARCH = PlainSearch()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,40 +39,44 @@ class Way:
 
 
 def find_way(
-    task: Task, start: Array, goals: Sequence[Array], clock: Clock, search: Search = DEFAULT_SEARCH, *, seed: int = 0
+    task: Task,
+    start: Array,
+    goals: Sequence[Array],
+    clock: Clock,
+    *,
+    how: str = "auto",
+    improving: float = 5.0,
+    seed: int = 0,
 ) -> Way:
-    """A way from a point to the first goal that is found, the nearest ones tried first.
-
-    Raises:
-        InputError: the search needs OMPL, which is not installed.
-    """
+    """A way from a point to the first goal that is found, the nearest ones tried first, by one of SEARCHES; for so long
+    (s) "optimal" improves what it finds."""
     tried = 0
     for goal in goals:
         tried += 1
         if task.motion(start, goal):
             return Way(np.stack([start, goal]), "straight", tried)
-    effort = task.effort
+    effort, seconds = task.effort, improving if how == "optimal" else None
     between = wall(task, start, goals, Clock(min(effort.wall_seconds, effort.wall_share * clock.left)), seed=seed)
     if between is not None and between.proved:
         return Way(None, "search", tried, None, between.words, True)
-    if search.search != "rrt_connect" and between is None:
+    if how != "rrt_connect" and between is None:
         share = Clock(min(effort.detour_seconds, effort.detour_share * clock.left))
         for goal in goals:
             for points in detours(task, start, goal, share):
                 tried += len(points) - 1
                 if task.path(points):
                     detour = Way(np.stack(points), "detour", tried)
-                    return _improved(task, detour, goals, clock, search, seed)
+                    return _improved(task, detour, goals, clock, seconds, seed)
     reason = "" if between is None else between.words
     found = by_sampling(task, start, goals, clock, seed=seed, tried=tried, reason=reason)
-    return _improved(task, found, goals, clock, search, seed)
+    return _improved(task, found, goals, clock, seconds, seed)
 
 
-def _improved(task: Task, way: Way, goals: Sequence[Array], clock: Clock, search: Search, seed: int) -> Way:
+def _improved(task: Task, way: Way, goals: Sequence[Array], clock: Clock, seconds: float | None, seed: int) -> Way:
     """What BIT* finds in the time that it is given, where that is asked for and shorter than a way that is known."""
-    if search.search != "optimal" or way.points is None:
+    if seconds is None or way.points is None:
         return way
-    other = by_sampling(task, way.points[0], goals, clock, search, seed=seed, tried=way.motions)
+    other = by_sampling(task, way.points[0], goals, clock, seconds=seconds, seed=seed, tried=way.motions)
     shorter = other.points is not None and task.length(other.points) < task.length(way.points)
     return other if shorter else replace(way, motions=other.motions)
 
@@ -125,15 +106,12 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
         if clock.over:
             return
         known = any(np.linalg.norm((shift - other) / task.scale[n:]) < 0.08 for other in found)
-        if not known and _certificate(task, shift) >= task.min_margin + task.margin_room:
+        if known:
+            continue
+        translations = space.split(np.append(np.zeros(n), shift))[1]
+        if _certificate_at(space.robot, translations) >= task.min_margin + task.margin_room:
             found.append(shift)
             yield shift
-
-
-def _certificate(task: Task, shift: Array) -> float:
-    space = task.chart.space
-    q = np.append(np.zeros(space.robot.n_tubes), shift)
-    return _certificate_at(space.robot, space.split(q)[1])
 
 
 @lru_cache(maxsize=8192)
@@ -147,19 +125,16 @@ def by_sampling(
     start: Array,
     goals: Sequence[Array],
     clock: Clock,
-    search: Search = DEFAULT_SEARCH,
     *,
+    seconds: float | None = None,
     seed: int = 0,
     tried: int = 0,
     reason: str = "",
 ) -> Way:
-    """RRT-Connect of OMPL between a point and goals until the clock is over, or BIT* for the time that it is given.
+    """RRT-Connect of OMPL between a point and goals until the clock is over, or BIT* for `seconds`.
 
     `reason`: what stands against a way, in words. It ends the search early, and so does a start or a goal that turns
     out to lie in a closed pocket.
-
-    Raises:
-        InputError: OMPL is not installed.
     """
     try:
         from ompl import base, geometric, util
@@ -176,8 +151,8 @@ def by_sampling(
         return task.motion(one * scale, other * scale)
 
     information, problem = _posed(base, task, start, goals, moves)
-    if search.search == "optimal":
-        clock = Clock(min(search.search_seconds, clock.left))
+    if seconds is not None:
+        clock = Clock(min(seconds, clock.left))
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
         planner = geometric.BITstar(information)
     else:
@@ -185,7 +160,7 @@ def by_sampling(
         planner.setRange(effort.motion)
     planner.setProblemDefinition(problem)
     planner.setup()
-    first = clock if search.search == "optimal" else clock.part(effort.reason_share if reason else effort.long_share)
+    first = clock if seconds is not None else clock.part(effort.reason_share if reason else effort.long_share)
     planner.solve(base.PlannerTerminationCondition(lambda: first.over))
     if first is not clock and not problem.hasExactSolution():
         reason = reason or closed_off(task, start, goals, clock.part(effort.pocket_share), seed=seed)

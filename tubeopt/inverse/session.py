@@ -17,6 +17,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
+from .clock import Clock
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, angle
 from .joints import Configuration
@@ -131,8 +132,7 @@ class IkSession:
         pointing = None if direction is None else unit_vector("direction", direction)
         if self._here is None:
             return [self._first(target, pointing)]
-        until = time.perf_counter() + self._time_limit
-        goal = replace(self._goal, position=target, direction=pointing, until=until)
+        goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._time_limit))
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
         before = self._here, self._near, self._solution
@@ -146,41 +146,39 @@ class IkSession:
         """Answers along the line from a posture to a goal, in parts that are halved where the robot would leap."""
         answers: list[InverseSolution] = []
         most = 1 / _parts(goal, first)
-        done, share = 0.0, most
+        done, share, here = 0.0, most, first
         while done < 1:
             share = min(share, 1 - done)
             end = done + share if done + share < 1 - 1e-9 else 1.0
             began = time.perf_counter()
-            assert self._here is not None
-            if goal.late:
-                raise SolveError(_stalled(goal, self._here))
+            if goal.clock.over:
+                raise SolveError(_stalled(goal, here))
             part = goal if end == 1 else _between(goal, first, end)
-            there, near, solves = self._step((part, goal), self._here, self._near)
-            words, safe = leap(goal, self._here, there)
-            if words and share > most * goal.solver.session_part and self._finer(goal, first, (done, share)):
+            there, near, solves = self._step((part, goal), here, self._near)
+            words, safe = leap(goal, here, there)
+            if words and share > most * goal.solver.session_part and self._finer(goal, (first, here), done + share / 2):
                 share /= 2
                 continue
-            answers.append(self._keep(part, there, near, (words, safe, solves, began)))
-            done, share = end, min(2 * share, most)
-        return answers if len(answers) == 1 else self._merged(goal, first, answers)
-
-    def _merged(self, goal: Goal, first: Posture, answers: list[InverseSolution]) -> list[InverseSolution]:
-        """The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere."""
-        assert self._here is not None
-        words, safe = leap(goal, first, self._here)
+            answers.append(self._keep(part, (here, there), near, (words, safe, solves, began)))
+            done, share, here = end, min(2 * share, most), there
+        if len(answers) == 1:
+            return answers
+        # The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere.
+        words, safe = leap(goal, first, here)
         if words:
             return answers
-        way = joint_way(LAST, goal.space, [first.q, self._here.q])
+        way = joint_way(LAST, goal.space, [first.q, here.q])
         self._solution = replace(
             answers[-1], way=way, straight_from_seed=safe, leaps="", statistics=_summed([a.statistics for a in answers])
         )
         return [self._solution]
 
-    def _finer(self, goal: Goal, first: Posture, part: tuple[float, float]) -> bool:
-        """Whether the branch leads half of a part farther, too; a leap is better than no answer."""
-        assert self._here is not None
+    def _finer(self, goal: Goal, postures: tuple[Posture, Posture], share: float) -> bool:
+        """Whether the branch leads to a share of the way, too, from the first posture to the goal, and there from the
+        second; a leap is better than no answer."""
+        first, here = postures
         try:
-            self._step((_between(goal, first, part[0] + part[1] / 2), goal), self._here, self._near)
+            self._step((_between(goal, first, share), goal), here, self._near)
         except SolveError:
             return False
         return True
@@ -228,12 +226,11 @@ class IkSession:
         return other.posture, None, solves + search.solves + other.solves
 
     def _keep(
-        self, goal: Goal, at: Posture, near: _Slopes | None, how: tuple[str, bool, int, float]
+        self, goal: Goal, postures: tuple[Posture, Posture], near: _Slopes | None, how: tuple[str, bool, int, float]
     ) -> InverseSolution:
-        """The answer at a posture, which the session is at from now on."""
+        """The answer at the second of two postures, which the session is at from now on, after the first."""
+        (before, at), (words, safe, solves, began) = postures, how
         equilibrium = at.equilibrium
-        words, safe, solves, began = how
-        assert self._here is not None
         answer = InverseSolution(
             robot=self._robot,
             target_position=goal.position,
@@ -250,7 +247,7 @@ class IkSession:
             status=InverseStatus.REACHED,
             statistics=InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
             reachable=True if safe else None,
-            way=joint_way(LAST, goal.space, [self._here.q, at.q]) if safe else None,
+            way=joint_way(LAST, goal.space, [before.q, at.q]) if safe else None,
             leaps=words,
         )
         self._here, self._near, self._solution = at, near, answer
@@ -302,12 +299,9 @@ def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple
         yield here, fresh, None, True
     order = breakpoint_order(goal, here)
     yield here, fresh, order, True
-    shift = here.q[goal.space.robot.n_tubes :]
-    gap = (order.rows @ shift - order.bound)[: order.changeable]
-    for k in np.flatnonzero(gap <= goal.solver.session_section):
-        other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
-        if other is not None:
-            yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
+    near_by = order.closed(here.q[goal.space.robot.n_tubes :], goal.solver.session_section)
+    for other in beyond(goal, here, near_by):
+        yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
 
 
 def _roomy(goal: Goal, here: Posture) -> bool:
@@ -330,8 +324,7 @@ def _servo(
     if here.margin < goal.floor + solver.session_careful or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
-        kept, gap = order.steps(here.q)
-        rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+        rows, bounds = order.kept(here.q, rows, bounds)
     limits = boxed(goal, rows, np.minimum(bounds, 0.0), solver.first_step)
     scale = goal.space.scale
     matrix = np.vstack([solver.target_weight * near.target, np.diag(1 / scale)])
@@ -350,7 +343,7 @@ def _servo(
 
 
 def _stalled(goal: Goal, at: Posture) -> str:
-    if goal.late:
+    if goal.clock.over:
         return f"the time ran out on the way to the target: {missed_by(goal, at)}"
     why = ", ".join(held_by(goal, at)) or "the branch of equilibria does not lead on"
     return f"the target cannot be reached from here: {missed_by(goal, at)}: {why}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, overload
@@ -10,13 +9,14 @@ from typing import Any, Literal, overload
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
-from ..errors import InputError, choice, vector
+from ..errors import InputError, choice, instance, vector
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
+from .clock import Clock
 from .goal import Goal
 from .joints import Configuration
 from .loaded import under_load, without_load
@@ -120,8 +120,9 @@ def inverse_kinematics(  # noqa: PLR0913
         >>> found.reached, found.position_error < 1e-9
         (True, True)
     """
-    began = time.perf_counter()
     check_robot(robot)
+    instance("options", options, InverseOptions)
+    clock = Clock(options.time_limit)
     kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     choice("on_failure", on_failure, ("raise", "closest"))
     if load is not None:
@@ -133,7 +134,7 @@ def inverse_kinematics(  # noqa: PLR0913
         ) -> InverseSolution:
             start = without_load(seed) if last is None else last
             goal = pose_question(robot, (at, along), (start, reference), options=asked, **{**kept, "min_margin": floor})
-            return _answers(goal, (start, reference), asked, began)[0]
+            return _answers(goal, (start, reference), asked, clock)[0]
 
         towards = None if direction is None else unit_vector("direction", direction)
         return under_load(
@@ -141,7 +142,7 @@ def inverse_kinematics(  # noqa: PLR0913
         )
     goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
     found = _answers(
-        goal, (seed, reference), options, began, every=all_solutions, on_failure=on_failure, reachable=reachable
+        goal, (seed, reference), options, clock, every=all_solutions, on_failure=on_failure, reachable=reachable
     )
     return found if all_solutions else found[0]
 
@@ -150,14 +151,13 @@ def _answers(
     goal: Goal,
     places: tuple[Configuration | None, Configuration | None],
     options: InverseOptions,
-    began: float,
+    clock: Clock,
     *,
     every: bool = False,
     on_failure: str = "raise",
     reachable: bool = False,
 ) -> list[InverseSolution]:
-    """The answer to a question asked at the moment `began`, from which its time limit counts, or `every` one; `places`
-    are seed and reference."""
+    """The answer to a question in the time that a clock leaves, or `every` one; `places` are seed and reference."""
     seed, reference = places
     if options.objective == "nearest" and seed is None and reference is None:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
@@ -169,8 +169,8 @@ def _answers(
             "robot can choose; use auto or gauss_newton"
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
-    goal = replace(goal, until=began + options.time_limit)
-    search = Multistart(goal, first, reference is not None or seed is not None, options, began)
+    goal = replace(goal, clock=clock)
+    search = Multistart(goal, first, reference is not None or seed is not None, options)
     found: list[InverseSolution] = []
     if every:
         found = search.all()

@@ -9,8 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-import os
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,8 @@ from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
 from ..files.files import atomic_write
+from ..robots.assembly import Assembly
+from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .clock import Clock
 from .joints import JointSpace
@@ -86,7 +86,7 @@ def build_table(
 def _by_mirror(space: JointSpace, q: Array) -> Array:
     """Samples (N, m) with the three tubes of every eccentric segment turned as a hand would: the first to a direction,
     the others to either side of it. Three independent rotations mostly wind a long transmission up until it snaps."""
-    if not space.robot.assembly(_any_shift(space)).eccentric:
+    if not _assembly(space).eccentric:
         return q
     out = q.copy()
     for tubes in space.robot.moving_together:
@@ -117,22 +117,10 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
     return table
 
 
-def cache_directory() -> Path:
-    """Where tables are kept: $TUBEOPT_CACHE, or `tubeopt` in the user's directory of caches."""
-    own = os.environ.get("TUBEOPT_CACHE")
-    if own:
-        return Path(own)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "tubeopt" / "cache"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "tubeopt"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tubeopt"
-
-
 def _key(space: JointSpace, size: int) -> str:
     """Hash of all that the table depends on."""
     tubes = in_full((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
-    assembly = space.robot.assembly(space.joint(space.inside())[space.robot.n_tubes :])
+    assembly = _assembly(space)
     digest = hashlib.sha256(tubes.encode())
     for array in (
         space.lower,
@@ -177,7 +165,7 @@ def nearest_starts(
     limits allow.
     """
     position, direction = target
-    mirrored = direction is not None and not space.robot.assembly(_any_shift(space)).eccentric
+    mirrored = direction is not None and not _assembly(space).eccentric
     known = _mirrored(space, table) if mirrored else table
     chosen = known.margin >= min_margin
     q, tip, pointing = known.q[chosen], known.tip[chosen], known.direction[chosen]
@@ -228,8 +216,9 @@ def spread_starts(
         gap = np.minimum(gap, np.linalg.norm(features - features[farthest], axis=1))
 
 
-def _any_shift(space: JointSpace) -> Array:
-    return space.joint(space.inside())[space.robot.n_tubes :]
+def _assembly(space: JointSpace) -> Assembly:
+    """The arm at some joint values."""
+    return space.robot.assembly(space.joint(space.inside())[space.robot.n_tubes :])
 
 
 def _mirrored(space: JointSpace, table: StartTable) -> StartTable:

@@ -137,9 +137,7 @@ class Task:
         space = self.chart.space
         q = self.chart.joints(z, arms)
         slack = 1e-6 * space.scale
-        inside = ((q >= space.lower - slack) & (q <= space.upper + slack)).all(1)
-        if len(space.least):
-            inside &= (q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)
+        inside = ((q >= space.lower - slack) & (q <= space.upper + slack)).all(1) & space.ordered(q)
         away = self._away(z)
         known = away < SAME
         allowed = inside & (arms.stable | known)

@@ -25,20 +25,14 @@ from .task import Task
 def snap_free_way(
     space: JointSpace, start: Equilibrium, goal: Equilibrium, *, seconds: float, least_margin: float
 ) -> tuple[Array, Array] | None:
-    """Waypoints of joint values from one equilibrium to another, straight from each to the next, without a snap.
+    """Rotations and translations (W, n) of waypoints from one stable equilibrium to another, straight from each to the
+    next, without a snap.
 
     Searched as `plan_trajectory` does, in tip rotations and translations, where an equilibrium is a point and a line of
-    stable ones a motion; then thinned, and followed once more by `follow`. Ranges of the joints and the order of the
-    tubes are kept; obstacles are not looked at. None where no way was found in about so many seconds, which does not
-    prove that there is none. Without OMPL only straight ways and those by translations that exclude any snap are tried.
-
-    Args:
-        space: the joints of the robot, with their ranges.
-        start, goal: stable equilibria.
-        least_margin: that the way keeps, or half of what the ends have where that is less.
-
-    Returns:
-        (W, n) rotations, rad, and (W, n) translations, m: the first are those of `start`, the last those of `goal`.
+    stable ones a motion, with `least_margin` or half of what the ends have where that is less; then thinned, and
+    followed once more by `follow`. Ranges of the joints and the order of the tubes are kept; obstacles are not looked
+    at. None where no way was found in about so many seconds, which does not prove that there is none. Without OMPL only
+    straight ways and those by translations that exclude any snap are tried.
     """
     clock = Clock(seconds)
     ends = posture_of(space, start), posture_of(space, goal)
@@ -126,7 +120,7 @@ def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> In
     """The answer with a way to it from a posture, its `reachable` False where none is found in time."""
     if answer.way is not None:
         return answer
-    found, solver, seconds = None, goal.solver, min(goal.solver.way_seconds, goal.left)
+    found, solver, seconds = None, goal.solver, min(goal.solver.way_seconds, goal.clock.left)
     if begin is not None and seconds > 0:
         ends = begin.equilibrium, answer.equilibrium
         found = snap_free_way(goal.space, *ends, seconds=seconds, least_margin=solver.way_margin)

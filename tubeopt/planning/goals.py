@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -232,7 +231,7 @@ def _beside(
     space, found = task.chart.space, list[Equilibrium]()
     for place in wanted.places():
         question = pose_question(space.robot, (place.position, place.direction), **_kept(task, clock))
-        question = replace(question, until=time.perf_counter() + clock.left)
+        question = replace(question, clock=clock)
         points = near(question.position)
         for q in task.chart.joints(points):
             start = start_at(space, q)

@@ -143,7 +143,8 @@ def _way(
             return task, goals, way
         left = max(0.0, until - clock.seconds)
     search = Clock(task.effort.nearest_share * left if postures else left)
-    way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
+    find = partial(find_way, how=options.search, improving=options.search_seconds)
+    way = find(task, begin, [end.point for end in goals], search, seed=options.seed)
     if way.impossible and (of_the_tip(goal) or len(goals) == task.effort.goals or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
@@ -152,7 +153,7 @@ def _way(
     others = other_ends(task, first, goal, goals, rest.part(0.5), modulo_turns=options.modulo_turns)
     goals = [*goals, *others]
     task = _between(task, first, goals)
-    again = find_way(task, begin, [end.point for end in others or goals], rest, options, seed=options.seed + 1)
+    again = find(task, begin, [end.point for end in others or goals], rest, seed=options.seed + 1)
     return task, goals, replace(again, motions=way.motions + again.motions, impossible=False)
 
 

@@ -11,12 +11,12 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
-from ..design.optimize import DesignSolution, Dimension
-from ..design.pareto import ParetoFront, front_label
+from ..design.optimize import DesignSolution
+from ..design.pareto import ParetoFront
+from ..design.rechecks import Check
+from ..design.remarks import Dimension
 from ..design.sensitivities import Sensitivity
-from ..design.stock import objective_label
 from ..design.tolerance import ToleranceAnalysis
-from ..design.verify import Check
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.files import write_text
@@ -82,7 +82,7 @@ TOLERANCE: tuple[Quantity[ToleranceAnalysis], ...] = (
 
 FRONT: tuple[Quantity[ParetoFront], ...] = (
     Quantity("objective", "what is traded for margin"),
-    Quantity("unit", "of its values", lambda front: front_label(front)[1]),
+    Quantity("unit", "of its values", lambda front: front.task.objectives[0].unit),
     Quantity("points", "margins and what they cost", lambda front: _front_points(front)),
     Quantity("infeasible_from", "the margin from which there is no design", lambda front: front.ended),
 )
@@ -134,14 +134,14 @@ DESIGN: tuple[Quantity[DesignAnswer], ...] = (
 
 
 def _front_points(front: ParetoFront) -> list[dict[str, float]]:
-    factor = front_label(front)[2]
+    factor = front.task.objectives[0].factor
     return [{"margin": point.margin, "value": point.objective * factor} for point in front.points]
 
 
 def _stock(a: DesignAnswer) -> list[dict[str, Any]] | None:
     if a.stock is None:
         return None
-    factor = objective_label(a.solution.task)[2]
+    factor = a.solution.task.objectives[0].factor
     return [
         {
             "sizes": [size.name for size in one.sizes],
@@ -244,12 +244,12 @@ class DesignReport(Report[DesignAnswer]):
         choice = self.answer.stock
         if choice is None:
             return []
-        _, unit, factor = objective_label(self.answer.solution.task)
+        wanted = self.answer.solution.task.objectives[0]
         shown = choice.candidates[:STOCK_ROWS]
         rows = [
             (
                 ", ".join(size.name for size in one.sizes),
-                "–" if one.objective is None else f"{one.objective * factor:.5g} {unit}",
+                "–" if one.objective is None else f"{one.objective * wanted.factor:.5g} {wanted.unit}",
                 one.status,
             )
             for one in shown

@@ -12,9 +12,7 @@ import scipy
 from ...bodies.corridors import Corridor
 from ...bodies.obstacles import Capsule, Sphere
 from ...design import Avoid, DesignSolution, DesignTask, ParetoFront, Reach, StockChoice, ToleranceAnalysis
-from ...design.pareto import front_label
 from ...design.requirements import of_kind
-from ...design.stock import objective_label
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...planning import PairShare
@@ -145,9 +143,9 @@ def plot_front(front: ParetoFront) -> Figure:
     """The objective against the margin that is demanded, one dot per design."""
     figure = new_figure(4.8, 3.4)
     axes = figure.add_subplot()
-    name, unit, factor = front_label(front)
+    (wanted,) = front.task.objectives
     margin = [point.margin for point in front.points]
-    value = [point.objective * factor for point in front.points]
+    value = [point.objective * wanted.factor for point in front.points]
     axes.plot(margin, value, "-o", color=FREE, ms=4.5, mfc="white", mew=1.2, lw=1.4)
     if front.ended is not None:
         axes.axvline(front.ended, color=LOST, lw=1.0, ls="--")
@@ -156,7 +154,7 @@ def plot_front(front: ParetoFront) -> Figure:
             textcoords="offset points", color=LOST, ha="right", va="top", rotation=90,
         )  # fmt: skip
     axes.set_xlabel("margin demanded")
-    axes.set_ylabel(f"{name} ({unit})" if unit else name)
+    axes.set_ylabel(f"{wanted.words} ({wanted.unit})" if wanted.unit else wanted.words)
     axes.set_title(front.task.name or front.task.robot.name, loc="left")
     return figure
 
@@ -204,7 +202,7 @@ def plot_stock(
     """
     from matplotlib.patches import Annulus
 
-    name, unit, factor = objective_label(task)
+    wanted = task.objectives[0]
     best = [one for one in choice.candidates if one.objective is not None][:most]
     figure = new_figure(6.4, 0.8 + 0.34 * len(best))
     left, axes = figure.subplots(1, 2, sharey=True, width_ratios=(1, 5))
@@ -213,7 +211,7 @@ def plot_stock(
             outer = 0.45 * size.outer_diameter / max(s.outer_diameter for c in best for s in c.sizes)
             wall = outer * (1 - size.inner_diameter / size.outer_diameter)
             left.add_patch(Annulus((0.0, row), outer, wall, fc=tube_colour(k), ec="none"))
-        value = (one.objective or 0.0) * factor
+        value = (one.objective or 0.0) * wanted.factor
         axes.barh(row, value, height=0.62, color=FREE)
         words = " + ".join(size.name for size in one.sizes)
         axes.text(value, row, f"{value:.2f} ", ha="right", va="center", color="white")
@@ -223,7 +221,7 @@ def plot_stock(
     left.axis("off")
     axes.spines["left"].set_visible(False)
     axes.tick_params(left=False, labelleft=False)
-    axes.set_xlabel(f"{name} ({unit})" if unit else name)
+    axes.set_xlabel(f"{wanted.words} ({wanted.unit})" if wanted.unit else wanted.words)
     return finish(figure, path)
 
 

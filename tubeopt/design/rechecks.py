@@ -1,28 +1,45 @@
-"""Promises about tubes, computed again from the robot and its equilibria: strain, walls, nesting, lengths, travel."""
+"""Promises computed again from the robot and its equilibria: strain, walls, nesting, lengths, travel, and own
+requirements by their expressions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from ..block.own import OwnRequirement
+from ..block.quantities import CLEARANCES, Look, Quantity, recorded
+from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
+from ..equilibrium.verification import point_at
 from ..robots.concentric import ConcentricRobot
+from ..robots.load import Load
 from ..robots.pieces import Piece
 from ..robots.series import Series
-from ..robots.tubes import Tube
+from ..robots.tubes import Tube, piece_strain
+from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
+from .drawn import draw
+from .lookup import STRONGEST
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 
 MISSED = 1e-6
-"""Part of a limit by which it may be missed."""
-
-Finding = tuple[str, str, bool]
-"""A promise, what was found, whether it is kept."""
+"""Part of a limit, or of a step of an own requirement, by which it may be missed."""
 
 
-def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Finding]:
+@dataclass(frozen=True)
+class Check:
+    """One promise: what it is, what was found, whether it is kept."""
+
+    what: str
+    found: str
+    kept: bool
+
+
+def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
     """What becomes of a promise about tubes; nothing for other requirements."""
     match one:
         case Strain(limits=limits):
@@ -30,20 +47,21 @@ def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equi
             worst = int(np.argmax(found / np.array(limits)))
             where = ["held straight"] * one.straightened + ["at the task poses"] * (one.in_poses and bool(equilibria))
             words = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
-            return [(words, f"{found[worst] * 100:.4f} %", bool((found <= np.array(limits) * (1 + MISSED)).all()))]
+            kept = bool((found <= np.array(limits) * (1 + MISSED)).all())
+            return [Check(words, f"{found[worst] * 100:.4f} %", kept)]
         case Wall(thickness=limit):
             least = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)
-            return [("least wall thickness", _mm(least), least >= limit * (1 - MISSED))]
+            return [Check("least wall thickness", _mm(least), least >= limit * (1 - MISSED))]
         case Nesting(clearance=limit) if robot.n_tubes > 1:
             least = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
-            return [("least clearance of the diameters", _mm(least), least >= limit - 1e-3 * MISSED)]
+            return [Check("least clearance of the diameters", _mm(least), least >= limit - 1e-3 * MISSED)]
         case Length(field=field, tube=i, limit=limit, least=at_least):
             value = getattr(robot.tubes[i], field)
             kept = value >= limit * (1 - MISSED) if at_least else value <= limit * (1 + MISSED)
-            return [(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(value), kept)]
+            return [Check(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(value), kept)]
         case Stroke(limit=limit) if equilibria:
             travel = float(np.ptp([e.translations for e in equilibria], axis=0).max())
-            return [("longest travel of a carriage", _mm(travel), travel <= limit * (1 + MISSED))]
+            return [Check("longest travel of a carriage", _mm(travel), travel <= limit * (1 + MISSED))]
         case _:
             return []
 
@@ -96,3 +114,59 @@ def least_room(body: Any, robot: ConcentricRobot, equilibrium: Equilibrium) -> f
 
 def _mm(value: float) -> str:
     return f"{value * 1e3:.4f} mm"
+
+
+def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Look:
+    """Quantities as numbers: of the robot, and of its equilibria by forward kinematics; along the arm by adaptive
+    integration."""
+
+    def look(one: Quantity) -> Array:
+        """The numbers of one quantity."""
+        if one.name == "certificate":
+            return np.array([snap_free_certificate(robot, np.array(one.at))])
+        if one.name == "straightened_strain":
+            tube = robot.tubes[one.at[0]]
+            return np.array([piece_strain(tube, tube.pieces[one.at[1]]) if tube.pieces else tube.straightened_strain])
+        if one.pose is None:
+            return np.array([getattr(tube, one.name) for tube in robot.tubes])
+        found = equilibria[one.pose] if isinstance(one.pose, int) else draw(robot, equilibria[one.pose[0]], one.pose[1])
+        match one.name:
+            case "strain":
+                anywhere = Strain((1.0,) * robot.n_tubes, straightened=False, in_poses=True)
+                return largest_strain(anywhere, robot, (found,))[list(one.at)]
+            case "clearance":
+                return np.full(CLEARANCES, least_room(one.at[0], robot, found))
+            case "deflection":
+                force = Load(one.at)
+                pushed = forward_kinematics(robot, found.rotations, found.translations, load=force, guess=found)
+                return pushed.tip_position - found.tip_position
+            case "stroke_force":
+                limit = find_stroke_force(
+                    robot, found.rotations, found.translations, equilibrium=found, up_to=STRONGEST
+                )
+                return np.array([STRONGEST if limit is None else limit.factor])
+            case "jacobian":
+                return found.jacobian().position.ravel(order="F")
+            case "turning":
+                return found.jacobian().rotation.ravel(order="F")
+            case "tip_direction":
+                return np.asarray(found.tip_rotation[:, 2])
+            case "position" | "curvature":
+                place, bend = point_at(found, one.at[0] * float(found.arc_length[-1]))
+                return place if one.name == "position" else bend
+            case name:
+                return np.atleast_1d(getattr(found, name))
+
+    return look
+
+
+def check_own(one: OwnRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
+    """What becomes of an own requirement."""
+    pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
+    expression = recorded(one.expression, robot.n_tubes, len(equilibria), one.words, pieces)
+    try:
+        least = float(expression(numbers_of(robot, equilibria)).min())
+    except FloatingPointError:
+        return Check(one.words, "not a finite number", False)
+    value = one.limit - least if one.most else one.limit + least
+    return Check(one.words, f"{value * one.factor:.6g} {one.unit}".strip(), least >= -MISSED * one.size)
