@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...files.units import TO_MM
-from .kinds import Axes, Figure
-from .style import FAINT, INK, finish, new_figure, styled
-
-if TYPE_CHECKING:
-    from ...validation import Comparison
+from ...validation import Comparison
+from .style import FAINT, INK, Axes, Figure, finish, new_figure, styled
 
 KEPT, REFUSED = "#0072B2", "#B8BEC6"
 

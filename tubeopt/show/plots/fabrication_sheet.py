@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...files.units import TO_MM
 from ...shaping.firmware.parts import root_mean_square
+from ...shaping.heating.plan import HeatingPlan
+from ...shaping.tube_fabrication import TubeFabrication
 from .heating import draw_duty, draw_temperature
-from .kinds import Figure
 from .mold import A4, EDGE, INCH, sheet_text
-from .style import new_figure, picture
-
-if TYPE_CHECKING:
-    from ...shaping.heating.plan import HeatingPlan
-    from ...shaping.tube_fabrication import TubeFabrication
+from .style import Figure, new_figure, picture
 
 WRAPPED = 84
 """Letters per line of the steps."""

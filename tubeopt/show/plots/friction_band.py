@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...files.units import TO_MM
+from ...stability import FrictionBand
 from ...typing import Array
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import INK, headed, new_figure, picture
-
-if TYPE_CHECKING:
-    from ...stability import FrictionBand
+from .style import INK, Axes, Figure, headed, new_figure, picture
 
 
 @picture

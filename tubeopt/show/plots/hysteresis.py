@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,12 +12,9 @@ from numpy.typing import ArrayLike
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
+from ...stability import Path, Snap
 from ...typing import Array
-from .kinds import Axes, Figure
-from .style import angle_locator, finish, new_figure, styled
-
-if TYPE_CHECKING:
-    from ...stability import Path, Snap
+from .style import Axes, Figure, angle_locator, finish, new_figure, styled
 
 WAYS = (("forth", "#D55E00", 2.6, "-"), ("back", "#0072B2", 1.3, "-"))
 """Name and look of both ways: the thin line of the way back lies on the wide one where both are the same."""

@@ -14,10 +14,9 @@ from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array, Mask
 from ..arm_surfaces import Bundle, Centreline, Detail, bundles, exposed, plate_part, plate_radius, robot_parts
 from ..colours import tube_colour
-from .kinds import Axes, Figure
 from .mesh import Mesh, mesh_of
 from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
-from .style import FAINT, INK, caption, headed, narrow, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, caption, headed, narrow, new_figure, number, picture
 
 GHOST_OPACITY = 0.25
 LINE_HEIGHT = 11.0

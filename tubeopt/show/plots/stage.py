@@ -13,9 +13,8 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .kinds import Axes
 from .mesh import Mesh
-from .style import INK, narrow, number
+from .style import INK, Axes, narrow, number
 
 if TYPE_CHECKING:
     from matplotlib.collections import PolyCollection

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from ...files.units import TO_MM
 from ...typing import Array
+from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import FAINT, INK, finish, headed, new_figure, picture, styled
-
-if TYPE_CHECKING:
-    from ...validation import ErrorTable, Validation
+from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
 
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"

@@ -11,10 +11,9 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
 from ...workspaces.voxels import Keys
-from .kinds import Axes, Figure
 from .shape import plate_mesh
 from .stage import Box, View, draw_box, facets
-from .style import headed, new_figure, number, picture
+from .style import Axes, Figure, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.collections import Collection
