@@ -192,7 +192,6 @@ class HeatingReport(Report[Heating]):
     file = "plan.json"
 
     def title(self) -> str:
-        """The rig's name."""
         return self.answer.plan.rig.name or "rig"
 
     def rows(self) -> list[tuple[str, str]]:
@@ -239,7 +238,6 @@ class HeatingReport(Report[Heating]):
         return [*paths, directory / self.file]
 
     def pictures(self) -> dict[str, Drawing]:
-        """Temperatures and duty over time."""
         return {"heating": drawing("heating.plot_heating", self.answer.plan, band=self.answer.band)}
 
     def conclude(self) -> None:
