@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...bodies.frames import Frame
 from ...files.units import TO_MM
 from ...planning import ArmsPlan
 from ...typing import Array
 from .mesh import Mesh
 from .shape import robot_mesh
-from .stage import Box, View, draw_box, facets
+from .stage import Box, View, draw_box, facets, note
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
 from .trajectory import SWEEPING, body_meshes, film_ending, save_film, stage_for
 
@@ -88,14 +87,7 @@ def _draw(scene: Axes, plan: ArmsPlan, times: Array, stage: tuple[View, Box]) ->
         tips = seen.project(arm.base.placed(motion.tip_position[: row + 1]))
         scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5)
         scene.plot(*tips[-1, :2], "o", color=INK, ms=3, zorder=6)
-        _name(scene, seen, arm.base, arm.called)
-
-
-def _name(scene: Axes, seen: View, base: Frame, name: str) -> None:
-    at = seen.project(base.origin)
-    scene.annotate(
-        name, (float(at[0]), float(at[1])), (7, 0), textcoords="offset points", va="center", fontsize=8, zorder=7
-    )
+        note(scene, arm.called, seen.project(arm.base.origin)[:2], np.array([7.0, 0.0]))
 
 
 def _distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:

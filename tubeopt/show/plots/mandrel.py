@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import textwrap
 
@@ -99,14 +100,9 @@ def _corners(mandrel: Mandrel) -> Array:
 
 
 def _draw_box(axes: Axes, size: Array) -> None:
-    for axis in range(3):
-        others = [k for k in range(3) if k != axis]
-        for a in (0, 1):
-            for b in (0, 1):
-                ends = np.zeros((2, 3))
-                ends[1, axis] = size[axis]
-                ends[:, others[0]], ends[:, others[1]] = a * size[others[0]], b * size[others[1]]
-                axes.plot(*ends.T, color=INK, lw=0.6)
+    for ends in itertools.combinations(np.ndindex(2, 2, 2), 2):
+        if np.abs(np.subtract(*ends)).sum() == 1:
+            axes.plot(*(np.array(ends) * size).T, color=INK, lw=0.6)
 
 
 @picture
