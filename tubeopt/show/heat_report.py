@@ -150,29 +150,20 @@ TABLE = tuple(
 )
 """What is told of the table for a state of charge."""
 
+OF_THE_BAND: tuple[Quantity[Band], ...] = (
+    Quantity("samples", "uncertain rigs", lambda band: len(band.lowest)),
+    Quantity("probability", "part of them that stays in the window"),
+    Quantity("too_cold", "part that falls below"),
+    Quantity("too_hot", "part that rises above"),
+    Quantity("lowest_degC", f"its quantiles {QUANTILES}", lambda band: np.quantile(band.lowest, QUANTILES)),
+    Quantity("highest_degC", f"its quantiles {QUANTILES}", lambda band: np.quantile(band.highest, QUANTILES)),
+)
+
 BAND: tuple[Quantity[Heating], ...] = (
     Quantity("loss_percent", "half-width of what is not known of the heat loss", lambda a: a.uncertainty.loss),
     Quantity("contact_resistance_percent", "the same of the contacts", lambda a: a.uncertainty.contact_resistance),
     Quantity("resistivity_percent", "the same of the tube", lambda a: a.uncertainty.resistivity),
-    *within(
-        (
-            Quantity[Band]("samples", "uncertain rigs", lambda band: len(band.lowest)),
-            Quantity[Band]("probability", "part of them that stays in the window"),
-            Quantity[Band]("too_cold", "part that falls below"),
-            Quantity[Band]("too_hot", "part that rises above"),
-            Quantity[Band](
-                "lowest_degC",
-                f"its quantiles {QUANTILES}",
-                lambda band: [np.quantile(band.lowest, q) for q in QUANTILES],
-            ),
-            Quantity[Band](
-                "highest_degC",
-                f"its quantiles {QUANTILES}",
-                lambda band: [np.quantile(band.highest, q) for q in QUANTILES],
-            ),
-        ),
-        lambda a: a.band,
-    ),
+    *within(OF_THE_BAND, lambda a: a.band),
     Quantity("duty_scale", "by which the duties were scaled", lambda a: a.scale),
 )
 

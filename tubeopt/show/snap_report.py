@@ -42,15 +42,13 @@ STATE: tuple[Quantity[Equilibrium], ...] = (
     Quantity("margin", "stability margin"),
     Quantity("index", "number of ways in which it is unstable"),
     Quantity("energy_mJ", "elastic energy"),
-    *within(
-        [Quantity("potential_mJ", "elastic energy less the work of the load; absent without load", optional=True)],
-        lambda e: None if e.load is None else e,
-    ),
+    Quantity("potential_mJ", "elastic energy less the work of the load; absent without load",
+             lambda e: None if e.load is None else e.potential, optional=True),
     *within(FRICTION, lambda e: e.friction),
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("tip_direction", "where the tip points", lambda e: e.tip_rotation[:, 2]),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip"),
-)
+)  # fmt: skip
 """An equilibrium in short."""
 
 EQUILIBRIA: tuple[Quantity[Equilibria], ...] = (
