@@ -148,7 +148,6 @@ def plot_permutations(data: Permutations, *, title: str, arms: Sequence[Equilibr
     """Picture of the six tips of one mirror actuation around that of the robot at d = 0, and of the largest distance.
 
     Args:
-        data: what to draw.
         title: heading.
         arms: the six and the reference, for a picture at true scale.
     """

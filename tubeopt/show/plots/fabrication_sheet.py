@@ -26,12 +26,7 @@ QUARTERS = (0.25, 0.5, 0.75)
 
 @picture
 def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
-    """The sheet for the one who heats the tube: one page A4.
-
-    Args:
-        made: mold and heating of one tube.
-        title: what it is for.
-    """
+    """The sheet for the one who heats the tube: one page A4."""
     plan = made.heating
     figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]

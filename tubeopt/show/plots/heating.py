@@ -145,11 +145,7 @@ def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
 
 @picture
 def plot_rig_fit(fit: RigFit) -> Figure:
-    """Picture of a log and of what the rig predicts, before and after the calibration; a row for every channel.
-
-    Args:
-        fit: of `calibrate`.
-    """
+    """Picture of a log and of what the rig predicts, before and after the calibration; a row for every channel."""
     names = {"voltage": "voltage (V)", "current": "current (A)"}
     channels = fit.log.channels
     figure = new_figure(7.0, 1.1 + 1.9 * len(channels))

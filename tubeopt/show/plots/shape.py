@@ -46,7 +46,6 @@ def plot_shape(
     """Picture of the robot's shape to scale, with close-ups of the ends of its tubes.
 
     Args:
-        equilibrium: what to draw.
         ghosts: other equilibria, drawn translucent.
         remark: a line more of the heading, as of what the ghosts are.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the shape.
@@ -180,13 +179,7 @@ def robot_mesh(
     window: tuple[float, float] | None = None,
     detail: Detail = PRINTED,
 ) -> Mesh:
-    """Surfaces of all tubes in m, as `robot_parts` tells.
-
-    Args:
-        opacity: 0 to 1.
-        window: arc lengths, m; only what lies between them.
-        detail: how finely they are cut.
-    """
+    """Surfaces of all tubes in m, as `robot_parts` tells."""
     return mesh_of(robot_parts(equilibrium, detail, window), opacity)
 
 

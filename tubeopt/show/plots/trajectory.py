@@ -72,13 +72,10 @@ def plot_trajectory(
     t = trajectory
     figure = new_figure(10.0, 5.4)
     curves = 3 + bool(np.isfinite(t.clearance).all()) + (t.deviation is not None)
-    grid = figure.add_gridspec(curves, 2, width_ratios=(1.15, 1.0))
-    scene = figure.add_subplot(grid[:, 0])
+    scene, axes = _panels(figure, curves)
     arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
-    seen, box = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
-    _draw_scene(scene, t, arms, (seen, box))
-    first: Axes = figure.add_subplot(grid[0, 1])
-    axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, curves))]
+    stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
+    _draw_scene(scene, stage, arms, t.obstacles, (t.time, t.tip_position))
     _draw_curves(axes, t)
     signs, names = scene.get_legend_handles_labels()
     axes[1].legend(signs, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
@@ -93,16 +90,12 @@ def plot_checked(checked: Checked, *, title: str = "") -> Figure:
     far as it was followed, with the place of a snap."""
     joints, proof = checked.joints, checked.proof
     figure = new_figure(10.0, 5.4)
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
-    scene, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
-    axes: list[Axes] = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in (1, 2))]
+    scene, axes = _panels(figure, 3)
     time, followed = _followed(checked)
     tips = np.array([e.tip_position for e in followed])
     arms = [followed[k] for k in np.unique(np.linspace(0, len(followed) - 1, SHOWN).astype(int))]
-    seen, box = stage_for(_passed(arms, tips), checked.obstacles, None)
-    draw_box(scene, box, seen)
-    _draw_arms(scene, arms, seen, checked.obstacles)
-    _draw_way(scene, time, tips, seen)
+    stage = stage_for(_passed(arms, tips), checked.obstacles, None)
+    _draw_scene(scene, stage, arms, checked.obstacles, (time, tips))
     _draw_joints(axes, joints.time, joints.rotations, joints.translations)
     axes[2].plot(time, [e.margin for e in followed], color=INK, lw=1.4)
     if proof.snap is not None:
@@ -140,7 +133,8 @@ def animate_trajectory(
     stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
 
     def draw(scene: Axes, below: Axes, k: int) -> None:
-        _draw_scene(scene, t, [arms[k]], stage, upto=int(rows[k]))
+        passed = slice(rows[k] + 1)
+        _draw_scene(scene, stage, [arms[k]], t.obstacles, (t.time[passed], t.tip_position[passed]))
         below.plot(t.time, t.margin, color=FAINT, lw=1)
         below.plot(t.time[: rows[k] + 1], t.margin[: rows[k] + 1], color=INK, lw=1.4)
         below.set_xlabel("time (s)")
@@ -225,23 +219,29 @@ def stage_for(points: Array, obstacles: Sequence[Obstacle], view: tuple[float, f
     return seen, Box.around(np.concatenate([points, *corners, np.zeros((1, 3))]))
 
 
+def _panels(figure: Figure, count: int) -> tuple[Axes, list[Axes]]:
+    """A scene, and so many panels over time beside it."""
+    grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1.0))
+    scene, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
+    return scene, [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, count))]
+
+
 def _draw_scene(
-    scene: Axes, trajectory: Trajectory, arms: Sequence[Equilibrium], stage: tuple[View, Box], upto: int | None = None
+    scene: Axes,
+    stage: tuple[View, Box],
+    arms: Sequence[Equilibrium],
+    obstacles: Sequence[Obstacle],
+    way: tuple[Array, Array],
 ) -> None:
+    """Arms, paler the earlier they are, among bodies, and the way of the tip: instants, and where it is then."""
     seen, box = stage
     draw_box(scene, box, seen)
-    _draw_arms(scene, arms, seen, trajectory.obstacles)
-    end = None if upto is None else upto + 1
-    _draw_way(scene, trajectory.time[:end], trajectory.tip_position[:end], seen)
-
-
-def _draw_arms(scene: Axes, arms: Sequence[Equilibrium], seen: View, obstacles: Sequence[Obstacle]) -> None:
-    """Arms, paler the earlier they are, among bodies."""
     parts = body_meshes(obstacles)
     for k, arm in enumerate(arms):
         strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else 0.2
         parts += [robot_mesh(arm, opacity=strong, detail=SWEEPING)]
     scene.add_collection(facets(Mesh.join(parts), seen))
+    _draw_way(scene, *way, seen)
 
 
 def _draw_way(scene: Axes, time: Array, tips: Array, seen: View) -> None:

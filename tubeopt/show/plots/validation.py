@@ -28,7 +28,6 @@ def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     Arrows are to scale, or lengthened by the factor that the heading tells.
 
     Args:
-        validation: what to draw.
         when: words for the heading, such as "after the fit".
     """
     v = validation
@@ -83,7 +82,6 @@ def plot_errors(validation: Validation, *, when: str = "") -> Figure:
     """Tip errors: how they are distributed, and by direction (radar) and separation, or else by row.
 
     Args:
-        validation: what to draw.
         when: words for the heading, such as "after the fit".
     """
     v = validation

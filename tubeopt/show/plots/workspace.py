@@ -38,7 +38,6 @@ def plot_workspace(
     which they point, and the largest margin with the places that are lost to snapping.
 
     Args:
-        workspace: what to draw.
         loss: of `snapping_loss`.
         size: edge of the voxels, m; by default as in `voxels`.
         title: heading; default the robot's name and the number of samples.
