@@ -112,7 +112,7 @@ def short_films(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("trajectory", "arms"):
         monkeypatch.setattr(
             f"tubeopt.show.plots.{module}.save_film",
-            lambda figure, draw, count, path: save_film(figure, draw, min(count, 3), path),
+            lambda path, title, count, draw: save_film(path, title, min(count, 3), draw),
         )
 
 

@@ -17,8 +17,7 @@ from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel
 from tubeopt.shaping.mold.mandrel_files import check_mandrel_stl
 from tubeopt.shaping.mold.robot import chosen_tubes
 from tubeopt.show.mandrel_report import MandrelReport
-from tubeopt.show.plots.mandrel import plot_mandrel
-from tubeopt.show.plots.mandrel_sheet import plot_mandrel_sheet
+from tubeopt.show.plots.mandrel import plot_mandrel, plot_mandrel_sheet
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("manifold3d")

@@ -133,7 +133,6 @@ class ArmsReport(Report[ArmsPlan]):
     file = "plan_arms.json"
 
     def title(self) -> str:
-        """Whether all is proved."""
         p = self.answer
         return f"{len(p.arms)} arms: {'motions past each other, proved' if p.proved else f'motions, {p.status}'}"
 

@@ -17,7 +17,7 @@ from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
 from .quantities import Quantity, line
-from .report import Drawing, Report, drawing, grid, two_columns
+from .report import Report, grid, two_columns
 from .snap_report import SNAP
 from .words import degrees, flag
 
@@ -232,6 +232,7 @@ class CertificationReport(Report[Certification]):
     command = "certify"
     quantities = CERTIFICATION
     file = "certificate.json"
+    drawn = (("snap", "snap.plot_snap", "verdict.snap"),)
 
     def table(self) -> Group:
         """The verdict in words; what limits it; the gradient; the command that repeats it."""
@@ -277,11 +278,6 @@ class CertificationReport(Report[Certification]):
         ]
         tubes = [f"tube {i + 1} >" for i in range(self.answer.robot.n_tubes)]
         return grid(("per unit of", *tubes), cells, title="change of the certificate", key=True)
-
-    def pictures(self) -> dict[str, Drawing]:
-        """The snap, where one was found."""
-        snap = self.answer.verdict.snap
-        return {} if snap is None else {"snap": drawing("snap.plot_snap", snap)}
 
     def conclude(self) -> None:
         """End with the exit code of the finding."""

@@ -100,26 +100,23 @@ REGION: tuple[Quantity[RegionAnswer], ...] = (
     Quantity("base_direction", "along which the arm leaves it, likewise", lambda r: r.base.axes[:, 2]),
 )
 
+SOLUTION: tuple[Quantity[DesignSolution], ...] = (
+    Quantity("task", "name of the task", lambda s: s.task.name),
+    Quantity("robot", "name of the robot", lambda s: s.robot.name),
+    Quantity("certificate", "lower bound of the margin at all rotations"),
+    Quantity("dimensions", "what was free", lambda s: list(s.dimensions), of=DIMENSION),
+    Quantity("binding", "requirements that bind", lambda s: list(s.sensitivities), of=BINDING),
+    Quantity("poses", "the poses of the task", lambda s: list(s.equilibria), of=POSE),
+    Quantity("checks", "checked again by other code", lambda s: list(s.verification.checks), of=CHECK),
+    Quantity("starts", "that were tried", lambda s: s.ranking.starts),
+    Quantity("designs", "different ones that were found", lambda s: len(s.ranking.designs)),
+    Quantity("failures", "of starts, by stage", lambda s: s.ranking.failures),
+    Quantity("rounds", "in which worst cases were added"),
+    Quantity("seconds", "wall time, s"),
+)
+
 DESIGN: tuple[Quantity[DesignAnswer], ...] = (
-    *within(
-        (
-            Quantity[DesignSolution]("task", "name of the task", lambda s: s.task.name),
-            Quantity[DesignSolution]("robot", "name of the robot", lambda s: s.robot.name),
-            Quantity[DesignSolution]("certificate", "lower bound of the margin at all rotations"),
-            Quantity[DesignSolution]("dimensions", "what was free", lambda s: list(s.dimensions), of=DIMENSION),
-            Quantity[DesignSolution]("binding", "requirements that bind", lambda s: list(s.sensitivities), of=BINDING),
-            Quantity[DesignSolution]("poses", "the poses of the task", lambda s: list(s.equilibria), of=POSE),
-            Quantity[DesignSolution](
-                "checks", "checked again by other code", lambda s: list(s.verification.checks), of=CHECK
-            ),
-            Quantity[DesignSolution]("starts", "that were tried", lambda s: s.ranking.starts),
-            Quantity[DesignSolution]("designs", "different ones that were found", lambda s: len(s.ranking.designs)),
-            Quantity[DesignSolution]("failures", "of starts, by stage", lambda s: s.ranking.failures),
-            Quantity[DesignSolution]("rounds", "in which worst cases were added"),
-            Quantity[DesignSolution]("seconds", "wall time, s"),
-        ),
-        lambda a: a.solution,
-    ),
+    *within(SOLUTION, lambda a: a.solution),
     Quantity("objectives", "what was wanted, each with its unit", lambda a: _objectives(a)),
     Quantity(
         "remarks",

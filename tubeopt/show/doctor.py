@@ -118,7 +118,6 @@ class DoctorReport(Report[Doctor]):
     file = "doctor.json"
 
     def title(self) -> str:
-        """What the table is headed by."""
         return f"tubeopt {__version__}"
 
     def conclude(self) -> None:

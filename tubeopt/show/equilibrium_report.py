@@ -111,9 +111,7 @@ class EquilibriumReport(Report[Equilibrium]):
         return save_equilibrium(self.answer, directory)
 
     def tables(self) -> dict[str, Any]:
-        """The arm, a row per point."""
         return {"arm": self.answer}
 
     def solids(self) -> dict[str, Equilibrium]:
-        """The arm."""
         return {"arm": self.answer}

@@ -25,5 +25,4 @@ class CLibraryReport(Report[CLibrary]):
     file = "library.json"
 
     def title(self) -> str:
-        """The robot's name."""
         return f"{self.answer.name} in C"

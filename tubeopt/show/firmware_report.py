@@ -71,7 +71,6 @@ class LedHeatingReport(Report[LedHeating]):
     drawn = (("feedback", "heating.plot_feedback"), ("wiring", "wiring.plot_wiring"))
 
     def title(self) -> str:
-        """The rig's name."""
         return self.answer.plan.rig.name or "rig"
 
     def table(self) -> Group:

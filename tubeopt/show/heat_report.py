@@ -150,29 +150,20 @@ TABLE = tuple(
 )
 """What is told of the table for a state of charge."""
 
+OF_THE_BAND: tuple[Quantity[Band], ...] = (
+    Quantity("samples", "uncertain rigs", lambda band: len(band.lowest)),
+    Quantity("probability", "part of them that stays in the window"),
+    Quantity("too_cold", "part that falls below"),
+    Quantity("too_hot", "part that rises above"),
+    Quantity("lowest_degC", f"its quantiles {QUANTILES}", lambda band: np.quantile(band.lowest, QUANTILES)),
+    Quantity("highest_degC", f"its quantiles {QUANTILES}", lambda band: np.quantile(band.highest, QUANTILES)),
+)
+
 BAND: tuple[Quantity[Heating], ...] = (
     Quantity("loss_percent", "half-width of what is not known of the heat loss", lambda a: a.uncertainty.loss),
     Quantity("contact_resistance_percent", "the same of the contacts", lambda a: a.uncertainty.contact_resistance),
     Quantity("resistivity_percent", "the same of the tube", lambda a: a.uncertainty.resistivity),
-    *within(
-        (
-            Quantity[Band]("samples", "uncertain rigs", lambda band: len(band.lowest)),
-            Quantity[Band]("probability", "part of them that stays in the window"),
-            Quantity[Band]("too_cold", "part that falls below"),
-            Quantity[Band]("too_hot", "part that rises above"),
-            Quantity[Band](
-                "lowest_degC",
-                f"its quantiles {QUANTILES}",
-                lambda band: [np.quantile(band.lowest, q) for q in QUANTILES],
-            ),
-            Quantity[Band](
-                "highest_degC",
-                f"its quantiles {QUANTILES}",
-                lambda band: [np.quantile(band.highest, q) for q in QUANTILES],
-            ),
-        ),
-        lambda a: a.band,
-    ),
+    *within(OF_THE_BAND, lambda a: a.band),
     Quantity("duty_scale", "by which the duties were scaled", lambda a: a.scale),
 )
 
@@ -192,7 +183,6 @@ class HeatingReport(Report[Heating]):
     file = "plan.json"
 
     def title(self) -> str:
-        """The rig's name."""
         return self.answer.plan.rig.name or "rig"
 
     def rows(self) -> list[tuple[str, str]]:
@@ -239,7 +229,6 @@ class HeatingReport(Report[Heating]):
         return [*paths, directory / self.file]
 
     def pictures(self) -> dict[str, Drawing]:
-        """Temperatures and duty over time."""
         return {"heating": drawing("heating.plot_heating", self.answer.plan, band=self.answer.band)}
 
     def conclude(self) -> None:

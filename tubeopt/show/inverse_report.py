@@ -125,7 +125,6 @@ class PosturesReport(Report[Postures]):
         return paths
 
     def solids(self) -> dict[str, Equilibrium]:
-        """The arm in the best posture."""
         return {"arm": self.answer.solutions[0].equilibrium}
 
     def conclude(self) -> None:
@@ -246,7 +245,6 @@ class TargetTableReport(Report[TargetTable]):
             yield [*target, *joints, *tip, *errors, known, leaps, s.status.name, ""]
 
     def pictures(self) -> dict[str, Drawing]:
-        """The arm along the targets that were reached."""
         reached = _reached(self.answer)
         return {"targets": drawing("inverse.plot_targets", reached)} if len(reached) > 1 else {}
 

@@ -50,8 +50,7 @@ LIMIT: tuple[Quantity[LoadLimit], ...] = (
 BEARING: tuple[Quantity[Bearing], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
-    Quantity("load", "what pushes, in words", lambda a: load_in_words(a.load), label="load",
-             words=lambda a: load_in_words(a.load)),
+    Quantity("load", "what pushes, in words", lambda a: load_in_words(a.load), label="load", words="{load}"),
     Quantity("up_to", "times the load that was looked at"),
     Quantity("limit", "where the equilibrium is lost, null where it is not", of=LIMIT),
 )  # fmt: skip
@@ -65,7 +64,6 @@ class BearingReport(Report[Bearing]):
     file = "load_limit.json"
 
     def title(self) -> str:
-        """The answer in words."""
         a = self.answer
         name = a.robot.name or "the robot"
         if a.limit is None:
@@ -152,7 +150,6 @@ class ForceReport(Report[ForceRecord]):
     file = "forces.json"
 
     def title(self) -> str:
-        """How many rows were told."""
         r = self.answer
         return f"{r.robot.name or 'robot'}: forces on the tip in {counted(len(r.estimates), 'row')}"
 

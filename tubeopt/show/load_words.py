@@ -7,7 +7,7 @@ import numpy as np
 from ..equilibrium.result import Equilibrium
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.load import Load
-from .quantities import Quantity
+from .quantities import Quantity, within
 from .words import row
 
 
@@ -25,57 +25,29 @@ def load_in_words(load: Load) -> str:
     return "; ".join(parts) or "none"
 
 
-def _softness(e: Equilibrium) -> str | None:
-    if e.load is None:
-        return None
+def _softness(e: Equilibrium) -> str:
     # m/N are mm/mN.
     softness = np.linalg.svd(e.compliance[:3, :3], compute_uv=False)
     return f"by {softness[-1]:.4g} to {softness[0]:.4g} mm/mN"
 
 
-def _on_the_plate(e: Equilibrium) -> str | None:
-    if e.load is None:
-        return None
+def _on_the_plate(e: Equilibrium) -> str:
     wrench = e.base_wrench * TO_MILLI
     return f"{row(wrench[:3], '.4f')} mN, {row(wrench[3:], '.4f')} mN m"
 
 
-LOADED: tuple[Quantity[Equilibrium], ...] = (
-    Quantity(
-        "load",
-        "what pushes, in words; absent without load",
-        lambda e: None if e.load is None else load_in_words(e.load),
-        label="load",
-        words=lambda e: None if e.load is None else load_in_words(e.load),
-        optional=True,
+LOADED: tuple[Quantity[Equilibrium], ...] = within(
+    (
+        Quantity[Equilibrium]("load", "what pushes, in words; absent without load",
+                              lambda e: load_in_words(e.load or Load()), label="load", words="{load}", optional=True),
+        Quantity("potential_mJ", "elastic energy less the work of the load", optional=True),
+        Quantity("compliance",
+                 "6 x 6: translation (m) and rotation (rad) of the tip by a force (N) and moment (N m) there",
+                 label="a force at the tip moves it", words=_softness, optional=True),
+        Quantity("base_force_mN", "force of the load on the plate", lambda e: e.base_wrench[:3],
+                 label="on the plate", words=_on_the_plate, optional=True),
+        Quantity("base_moment_mN_m", "moment of the load on the plate", lambda e: e.base_wrench[3:], optional=True),
     ),
-    Quantity(
-        "potential_mJ",
-        "elastic energy less the work of the load",
-        lambda e: None if e.load is None else e.potential,
-        optional=True,
-    ),
-    Quantity(
-        "compliance",
-        "6 x 6: translation (m) and rotation (rad) of the tip by a force (N) and moment (N m) there",
-        lambda e: None if e.load is None else e.compliance,
-        label="a force at the tip moves it",
-        words=_softness,
-        optional=True,
-    ),
-    Quantity(
-        "base_force_mN",
-        "force of the load on the plate",
-        lambda e: None if e.load is None else e.base_wrench[:3],
-        label="on the plate",
-        words=_on_the_plate,
-        optional=True,
-    ),
-    Quantity(
-        "base_moment_mN_m",
-        "moment of the load on the plate",
-        lambda e: None if e.load is None else e.base_wrench[3:],
-        optional=True,
-    ),
-)
+    lambda e: None if e.load is None else e,
+)  # fmt: skip
 """What a load does to an equilibrium; nothing without one."""

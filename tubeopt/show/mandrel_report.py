@@ -59,16 +59,14 @@ class MandrelReport(Report[Mandrel]):
     drawn = (("mandrel", "mandrel.plot_mandrel"),)
 
     def title(self) -> str:
-        """Which tube."""
         return f"mandrel of tube {self.answer.number}"
 
     def table(self) -> Group:
-        """The numbers for the workshop, then the remarks."""
         return Group(two_columns(self.title(), self.rows()), *remarks(self.answer.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
         """Write mandrel.json and mandrel.stl, of a turned one mandrel.csv and mandrel.nc, and the sheet setup.pdf."""
-        from .plots.mandrel_sheet import plot_mandrel_sheet
+        from .plots.mandrel import plot_mandrel_sheet
 
         paths = [self.save_record(directory), *write_mandrel(self.answer, directory)]
         plot_mandrel_sheet(self.answer, directory / "setup.pdf")

@@ -119,7 +119,6 @@ class MoldReport(Report[RobotMold]):
     file = "mold.json"
 
     def title(self) -> str:
-        """Robot, material and size."""
         mold = self.answer.mold
         size = " x ".join(f"{extent * TO_MM:g}" for extent in mold.size)
         return f"{self.answer.name or 'robot'}: mold of {mold.spec.material.name}, {size} mm"
@@ -143,7 +142,6 @@ class MoldReport(Report[RobotMold]):
         return [*paths, directory / "setup.pdf"]
 
     def pictures(self) -> dict[str, Drawing]:
-        """The grooves, and the plates as milled."""
         names = ("mold", "milled")
         return {name: drawing(f"mold.plot_{name}", self.answer.mold, title=self.answer.name) for name in names}
 
@@ -229,7 +227,6 @@ class CalibrationReport(Report[Calibration]):
         return super().rows() + yields
 
     def table(self) -> Group:
-        """The answer as a table, and the remarks."""
         return Group(two_columns("spring-back", self.rows()), *remarks(self.answer.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
@@ -273,7 +270,6 @@ class RankingReport(Report[Ranking]):
     file = "materials.json"
 
     def title(self) -> str:
-        """The tube and its heating."""
         known = self.record()
         tube = f"a tube of {known['outer_diameter_mm']:g} mm, {known['curved_length_mm']:g} mm of it"
         return f"molds for {tube} at {known['set_degC']:g} degC for {known['hold_s']:g} s"
@@ -298,6 +294,5 @@ class RankingReport(Report[Ranking]):
         return Group(Text(self.title(), style="italic"), grid(columns, cells, key=True), *reasons)
 
     def pictures(self) -> dict[str, Drawing]:
-        """The materials side by side."""
         title = self.title().replace("degC", "°C")
         return {"materials": drawing("mold.plot_materials", self.answer.ratings, title=title)}

@@ -116,7 +116,6 @@ class PairReport(Report[PairAnswer]):
     file = "design_pair.json"
 
     def title(self) -> str:
-        """The names of both."""
         return " and ".join(self.answer.names)
 
     def table(self) -> Group:

@@ -48,7 +48,6 @@ class PegReport(Report[PegBoard]):
     drawn = (("pegs", "pegs.plot_pegs"),)
 
     def title(self) -> str:
-        """Which tube."""
         return f"{len(self.answer.pegs)} pegs for tube {self.answer.number}"
 
     def table(self) -> Group:

@@ -202,7 +202,6 @@ class TrajectoryReport(Report[Trajectory]):
     file = "plan.json"
 
     def title(self) -> str:
-        """Whether it is proved."""
         t = self.answer
         what = "a motion on one stable branch, proved" if t.proved else f"a motion, {t.status}"
         under = "" if t.start.load is None else f", {_assuming(t.proof)}"
@@ -233,7 +232,6 @@ class TrajectoryReport(Report[Trajectory]):
             yield [float(time), *(round(float(x) * TO_MM, 6) + 0.0 for x in tip), float(margin), shown]
 
     def tables(self) -> dict[str, Any]:
-        """Joint values, tip and margin over time."""
         return {"trajectory": self.answer}
 
     def pictures(self) -> dict[str, Drawing]:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
+    ProgressColumn,
     SpinnerColumn,
     Task,
     TaskID,
@@ -82,11 +83,8 @@ def working(what: str, *, shown: bool = True) -> Iterator[Bar]:
         bar.stop()
 
 
-class _Count(TextColumn):
+class _Count(ProgressColumn):
     """How many of how many, how many a second, and how many of them have failed."""
-
-    def __init__(self) -> None:
-        super().__init__("")
 
     def render(self, task: Task) -> Text:
         if task.total is None:

@@ -75,8 +75,8 @@ class Report(Generic[A]):
     """Name under which the record is saved; "" where it is not."""
 
     drawn: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Pictures: name, the function that draws it, as `drawing` takes it, and of which attribute of the answer; without
-    one of the answer itself."""
+    """Pictures: name, the function that draws it, as `drawing` takes it, and of which attribute of the answer, no
+    picture where that is None; without one of the answer itself."""
 
     def __init_subclass__(cls) -> None:
         """A class of reports is that on the answers which it names in its brackets."""
@@ -111,10 +111,10 @@ class Report(Generic[A]):
 
     def pictures(self) -> dict[str, Drawing]:
         """Name of every picture -> what draws it; a name without a suffix gets that of the format asked for."""
-        parts = {
-            name: (plot, attrgetter(*part)(self.answer) if part else self.answer) for name, plot, *part in self.drawn
-        }
-        return {name: drawing(*part) for name, part in parts.items()}
+        parts = [
+            (name, plot, attrgetter(*part)(self.answer) if part else self.answer) for name, plot, *part in self.drawn
+        ]
+        return {name: drawing(plot, what) for name, plot, what in parts if what is not None}
 
     def draw(self, directory: Path) -> list[Path]:
         """Write the pictures into `directory`, in the format of `FORMAT`; return the paths."""

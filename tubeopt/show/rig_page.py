@@ -51,7 +51,6 @@ class HeatingRunReport(Report[HeatingRun]):
     quantities = RUN
 
     def title(self) -> str:
-        """The rig."""
         return self.answer.name
 
     def conclude(self) -> None:

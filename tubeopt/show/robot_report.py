@@ -68,7 +68,6 @@ class RobotReport(Report[AnyRobot]):
     file = "robot.json"
 
     def title(self) -> str:
-        """The robot's name."""
         return self.answer.name or "robot"
 
     def table(self) -> Group:

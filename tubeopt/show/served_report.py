@@ -51,7 +51,6 @@ class ViewedReport(Report[Viewed]):
     quantities = VIEWED
 
     def table(self) -> str:
-        """One line."""
         return f"showing {self.answer.name} at {self.answer.url}   (Ctrl-C to stop)"
 
 
@@ -62,6 +61,5 @@ class ServedReport(Report[Served]):
     quantities = SERVED
 
     def table(self) -> str:
-        """One line."""
         answer = self.answer
         return f"serving {answer.name} at {answer.url}, token {answer.token}   (Ctrl-C to stop)"

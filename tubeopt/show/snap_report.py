@@ -20,7 +20,7 @@ from ..robots.path_file import joint_cells, joint_columns
 from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
 from ..typing import Array
-from .quantities import Quantity, line, record, rows
+from .quantities import Quantity, line, record, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, to_text, two_columns
 from .words import counted, degrees, in_a_word, margin_in_words, millimetres, row
@@ -31,33 +31,24 @@ JOINTS: tuple[Quantity[Any], ...] = (
 )
 """Joint values of an answer."""
 
+FRICTION: tuple[Quantity[Any], ...] = (
+    Quantity("held_margin", "margin while friction holds what it holds; absent without friction", optional=True),
+    Quantity("friction_heat_mJ", "what friction has taken since the first waypoint; absent without friction",
+             lambda friction: friction.heat, optional=True),
+)  # fmt: skip
+
 STATE: tuple[Quantity[Equilibrium], ...] = (
     Quantity("stable", "whether it is stable"),
     Quantity("margin", "stability margin"),
     Quantity("index", "number of ways in which it is unstable"),
     Quantity("energy_mJ", "elastic energy"),
-    Quantity(
-        "potential_mJ",
-        "elastic energy less the work of the load; absent without load",
-        lambda e: None if e.load is None else e.potential,
-        optional=True,
-    ),
-    Quantity(
-        "held_margin",
-        "margin while friction holds what it holds; absent without friction",
-        lambda e: None if e.friction is None else e.friction.held_margin,
-        optional=True,
-    ),
-    Quantity(
-        "friction_heat_mJ",
-        "what friction has taken since the first waypoint; absent without friction",
-        lambda e: None if e.friction is None else e.friction.heat,
-        optional=True,
-    ),
+    Quantity("potential_mJ", "elastic energy less the work of the load; absent without load",
+             lambda e: None if e.load is None else e.potential, optional=True),
+    *within(FRICTION, lambda e: e.friction),
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("tip_direction", "where the tip points", lambda e: e.tip_rotation[:, 2]),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip"),
-)
+)  # fmt: skip
 """An equilibrium in short."""
 
 EQUILIBRIA: tuple[Quantity[Equilibria], ...] = (
@@ -170,6 +161,7 @@ class WayReport(Report[Way]):
     command = "snap"
     quantities = WAY
     file = "snap.json"
+    drawn = (("snap", "shape.plot_shape", "arrived"), ("snap", "snap.plot_snap", "snap"))
 
     def table(self) -> Group:
         """The answer in words, then the numbers of the snap."""
@@ -184,13 +176,6 @@ class WayReport(Report[Way]):
             return {"before": w.snap.before, "after": w.snap.after}
         return {} if w.arrived is None else {"arm": w.arrived}
 
-    def pictures(self) -> dict[str, Drawing]:
-        """The robot before and after the snap, or arrived at the end."""
-        if self.answer.snap is not None:
-            return {"snap": drawing("snap.plot_snap", self.answer.snap)}
-        arrived = self.answer.arrived
-        return {} if arrived is None else {"snap": drawing("shape.plot_shape", arrived)}
-
 
 class PathReport(Report[stability.Path]):
     """What is said and saved about motion through waypoints. Waypoints are counted from 1."""
@@ -200,7 +185,6 @@ class PathReport(Report[stability.Path]):
     drawn = (("path", "path.plot_path"),)
 
     def title(self) -> str:
-        """How far it went."""
         path = self.answer
         count = counted(len(path.snaps), "snap", none="no snap")
         return f"{path.equilibria[0].robot.name or 'robot'}: {len(path.equilibria)} waypoints, {count}"
@@ -237,7 +221,6 @@ class PathReport(Report[stability.Path]):
             yield [k, *joint_cells(*to_readings(e.robot, e.rotations, e.translations)), *tip, round(e.margin, 12)]
 
     def tables(self) -> dict[str, Any]:
-        """The state at every waypoint."""
         return {"path": self.answer}
 
 
@@ -294,7 +277,6 @@ class RobotMapReport(Report[RobotMap]):
     quantities = MAP
 
     def title(self) -> str:
-        """The robot's name."""
         return f"{self.answer.robot.name or 'robot'}: stability map"
 
     def save(self, directory: Path) -> list[Path]:
@@ -307,5 +289,4 @@ class RobotMapReport(Report[RobotMap]):
         return [save_arrays(directory / "map.npz", translations=self.answer.translations, **fields)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """The map."""
         return {"stability_map": drawing("maps.plot_stability_map", self.answer.map, title=self.answer.robot.name)}

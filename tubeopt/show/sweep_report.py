@@ -59,7 +59,6 @@ class SweepReport(Report[Sweep]):
         return written.getvalue().rstrip()
 
     def title(self) -> str:
-        """That it is one."""
         return "sweep"
 
     def rows(self) -> list[tuple[str, str]]:

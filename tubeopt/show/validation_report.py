@@ -148,7 +148,6 @@ class ValidationReport(Report[Validation]):
     file = "report.json"
 
     def table(self) -> Group:
-        """The rows, the remarks."""
         noticed = remarks(self.answer.measurements.remarks, what="remark")
         return Group(two_columns(self.title(), self.rows()), *noticed)
 
@@ -157,7 +156,6 @@ class ValidationReport(Report[Validation]):
         return [self.save_record(directory), save_residuals(directory, self.answer)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """Residuals in space, and errors in order."""
         return _pictures(self.answer, "")
 
 
@@ -246,7 +244,6 @@ class FitReport(Report[Fit]):
         return [*compared[:at], *errors, *compared[at + 1 :], *quantities.rows(self.answer, FIT)]
 
     def table(self) -> Group:
-        """The rows, the estimates, the remarks."""
         lines = remarks(self.answer.remarks, what="remark")
         return Group(two_columns(self.title(), self.rows()), self._estimates(), *lines)
 
@@ -277,7 +274,6 @@ class FitReport(Report[Fit]):
         return [*paths, directory / "robot.yaml"]
 
     def pictures(self) -> dict[str, Drawing]:
-        """Residuals and errors after the fit."""
         return _pictures(self.answer.after, "after the fit")
 
 
@@ -324,7 +320,6 @@ class EffectsReport(Report[Comparison]):
     file = "report.json"
 
     def title(self) -> str:
-        """The robot's name."""
         return self.answer.fit.robot.name if self.answer.fit else "no effect pays"
 
     def table(self) -> Group:

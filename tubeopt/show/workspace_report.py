@@ -119,7 +119,6 @@ class WorkspaceReport(Report[Findings]):
     quantities = WORKSPACE
 
     def title(self) -> str:
-        """The robot's name."""
         return f"{self.answer.workspace.robot.name or 'robot'}: workspace"
 
     def save(self, directory: Path) -> list[Path]:
@@ -131,7 +130,6 @@ class WorkspaceReport(Report[Findings]):
         return [*samples, save_arrays(directory / "voxels.npz", **fields, **lost)]
 
     def tables(self) -> dict[str, Any]:
-        """The samples."""
         return {"samples": self.answer.workspace}
 
     def pictures(self) -> dict[str, Drawing]:

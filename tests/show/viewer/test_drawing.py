@@ -29,8 +29,8 @@ from tubeopt.show.surfaces import Surface, obstacle_surface
 from tubeopt.show.viewer import export, plots, words
 from tubeopt.show.viewer.cut import cut_parts, cut_words
 from tubeopt.show.viewer.playback import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
+from tubeopt.show.viewer.scene import between
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
-from tubeopt.show.viewer.surfaces import between
 from tubeopt.show.viewer.swept import swept_volume
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ...bodies.frames import Frame
 from ...files.units import TO_MM
 from ...planning import ArmsPlan
 from ...typing import Array
-from .kinds import Axes, Figure
 from .mesh import Mesh
 from .shape import robot_mesh
-from .stage import Box, View, draw_box, facets, widest_view
-from .style import FAINT, INK, headed, new_figure, number, picture, styled
-from .trajectory import SWEEPING, body_mesh, film_ending, save_film
+from .stage import Box, View, draw_box, facets, note
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
+from .trajectory import SWEEPING, body_meshes, film_ending, save_film, stage_for
 
 SHOWN = 6
 """Instants at which the arms are drawn in the picture."""
@@ -59,37 +55,29 @@ def animate_arms(
         InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
     """
     film_ending(path)
-    figure = new_figure(5.0, 5.6, layout=None)
-    scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
     stage, times = _stage(plan, view), np.linspace(0.0, plan.duration, frames)
 
-    def draw(k: int) -> Sequence[Any]:
-        scene.clear()
-        below.clear()
+    def draw(scene: Axes, below: Axes, k: int) -> None:
         _draw(scene, plan, times[k : k + 1], stage)
         _distances(below, plan, times)
         below.axvline(float(times[k]), color=INK, lw=0.8)
-        return []
 
-    figure.suptitle(f"{len(plan.arms)} arms: {number(plan.duration, 1)} s", fontsize=9, x=0.04, ha="left")
-    return save_film(figure, draw, frames, path)
+    return save_film(path, f"{len(plan.arms)} arms: {number(plan.duration, 1)} s", frames, draw)
 
 
 def _stage(plan: ArmsPlan, view: tuple[float, float] | None) -> tuple[View, Box]:
-    points = [np.zeros((1, 3))]
+    points = []
     for arm, motion in zip(plan.arms, plan.trajectories, strict=True):
         ends = (motion.start, motion.end)
         points += [arm.base.placed(each) for each in (motion.tip_position, *(e.position for e in ends))]
-    together = np.concatenate(points)
-    bodies = [mesh.corners.reshape(-1, 3) for body in plan.obstacles if (mesh := body_mesh(body)) is not None]
-    return View(*view) if view is not None else widest_view(together), Box.around(np.concatenate([together, *bodies]))
+    return stage_for(np.concatenate(points), plan.obstacles, view)
 
 
 def _draw(scene: Axes, plan: ArmsPlan, times: Array, stage: tuple[View, Box]) -> None:
     """All arms at some instants, paler but for the last, and the ways of their tips up to it."""
     seen, box = stage
     draw_box(scene, box, seen)
-    parts = [mesh for body in plan.obstacles if (mesh := body_mesh(body)) is not None]
+    parts = body_meshes(plan.obstacles)
     for k, t in enumerate(times):
         strong = 1.0 if k == len(times) - 1 else 0.45 if k == 0 else 0.15
         for arm, motion, row in zip(plan.arms, plan.trajectories, plan.rows_at(float(t)), strict=True):
@@ -99,14 +87,7 @@ def _draw(scene: Axes, plan: ArmsPlan, times: Array, stage: tuple[View, Box]) ->
         tips = seen.project(arm.base.placed(motion.tip_position[: row + 1]))
         scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5)
         scene.plot(*tips[-1, :2], "o", color=INK, ms=3, zorder=6)
-        _name(scene, seen, arm.base, arm.called)
-
-
-def _name(scene: Axes, seen: View, base: Frame, name: str) -> None:
-    at = seen.project(base.origin)
-    scene.annotate(
-        name, (float(at[0]), float(at[1])), (7, 0), textcoords="offset points", va="center", fontsize=8, zorder=7
-    )
+        note(scene, arm.called, seen.project(arm.base.origin)[:2], np.array([7.0, 0.0]))
 
 
 def _distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
 from ...errors import InputError
+from ...stability import Branch
 from ...typing import Array
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import FAINT, INK, angle_locator, new_figure, number, picture
-
-if TYPE_CHECKING:
-    from ...stability import Branch
+from .style import FAINT, INK, Axes, Figure, angle_locator, new_figure, number, picture
 
 BAND = "#ECEEF1"
 DOT_COLOUR = "#0072B2"
@@ -126,13 +122,17 @@ def _ahead(branch: Branch, fold: int) -> bool:
     return bool(beside.mean() < branch.fraction[fold])
 
 
+def stable_parts(margin: Array) -> list[tuple[int, int, bool]]:
+    """First and last point of every part of a curve that is all stable or all unstable, and whether it is stable."""
+    stable = margin[:-1] + margin[1:] > 0
+    cuts = [0, *(np.flatnonzero(stable[1:] != stable[:-1]) + 1).tolist(), len(stable)]
+    return [(first, last, bool(stable[first])) for first, last in pairwise(cuts)]
+
+
 def _draw_curve(axes: Axes, inputs: Array, tips: Array, margin: Array, colour: str) -> None:
     """The curve, cut where stability changes."""
-    stable = margin[:-1] + margin[1:] > 0
-    cuts = [0, *(np.flatnonzero(stable[1:] != stable[:-1]) + 1), len(stable)]
     named: set[bool] = set()
-    for first, last in pairwise(cuts):
-        kind = bool(stable[first])
+    for first, last, kind in stable_parts(margin):
         part = slice(first, last + 1)
         label = "_" if kind in named else "stable" if kind else "unstable"
         line = "-" if kind else (0, (4, 2))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from itertools import pairwise
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from ...bodies.corridors import Corridor
 from ...bodies.obstacles import Capsule, Sphere
@@ -16,18 +14,19 @@ from ...design.requirements import of_kind
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...planning import PairShare
+from ...stability import StabilityMap
 from ...typing import Array
+from ..arm_surfaces import Centreline, exposed
 from ..colours import tube_colour
-from .kinds import Axes, Figure
 from .maps import draw_map
-from .style import FAINT, INK, finish, headed, new_figure, picture, styled
-
-if TYPE_CHECKING:
-    from ...stability import StabilityMap
+from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
 
 CORRIDOR = "#DCE3EA"
 BODY = "#C9CDD2"
 FREE, LOST = "#0072B2", "#D55E00"
+ALONG = 100
+"""Points along what shows of a tube."""
+
 VIEWS = ((1, 2), (0, 2))
 """Coordinates across and up of the two views."""
 
@@ -50,12 +49,9 @@ def plot_poses(solution: DesignSolution) -> Figure:
     least = min((e.margin for e in solution.equilibria), default=1.0)
     count = len(solution.equilibria)
     headed(figure, f"{solution.robot.name or 'design'}: {count} task poses, least margin {least:.3f}")
-    handles = [
-        *(
-            views[0].plot([], [], color=tube_colour(k), lw=2 + k, label=f"tube {k + 1}")[0]
-            for k in range(solution.robot.n_tubes)
-        ),
-    ]
+    handles = []
+    for k in range(solution.robot.n_tubes):
+        handles += views[0].plot([], [], color=tube_colour(k), lw=2 + k, label=f"tube {k + 1}")
     if of_kind(solution.task.requirements, Reach):
         handles += views[0].plot([], [], "o", ms=6, mfc="none", mec=INK, label="target")
     bodies = [body for avoid in of_kind(solution.task.requirements, Avoid) for body in avoid.obstacles]
@@ -66,16 +62,10 @@ def plot_poses(solution: DesignSolution) -> Figure:
 
 
 def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
-    s, ends = equilibrium.arc_length, equilibrium.tube_end
-    fine = np.linspace(0.0, s[-1], 200)
-    spline = scipy.interpolate.CubicHermiteSpline(s, equilibrium.position, equilibrium.frame[:, :, 2])
-    points = spline(fine)[:, [i, j]] * TO_MM
-    start = 0.0
-    for tube in reversed(range(len(ends))):
-        part = (fine >= start - 1e-9) & (fine <= ends[tube] + s[-1] / 200)
-        if part.sum() > 1 and ends[tube] > start:
-            axes.plot(*points[part].T, color=tube_colour(tube), lw=1.2 + 0.7 * tube, solid_capstyle="butt", zorder=4)
-            start = max(start, float(ends[tube]))
+    line = Centreline(equilibrium)
+    for tube, start, end in exposed(equilibrium):
+        points = line.position(np.linspace(start, end, ALONG))[:, [i, j]] * TO_MM
+        axes.plot(*points.T, color=tube_colour(tube), lw=1.2 + 0.7 * tube, solid_capstyle="butt", zorder=4)
 
 
 def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:

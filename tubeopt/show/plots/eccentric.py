@@ -14,10 +14,9 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ..arm_surfaces import Centreline
 from ..colours import tube_colour
-from .kinds import Axes, Figure
 from .shape import plate_mesh
 from .stage import Box, View, draw_box, facets
-from .style import FAINT, INK, headed, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.colors import Normalize
@@ -149,7 +148,6 @@ def plot_permutations(data: Permutations, *, title: str, arms: Sequence[Equilibr
     """Picture of the six tips of one mirror actuation around that of the robot at d = 0, and of the largest distance.
 
     Args:
-        data: what to draw.
         title: heading.
         arms: the six and the reference, for a picture at true scale.
     """

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-from os import PathLike
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...files.units import TO_MM
-from .kinds import Axes, Figure
-from .style import FAINT, INK, finish, new_figure, styled
-
-if TYPE_CHECKING:
-    from ...validation import Comparison
+from ...validation import Comparison
+from .style import FAINT, INK, Axes, Figure, new_figure, picture
 
 KEPT, REFUSED = "#0072B2", "#B8BEC6"
 
 
-@styled
-def plot_effects(comparison: Comparison, path: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_effects(comparison: Comparison) -> Figure:
     """Held-out errors of the robot as given and with every effect that pays, then the gain of those that do not; of
-    places passed both ways, what of the error depends on the way, before and after.
-
-    Args:
-        comparison: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
-    """
+    places passed both ways, what of the error depends on the way, before and after."""
     c = comparison
     both = c.fit is not None and c.fit.before.parity is not None
     figure = new_figure(9.6 if both else 7.2, max(3.0, 0.9 + 0.30 * (2 + len(c.steps) + len(c.refused))))
@@ -38,15 +24,13 @@ def plot_effects(comparison: Comparison, path: str | PathLike[str] | None = None
     else:
         left = figure.subplots()
     _draw_steps(left, c)
-    return finish(figure, path)
+    return figure
 
 
 def _draw_steps(axes: Axes, c: Comparison) -> None:
     rows = [("as given", c.start.rms), *((f"+ {s.effect.replace('_', ' ')}", s.held_out.rms) for s in c.steps)]
     values = np.array([value for _, value in rows]) * TO_MM
-    axes.barh(range(len(rows)), values, height=0.62, color=KEPT)
-    for k, value in enumerate(values):
-        axes.annotate(f"{value:.2f}", (value, k), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.bar_label(axes.barh(range(len(rows)), values, height=0.62, color=KEPT), fmt="%.2f", padding=4, fontsize=8)
     last = values[-1]
     for k, step in enumerate(c.refused, start=len(rows)):
         value = step.held_out.rms * TO_MM
@@ -84,15 +68,8 @@ def _draw_parity(axes: Axes, c: Comparison) -> None:
         for j, (value, colour) in enumerate(((v.parity.history, "#D55E00"), (v.parity.static, "#009E73"))):
             height = value * TO_MM
             label = ("depends on the way", "does not")[j] if k == 0 else None
-            axes.bar(k + 0.36 * (j - 0.5), height, width=0.34, color=colour, label=label)
-            axes.annotate(
-                f"{height:.2f}",
-                (k + 0.36 * (j - 0.5), height),
-                xytext=(0, 2),
-                textcoords="offset points",
-                ha="center",
-                fontsize=7,
-            )
+            bar = axes.bar(k + 0.36 * (j - 0.5), height, width=0.34, color=colour, label=label)
+            axes.bar_label(bar, fmt="%.2f", padding=2, fontsize=7)
     axes.set_xticks([0, 1], ["as given", "calibrated"])
     axes.set_ylabel("RMS of places passed both ways (mm)")
     axes.set_ylim(0, 1.32 * axes.get_ylim()[1])

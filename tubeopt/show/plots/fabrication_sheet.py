@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...files.units import TO_MM
 from ...shaping.firmware.parts import root_mean_square
+from ...shaping.heating.plan import HeatingPlan
+from ...shaping.tube_fabrication import TubeFabrication
 from .heating import draw_duty, draw_temperature
-from .kinds import Figure
 from .mold import A4, EDGE, INCH, sheet_text
-from .style import new_figure, picture
-
-if TYPE_CHECKING:
-    from ...shaping.heating.plan import HeatingPlan
-    from ...shaping.tube_fabrication import TubeFabrication
+from .style import Figure, new_figure, picture
 
 WRAPPED = 84
 """Letters per line of the steps."""
@@ -30,12 +26,7 @@ QUARTERS = (0.25, 0.5, 0.75)
 
 @picture
 def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
-    """The sheet for the one who heats the tube: one page A4.
-
-    Args:
-        made: mold and heating of one tube.
-        title: what it is for.
-    """
+    """The sheet for the one who heats the tube: one page A4."""
     plan = made.heating
     figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...files.units import TO_MM
-from ...typing import Array
+from ...stability import FrictionBand
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import INK, headed, new_figure, picture
-
-if TYPE_CHECKING:
-    from ...stability import FrictionBand
+from .style import INK, Axes, Figure, headed, new_figure, picture
 
 
 @picture
@@ -43,15 +37,10 @@ def _draw(axes: Axes, band: FrictionBand, across: int, magnified: float) -> None
     if np.isfinite(band.guaranteed).all():
         widths.insert(0, ("guaranteed", band.guaranteed, 0.18))
     for name, width, alpha in widths:
-        edges = _edges(line, normal, width * TO_MM * magnified)
-        axes.fill(*edges.T, color=tube_colour(0), alpha=alpha, lw=0, label=name)
+        side = normal * (width * TO_MM * magnified)[:, None]
+        around = np.concatenate([line + side, (line - side)[::-1]])
+        axes.fill(*around.T, color=tube_colour(0), alpha=alpha, lw=0, label=name)
     axes.plot(*line.T, color=INK, lw=1.0, label="without friction")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"{'xy'[across]} (mm)")
     axes.set_ylabel("z (mm)")
-
-
-def _edges(line: Array, normal: Array, width: Array) -> Array:
-    """(2 M, 2) both sides of a line at a distance."""
-    side = normal * width[:, None]
-    return np.concatenate([line + side, (line - side)[::-1]])

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...files.units import TO_MM
 from ...robots.materials import ZERO_CELSIUS
-from .kinds import Axes, Figure
-from .style import FAINT, INK, headed, new_figure, picture
-
-if TYPE_CHECKING:
-    from ...runs.firmware_study import LedHeating
-    from ...shaping.heating.calibration import RigFit
-    from ...shaping.heating.plan import HeatingPlan
-    from ...shaping.heating.robust import Band
+from ...runs.firmware_study import LedHeating
+from ...shaping.heating.calibration import RigFit
+from ...shaping.heating.plan import HeatingPlan
+from ...shaping.heating.robust import Band
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
 TUBE, IDEAL, WINDOW, BATTERY, COLD = "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9"
 WINDOW_ALPHA = 0.16
@@ -148,11 +145,7 @@ def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
 
 @picture
 def plot_rig_fit(fit: RigFit) -> Figure:
-    """Picture of a log and of what the rig predicts, before and after the calibration; a row for every channel.
-
-    Args:
-        fit: of `calibrate`.
-    """
+    """Picture of a log and of what the rig predicts, before and after the calibration; a row for every channel."""
     names = {"voltage": "voltage (V)", "current": "current (A)"}
     channels = fit.log.channels
     figure = new_figure(7.0, 1.1 + 1.9 * len(channels))

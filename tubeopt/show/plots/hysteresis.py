@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,15 +13,22 @@ from numpy.typing import ArrayLike
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
+from ...stability import Path, Snap
 from ...typing import Array
-from .kinds import Axes, Figure
-from .style import angle_locator, finish, new_figure, styled
+from .style import Axes, Figure, angle_locator, finish, new_figure, styled
 
-if TYPE_CHECKING:
-    from ...stability import Path, Snap
+Value = Callable[[Equilibrium], float]
+"""What is drawn of an equilibrium."""
 
-WAYS = (("forth", "#D55E00", 2.6, "-"), ("back", "#0072B2", 1.3, "-"))
-"""Name and look of both ways: the thin line of the way back lies on the wide one where both are the same."""
+
+class Way(NamedTuple):
+    """A way through waypoints at angles (T,), deg, its name and its look."""
+
+    path: Path
+    angles: Array
+    name: str
+    colour: str
+    width: float
 
 
 @styled
@@ -60,18 +67,20 @@ def plot_hysteresis(
     chosen = "xyz".index(axis) if axis else _liveliest(forth, back)
     figure = new_figure(6.4, 6.0)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1.5, 1.2, 1.0])
-    quantities: list[tuple[str, Callable[[Equilibrium], float]]] = [
+    # The thin line of the way back lies on the wide one where both are the same.
+    ways = Way(forth, angles, "forth", "#D55E00", 2.6), Way(back, angles[::-1], "back", "#0072B2", 1.3)
+    quantities: list[tuple[str, Value]] = [
         (f"tip {'xyz'[chosen]} (mm)", lambda e: float(e.tip_position[chosen]) * TO_MM),
         ("elastic energy (mJ)", lambda e: e.energy * TO_MILLI),
         ("stability margin", lambda e: e.margin),
     ]
     for panel, (name, quantity) in zip(panels, quantities, strict=True):
-        for followed, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
-            _draw_way(panel, followed, along, way, quantity)
+        for way in ways:
+            _draw_way(panel, way, quantity)
         panel.set_ylabel(name)
         panel.grid()
-    for followed, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
-        _name_snaps(panels[0], followed, along, way, quantities[0][1])
+    for way in ways:
+        _name_snaps(panels[0], way, quantities[0][1])
     figure.align_ylabels(panels)
     panels[0].set_title(title, loc="left")
     panels[0].legend(loc="best")
@@ -110,18 +119,12 @@ def stretches(followed: Path, angles: Array) -> list[tuple[Array, list[Equilibri
     return out
 
 
-def _draw_way(
-    axes: Axes,
-    followed: Path,
-    angles: Array,
-    way: tuple[str, str, float, str],
-    quantity: Callable[[Equilibrium], float],
-) -> None:
+def _draw_way(axes: Axes, way: Way, quantity: Value) -> None:
     """One way: its stretches, and an arrow for each snap between them."""
-    name, colour, width, line = way
-    parts = [(where, np.array([quantity(e) for e in what])) for where, what in stretches(followed, angles)]
+    colour = way.colour
+    parts = [(where, np.array([quantity(e) for e in what])) for where, what in stretches(way.path, way.angles)]
     for k, (where, values) in enumerate(parts):
-        axes.plot(where, values, color=colour, lw=width, ls=line, label=name if k == 0 else "_", zorder=3)
+        axes.plot(where, values, color=colour, lw=way.width, label=way.name if k == 0 else "_", zorder=3)
     for (where, values), (_, following) in pairwise(parts):
         x, old, new = float(where[-1]), float(values[-1]), float(following[0])
         arrow = {"arrowstyle": "-|>", "color": colour, "lw": 0.9, "shrinkA": 2, "shrinkB": 2, "mutation_scale": 8}
@@ -130,17 +133,11 @@ def _draw_way(
         axes.plot(where[-1:], following[:1], "o", ms=4.5, color=colour, zorder=4)
 
 
-def _name_snaps(
-    axes: Axes,
-    followed: Path,
-    angles: Array,
-    way: tuple[str, str, float, str],
-    quantity: Callable[[Equilibrium], float],
-) -> None:
+def _name_snaps(axes: Axes, way: Way, quantity: Value) -> None:
     """Angle, jump of the tip and energy of each snap, beside it: ahead of the way on which it happens."""
-    side = 1 if angles[-1] > angles[0] else -1
-    for snap in followed.snaps:
-        x = snap_angle(snap, angles)
+    side = 1 if way.angles[-1] > way.angles[0] else -1
+    for snap in way.path.snaps:
+        x = snap_angle(snap, way.angles)
         y = (quantity(snap.before) + quantity(snap.after)) / 2
         text = f"{x:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm\n{snap.energy_released * TO_MILLI:.2f} mJ released"
         axes.annotate(
@@ -150,6 +147,6 @@ def _name_snaps(
             textcoords="offset points",
             ha="left" if side > 0 else "right",
             va="center",
-            color=way[1],
+            color=way.colour,
             zorder=6,
         )

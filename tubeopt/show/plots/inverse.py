@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
+from ...inverse import InverseSolution
 from ...typing import Array
 from ..colours import tube_colour
-from .kinds import Axes, Figure
 from .mesh import Mesh
 from .shape import draw_scenes, robot_mesh
 from .stage import Box, View, draw_arrow, draw_box, facets, note, widest_view
-from .style import FAINT, INK, caption, headed, new_figure, picture
-
-if TYPE_CHECKING:
-    from ...inverse import InverseSolution
+from .style import FAINT, INK, Axes, Figure, caption, headed, new_figure, picture
 
 TARGET = "#B00020"
 ARROW_SHARE = 0.12

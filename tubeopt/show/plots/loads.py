@@ -12,8 +12,7 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..colours import TUBE_COLOURS
-from .kinds import Axes, Figure
-from .style import FAINT, INK, finish, headed, new_figure, styled
+from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, styled
 
 if TYPE_CHECKING:
     from ...validation.force import ForceEstimate

@@ -12,16 +12,14 @@ import scipy
 from ...errors import InputError
 from ...files.units import TO_MILLI
 from ...solvers.parallel.blas import small
+from ...stability import EnergyMap, StabilityMap
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
-from .kinds import Axes, Figure
-from .style import INK, angle_locator, narrow, new_figure, number, picture
+from .style import INK, Axes, Figure, angle_locator, narrow, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.contour import ContourSet
-
-    from ...stability import EnergyMap, StabilityMap
 
 MAP = "cividis"
 SNAP_COLOUR = "#D55E00"

@@ -10,22 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
+from ...robots.tubes import Tube
 from ...shaping.mold.drawing import PARTS, draw_plate
 from ...shaping.mold.gcode import as_milled, clear_room
 from ...shaping.mold.groove import Arc, Piece
-from ...shaping.mold.ranking import MOST_LEAK
+from ...shaping.mold.mold import Groove, Mold
+from ...shaping.mold.ranking import MOST_LEAK, MaterialRating
+from ...shaping.mold.springback import Calibration
 from ...typing import Array
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import FAINT, INK, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
-
-    from ...robots.tubes import Tube
-    from ...shaping.mold.mold import Groove, Mold
-    from ...shaping.mold.ranking import MaterialRating
-    from ...shaping.mold.springback import Calibration
 
 INCH = 25.4
 PLATE, SLOT, VENT, CLAMP = "#F1EEE6", "#C9D6E3", "#FFFFFF", "#B9BDC2"
@@ -37,12 +34,7 @@ SCALES = (1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 10.0)
 
 @picture
 def plot_mold(mold: Mold, *, title: str = "") -> Figure:
-    """The base plate from above, with grooves, bolts, dowels and clamps, and where the vents of the lid lie.
-
-    Args:
-        mold: what to draw.
-        title: what it is for.
-    """
+    """The base plate from above, with grooves, bolts, dowels and clamps, and where the vents of the lid lie."""
     low, high = _extent(mold)
     wide, tall = high - low
     figure = new_figure(7.5, max(2.6, 7.5 * tall / wide + 0.9))
@@ -57,12 +49,7 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
 
 @picture
 def plot_milled(mold: Mold, *, title: str = "") -> Figure:
-    """Both plates as their programs leave them in the stock: how deep it is cut.
-
-    Args:
-        mold: what is milled.
-        title: what it is for.
-    """
+    """Both plates as their programs leave them in the stock: how deep it is cut."""
     wide, tall = mold.size
     figure = new_figure(7.5, max(4.0, 15 * tall / wide + 1.6))
     for k, part in enumerate(PARTS):
@@ -167,12 +154,7 @@ def _heading(mold: Mold) -> str:
 
 @picture
 def plot_setup_sheet(mold: Mold, *, title: str = "") -> Figure:
-    """The set-up sheet for the workshop: one page A4, the drawing to scale, a column of numbers per tube, the steps.
-
-    Args:
-        mold: what to set up.
-        title: what the mold is for.
-    """
+    """The set-up sheet for the workshop: one page A4, the drawing to scale, a column of numbers per tube, the steps."""
     figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
     low, high = _extent(mold)
     room = np.array([A4[0] - 2 * EDGE, 0.47 * A4[1] - EDGE])

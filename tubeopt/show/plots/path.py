@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import SolveError
 from ...files.units import TO_MM
+from ...stability import Path
 from ...typing import Array
-from .kinds import Axes, Figure
-from .style import FAINT, INK, headed, name_above, new_figure, number, picture
-
-if TYPE_CHECKING:
-    from ...stability import Path
+from .style import FAINT, INK, Axes, Figure, headed, name_above, new_figure, number, picture
 
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 """Coordinates of the tip and their colours; from the palette of Okabe and Ito (2008)."""

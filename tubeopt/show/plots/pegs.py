@@ -10,19 +10,14 @@ from ...files.units import TO_MM
 from ...shaping.mold.pegs import PegBoard
 from ...typing import Array
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import INK, headed, new_figure, picture
+from .style import INK, Axes, Figure, headed, new_figure, picture
 
 DISK = "#D9D4C5"
 
 
 @picture
 def plot_pegs(board: PegBoard, *, title: str = "") -> Figure:
-    """The board with its pegs, the tube's deviation and temperature.
-
-    Args:
-        board: what to draw.
-    """
+    """The board with its pegs, the tube's deviation and temperature."""
     width, height = board.size
     figure = new_figure(8.6, 2.9 + 8.0 * min(height / width, 0.7))
     rows = figure.add_gridspec(2, 2, height_ratios=[8.0 * min(height / width, 0.7), 1.7])

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...bodies.obstacles import nearest_distance
+from ...bodies.plane import Plane
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
 from ...inverse.outline import Outline
-from .kinds import Axes, Figure
-from .style import FAINT, INK, headed, new_figure, number, picture
+from ...planning import Trajectory
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
 from .trajectory import SHOWN, arms_at
-
-if TYPE_CHECKING:
-    from ...bodies.plane import Plane
-    from ...planning import Trajectory
 
 CELLS = 300
 """Places along a side of the picture at which it is told whether a body is there."""

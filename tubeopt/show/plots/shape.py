@@ -14,10 +14,9 @@ from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array, Mask
 from ..arm_surfaces import Bundle, Centreline, Detail, bundles, exposed, plate_part, plate_radius, robot_parts
 from ..colours import tube_colour
-from .kinds import Axes, Figure
 from .mesh import Mesh, mesh_of
 from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
-from .style import FAINT, INK, caption, headed, narrow, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, caption, headed, narrow, new_figure, number, picture
 
 GHOST_OPACITY = 0.25
 LINE_HEIGHT = 11.0
@@ -47,7 +46,6 @@ def plot_shape(
     """Picture of the robot's shape to scale, with close-ups of the ends of its tubes.
 
     Args:
-        equilibrium: what to draw.
         ghosts: other equilibria, drawn translucent.
         remark: a line more of the heading, as of what the ghosts are.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the shape.
@@ -181,13 +179,7 @@ def robot_mesh(
     window: tuple[float, float] | None = None,
     detail: Detail = PRINTED,
 ) -> Mesh:
-    """Surfaces of all tubes in m, as `robot_parts` tells.
-
-    Args:
-        opacity: 0 to 1.
-        window: arc lengths, m; only what lies between them.
-        detail: how finely they are cut.
-    """
+    """Surfaces of all tubes in m, as `robot_parts` tells."""
     return mesh_of(robot_parts(equilibrium, detail, window), opacity)
 
 

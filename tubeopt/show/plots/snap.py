@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
-from .kinds import Axes, Figure
+from ...stability import Snap
 from .shape import draw_scenes
 from .stage import View, widest_view
-from .style import INK, headed, new_figure, number, picture
-
-if TYPE_CHECKING:
-    from ...stability import Snap
+from .style import INK, Axes, Figure, headed, new_figure, number, picture
 
 
 @picture

@@ -13,9 +13,8 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .kinds import Axes
 from .mesh import Mesh
-from .style import INK, narrow, number
+from .style import INK, Axes, narrow, number
 
 if TYPE_CHECKING:
     from matplotlib.collections import PolyCollection
@@ -90,8 +89,13 @@ class Box:
 
 def rule_step(span: float) -> float:
     """A round step that puts about four to ten rules on `span`."""
-    decade = 10.0 ** np.floor(np.log10(span / 4))
-    return float(max(step for step in (1, 2, 5) if step * decade <= span / 4) * decade)
+    return round_below(span / 4)
+
+
+def round_below(value: float) -> float:
+    """..., 0.5, 1, 2, 5, 10, 20, ...: the greatest that does not exceed a positive value."""
+    decade = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1, 2, 5) if step * decade <= value) * decade)
 
 
 def draw_box(axes: Axes, box: Box, view: View) -> None:

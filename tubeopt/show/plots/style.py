@@ -19,11 +19,14 @@ from ...typing import Array
 from ..load_words import load_in_words
 from ..page import WIDTH
 from ..words import in_a_word
-from .kinds import Axes, Figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
     from matplotlib.text import Text
     from matplotlib.ticker import MaxNLocator
+else:
+    Axes = Figure = Any  # only types of pictures: Matplotlib takes longer to load than a solve
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -13,8 +13,7 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import FAINT, INK, caption, name_above, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, caption, name_above, new_figure, picture
 
 JUMP = 1e-3
 """Share of the range of theta' from which a difference across a breakpoint is drawn as a jump."""

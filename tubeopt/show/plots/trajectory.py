@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -19,20 +18,17 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
+from ...planning import Trajectory
+from ...runs.verify_study import Checked
 from ...typing import Array
 from ..arm_surfaces import Detail
 from ..colours import tube_colour
 from ..load_words import load_in_words
 from ..surfaces import obstacle_surface, swept
-from .kinds import Axes, Figure
 from .mesh import Mesh, facets_of
 from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
-from .style import FAINT, INK, headed, new_figure, number, picture, styled
-
-if TYPE_CHECKING:
-    from ...planning import Trajectory
-    from ...runs.verify_study import Checked
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
 
 SHOWN = 9
 """Shapes of the arm in the picture."""
@@ -76,13 +72,10 @@ def plot_trajectory(
     t = trajectory
     figure = new_figure(10.0, 5.4)
     curves = 3 + bool(np.isfinite(t.clearance).all()) + (t.deviation is not None)
-    grid = figure.add_gridspec(curves, 2, width_ratios=(1.15, 1.0))
-    scene = figure.add_subplot(grid[:, 0])
+    scene, axes = _panels(figure, curves)
     arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
-    seen, box = _stage(t.tip_position, arms, t.obstacles, view)
-    _draw_scene(scene, t, arms, (seen, box))
-    first: Axes = figure.add_subplot(grid[0, 1])
-    axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, curves))]
+    stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
+    _draw_scene(scene, stage, arms, t.obstacles, (t.time, t.tip_position))
     _draw_curves(axes, t)
     signs, names = scene.get_legend_handles_labels()
     axes[1].legend(signs, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
@@ -97,16 +90,12 @@ def plot_checked(checked: Checked, *, title: str = "") -> Figure:
     far as it was followed, with the place of a snap."""
     joints, proof = checked.joints, checked.proof
     figure = new_figure(10.0, 5.4)
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
-    scene, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
-    axes: list[Axes] = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in (1, 2))]
+    scene, axes = _panels(figure, 3)
     time, followed = _followed(checked)
     tips = np.array([e.tip_position for e in followed])
     arms = [followed[k] for k in np.unique(np.linspace(0, len(followed) - 1, SHOWN).astype(int))]
-    seen, box = _stage(tips, arms, checked.obstacles, None)
-    draw_box(scene, box, seen)
-    _draw_arms(scene, arms, seen, checked.obstacles)
-    _draw_way(scene, time, tips, seen)
+    stage = stage_for(_passed(arms, tips), checked.obstacles, None)
+    _draw_scene(scene, stage, arms, checked.obstacles, (time, tips))
     _draw_joints(axes, joints.time, joints.rotations, joints.translations)
     axes[2].plot(time, [e.margin for e in followed], color=INK, lw=1.4)
     if proof.snap is not None:
@@ -141,22 +130,17 @@ def animate_trajectory(
     t = trajectory
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
     arms = arms_at(t, rows)
-    figure = new_figure(5.0, 5.6, layout=None)
-    scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
-    stage = _stage(t.tip_position, arms, t.obstacles, view)
+    stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
 
-    def draw(k: int) -> Sequence[Any]:
-        scene.clear()
-        below.clear()
-        _draw_scene(scene, t, [arms[k]], stage, upto=int(rows[k]))
+    def draw(scene: Axes, below: Axes, k: int) -> None:
+        passed = slice(rows[k] + 1)
+        _draw_scene(scene, stage, [arms[k]], t.obstacles, (t.time[passed], t.tip_position[passed]))
         below.plot(t.time, t.margin, color=FAINT, lw=1)
         below.plot(t.time[: rows[k] + 1], t.margin[: rows[k] + 1], color=INK, lw=1.4)
         below.set_xlabel("time (s)")
         _margin_scale(below, float(t.margin.min()))
-        return []
 
-    figure.suptitle(f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", fontsize=9, x=0.04, ha="left")
-    return save_film(figure, draw, len(rows), path)
+    return save_film(path, f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", len(rows), draw)
 
 
 def _followed(checked: Checked) -> tuple[Array, list[Equilibrium]]:
@@ -192,16 +176,21 @@ def film_ending(path: str | PathLike[str]) -> str:
     return ending
 
 
-def save_film(figure: Figure, draw: Callable[[int], Sequence[Any]], count: int, path: str | PathLike[str]) -> Path:
-    """Write as many pictures of a figure, each drawn by its number, as a film."""
+def save_film(path: str | PathLike[str], title: str, count: int, draw: Callable[[Axes, Axes, int], None]) -> Path:
+    """Write as many pictures of a scene with a panel below it, each drawn anew by its number, as a film."""
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
     gif = film_ending(path) == ".gif"
+    figure = new_figure(5.0, 5.6, layout=None)
+    figure.suptitle(title, fontsize=9, x=0.04, ha="left")
+    scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
     writer, dpi = (PillowWriter(fps=12), 100) if gif else (FFMpegWriter(fps=24), 150)
     # An Animation of matplotlib would draw every picture twice.
     with atomic_write(path) as temporary, writer.saving(figure, temporary, dpi):
         for k in range(count):
-            draw(k)
+            scene.clear()
+            below.clear()
+            draw(scene, below, k)
             writer.grab_frame()
     return Path(path)
 
@@ -217,33 +206,42 @@ def arms_at(trajectory: Trajectory, rows: Array) -> list[Equilibrium]:
     return found
 
 
-def _stage(
-    tips: Array, arms: Sequence[Equilibrium], obstacles: Sequence[Obstacle], view: tuple[float, float] | None
-) -> tuple[View, Box]:
-    points = np.concatenate([*(arm.position for arm in arms), tips])
+def _passed(arms: Sequence[Equilibrium], tips: Array) -> Array:
+    """(k, 3) points of arms, and the way of a tip."""
+    return np.concatenate([*(arm.position for arm in arms), tips])
+
+
+def stage_for(points: Array, obstacles: Sequence[Obstacle], view: tuple[float, float] | None) -> tuple[View, Box]:
+    """How points (k, 3), m, are seen, by default across their widest side, and the box around them, bodies, and the
+    plate."""
     seen = View(*view) if view is not None else widest_view(points)
-    bodies = [body_mesh(obstacle) for obstacle in obstacles]
-    corners = [mesh.corners.reshape(-1, 3) for mesh in bodies if mesh is not None]
-    return seen, Box.around(np.concatenate([points, *corners, np.array([[0.0, 0.0, 0.0]])]))
+    corners = [mesh.corners.reshape(-1, 3) for mesh in body_meshes(obstacles)]
+    return seen, Box.around(np.concatenate([points, *corners, np.zeros((1, 3))]))
+
+
+def _panels(figure: Figure, count: int) -> tuple[Axes, list[Axes]]:
+    """A scene, and so many panels over time beside it."""
+    grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1.0))
+    scene, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
+    return scene, [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, count))]
 
 
 def _draw_scene(
-    scene: Axes, trajectory: Trajectory, arms: Sequence[Equilibrium], stage: tuple[View, Box], upto: int | None = None
+    scene: Axes,
+    stage: tuple[View, Box],
+    arms: Sequence[Equilibrium],
+    obstacles: Sequence[Obstacle],
+    way: tuple[Array, Array],
 ) -> None:
+    """Arms, paler the earlier they are, among bodies, and the way of the tip: instants, and where it is then."""
     seen, box = stage
     draw_box(scene, box, seen)
-    _draw_arms(scene, arms, seen, trajectory.obstacles)
-    end = None if upto is None else upto + 1
-    _draw_way(scene, trajectory.time[:end], trajectory.tip_position[:end], seen)
-
-
-def _draw_arms(scene: Axes, arms: Sequence[Equilibrium], seen: View, obstacles: Sequence[Obstacle]) -> None:
-    """Arms, paler the earlier they are, among bodies."""
-    parts = [mesh for obstacle in obstacles if (mesh := body_mesh(obstacle)) is not None]
+    parts = body_meshes(obstacles)
     for k, arm in enumerate(arms):
         strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else 0.2
         parts += [robot_mesh(arm, opacity=strong, detail=SWEEPING)]
     scene.add_collection(facets(Mesh.join(parts), seen))
+    _draw_way(scene, *way, seen)
 
 
 def _draw_way(scene: Axes, time: Array, tips: Array, seen: View) -> None:
@@ -258,11 +256,13 @@ def _draw_way(scene: Axes, time: Array, tips: Array, seen: View) -> None:
     scene.plot(*tips[-1, :2], "o", color=INK, ms=4, zorder=6, label="end")
 
 
-def body_mesh(obstacle: Obstacle) -> Mesh | None:
-    """An obstacle as facets; None for a half-space, which has no bounds."""
-    body = obstacle.body if isinstance(obstacle, Turned) else obstacle
-    if isinstance(body, HalfSpace):
-        return None
+def body_meshes(obstacles: Sequence[Obstacle]) -> list[Mesh]:
+    """Obstacles as facets, but for half-spaces, which have no bounds."""
+    bodies = [(each, each.body if isinstance(each, Turned) else each) for each in obstacles]
+    return [_body_mesh(each, body) for each, body in bodies if not isinstance(body, HalfSpace)]
+
+
+def _body_mesh(obstacle: Obstacle, body: Obstacle) -> Mesh:
     if isinstance(obstacle, Corridor):
         surface = swept(np.array(obstacle.centreline), obstacle.radii, sides=SIDES, capped=False)
     else:

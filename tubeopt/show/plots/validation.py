@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from ...files.units import TO_MM
 from ...typing import Array
+from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
-from .kinds import Axes, Figure
-from .style import FAINT, INK, finish, headed, new_figure, picture, styled
-
-if TYPE_CHECKING:
-    from ...validation import ErrorTable, Validation
+from .stage import round_below
+from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
 
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
@@ -31,7 +28,6 @@ def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     Arrows are to scale, or lengthened by the factor that the heading tells.
 
     Args:
-        validation: what to draw.
         when: words for the heading, such as "after the fit".
     """
     v = validation
@@ -39,7 +35,7 @@ def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     above, beside = figure.subplots(1, 2)
     seen = np.isfinite(v.errors)
     spread = float(np.ptp(v.predicted[seen], axis=0).max()) or 1e-3
-    factor = _round_factor(LONG_ENOUGH * spread / max(float(np.nanmax(v.errors)), 1e-12))
+    factor = max(1.0, round_below(LONG_ENOUGH * spread / max(float(np.nanmax(v.errors)), 1e-12)))
     for axes, (i, j) in ((above, (0, 1)), (beside, (0, 2))):
         _draw_arrows(axes, v.predicted[:, [i, j]] * TO_MM, v.residuals[:, [i, j]] * TO_MM, factor)
         axes.set_xlabel(f"{'xyz'[i]} (mm)")
@@ -81,20 +77,11 @@ def _draw_arrows(axes: Axes, start: Array, arrow: Array, factor: float) -> None:
     axes.grid()
 
 
-def _round_factor(value: float) -> float:
-    """1, 2, 5, 10, 20, ...: the greatest that does not exceed `value`, and at least 1."""
-    if value < 2:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(k for k in (1.0, 2.0, 5.0) if k * power <= value) * power)
-
-
 @picture
 def plot_errors(validation: Validation, *, when: str = "") -> Figure:
     """Tip errors: how they are distributed, and by direction (radar) and separation, or else by row.
 
     Args:
-        validation: what to draw.
         when: words for the heading, such as "after the fit".
     """
     v = validation

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ...runs.firmware_study import LedHeating
+from ...shaping.firmware.boards import Wiring
 from ...shaping.firmware.parts import parts_list
 from .heating import IDEAL, TUBE
-from .kinds import Axes, Figure
-from .style import FAINT, INK, headed, new_figure, picture
-
-if TYPE_CHECKING:
-    from ...runs.firmware_study import LedHeating
-    from ...shaping.firmware.boards import Wiring
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
 Path = Sequence[tuple[float, float]]
 

@@ -11,10 +11,9 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
 from ...workspaces.voxels import Keys
-from .kinds import Axes, Figure
 from .shape import plate_mesh
 from .stage import Box, View, draw_box, facets
-from .style import headed, new_figure, number, picture
+from .style import Axes, Figure, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.collections import Collection
@@ -39,7 +38,6 @@ def plot_workspace(
     which they point, and the largest margin with the places that are lost to snapping.
 
     Args:
-        workspace: what to draw.
         loss: of `snapping_loss`.
         size: edge of the voxels, m; by default as in `voxels`.
         title: heading; default the robot's name and the number of samples.

@@ -23,11 +23,7 @@ REST = 1.0
 
 def arms_page(plan: ArmsPlan, *, frames: int = FRAMES) -> str:
     """The motions of a plan as a page to be turned and zoomed while it plays, all arms and bodies in the frame that
-    they share.
-
-    Raises:
-        InputError: viser is not installed.
-    """
+    they share."""
     names = " and ".join(arm.called for arm in plan.arms)
     with quiet_server("127.0.0.1", 0) as server:
         longest = max((each.end for each in plan.trajectories), key=lambda e: float(e.arc_length[-1]))

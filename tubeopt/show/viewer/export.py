@@ -93,9 +93,6 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
     Args:
         layers: further parts by the names of their layers.
         trail: whether the way of the tip is shown.
-
-    Raises:
-        InputError: viser is not installed.
     """
     with quiet_server("127.0.0.1", 0) as server:
         position, look_at = camera(session.equilibrium)

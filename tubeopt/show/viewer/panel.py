@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from typing import Any
@@ -70,7 +70,7 @@ class Panel:
         self.push: PushPanel | None = None
         if not robot.assembly(robot.home_translations).eccentric:
             with tabs.add_tab("Load"):
-                self.push = PushPanel(gui, tab, self._numbers, self._button, view.load)
+                self.push = PushPanel(gui, tab, self._numbers, (self._button, self._check), view.load)
         with tabs.add_tab("Play"):
             self._time = self._play_controls()
         with tabs.add_tab("Design"):
@@ -204,13 +204,17 @@ class Panel:
         slider = self._gui.add_slider(
             f"{name} ({unit})", low, max(high, low + STEP), STEP, min(max(0.0, low), high), marks=()
         )
+        return self._when_moved(slider, lambda value: self._tab.slide(joint, value / factor))
+
+    def _when_moved(self, widget: Any, act: Callable[[float], None]) -> Any:
+        """Tell `act` where the hand has put a slider."""
 
         async def moved(event: Any) -> None:
             if self._wished(event):
-                self._tab.slide(joint, float(event.target.value) / factor)
+                act(float(event.target.value))
 
-        slider.on_update(moved)
-        return slider
+        widget.on_update(moved)
+        return widget
 
     def _buttons(self) -> None:
         for label, act in (("Home", self._tab.home), ("Undo", self._tab.undo), ("All equilibria", self._tab.ghosts)):
@@ -230,13 +234,10 @@ class Panel:
             direction = self._gui.add_slider("direction (deg)", -360.0, 360.0, STEP, 0.0, marks=())
             separation = self._gui.add_slider("separation (deg)", 0.0, 120.0, STEP, 0.0, marks=())
 
-        async def moved(event: Any) -> None:
-            if self._wished(event):
-                self._tab.mirror(float(np.radians(direction.value)), float(np.radians(separation.value)))
+        def go(_: float) -> None:
+            self._tab.mirror(float(np.radians(direction.value)), float(np.radians(separation.value)))
 
-        for slider in (direction, separation):
-            slider.on_update(moved)
-        return [direction, separation]
+        return [self._when_moved(slider, go) for slider in (direction, separation)]
 
     def _exact(self) -> list[Any]:
         """Number boxes for every joint of every tube, which act when their button is pressed: the way is straight."""
@@ -266,13 +267,9 @@ class Panel:
 
     def _lead_controls(self, least: float) -> tuple[Any, list[Any]]:
         margin = self._gui.add_slider("least margin", 0.0, 0.9, 0.01, min(max(least, 0.0), 0.9), marks=())
-        drag = self._gui.add_checkbox("drag the tip", False, hint="Arrows at the tip lead it.")
-
-        async def shown(event: Any) -> None:
-            self._tab.show("target", bool(event.target.value))
-
-        drag.on_update(shown)
-        self._check("lead the tip by keys, gamepad or 3-D mouse", False, lambda on: self._tab.show("hand", on))
+        dragged = partial(self._tab.show, "target")
+        self._check("drag the tip", False, dragged, hint="Arrows at the tip lead it.")
+        self._check("lead the tip by keys, gamepad or 3-D mouse", False, partial(self._tab.show, "hand"))
         boxes = [self._gui.add_text(f"target {axis} (mm)", "0") for axis in "xyz"]
 
         def lead() -> None:
@@ -285,12 +282,7 @@ class Panel:
 
     def _play_controls(self) -> Any:
         time = self._gui.add_slider("time (s)", 0.0, 1.0, 0.001, 0.0, marks=(), disabled=True)
-
-        async def scrubbed(event: Any) -> None:
-            if self._wished(event):
-                self._tab.scrub(float(event.target.value))
-
-        time.on_update(scrubbed)
+        self._when_moved(time, self._tab.scrub)
         self._button("Play / pause", self._tab.play)
         self._upload("Load a trajectory (CSV)", "trajectory", "text/csv")
         self._check("record what the robot passes", False, self._tab.record)
@@ -305,8 +297,8 @@ class Panel:
 
         button.on_upload(loaded)
 
-    def _check(self, label: str, value: bool, act: Any) -> Any:
-        box = self._gui.add_checkbox(label, value)
+    def _check(self, label: str, value: bool, act: Callable[[bool], None], **options: Any) -> Any:
+        box = self._gui.add_checkbox(label, value, **options)
 
         async def changed(event: Any) -> None:
             act(bool(event.target.value))
@@ -320,19 +312,11 @@ class Panel:
             value = knob.shown(self._view.robot)
             slider = self._gui.add_slider(knob.label, knob.low, knob.high, knob.step, value, marks=())
             self._shown[id(slider)] = round(value, 4)
-            self._on_knob(knob, slider)
-            out.append((knob, slider))
-        self._check("stability map", False, lambda on: self._tab.show("map", on))
+            out.append((knob, self._when_moved(slider, partial(self._tab.turn, knob))))
+        self._check("stability map", False, partial(self._tab.show, "map"))
         self._button("Back to the robot as loaded", self._tab.reset_design)
-        self._button("Save robot as YAML", lambda: self._tab.save("robot"))
+        self._button("Save robot as YAML", partial(self._tab.save, "robot"))
         return out
-
-    def _on_knob(self, knob: Knob, slider: Any) -> None:
-        async def turned(event: Any) -> None:
-            if self._wished(event):
-                self._tab.turn(knob, float(event.target.value))
-
-        slider.on_update(turned)
 
     def _layer_controls(self) -> None:
         layers = [
@@ -343,7 +327,7 @@ class Panel:
             ("the robot beside", "beside", False),
         ]
         for label, layer, on in layers:
-            self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
+            self._layers[layer] = self._check(label, on, partial(self._tab.show, layer))
         self._button("Forget the trail", self._tab.forget_trail)
         self._upload("Load bodies (YAML, mesh, image)", "obstacles", BODIES)
         self._cut_controls()
@@ -356,7 +340,7 @@ class Panel:
             ("From above", "above"),
             ("As it began", "corner"),
         ):
-            self._button(label, lambda side=side: self._tab.look(side))
+            self._button(label, partial(self._tab.look, side))
         self._gui.add_html(legend())
 
     def _cut_controls(self) -> None:
@@ -384,7 +368,7 @@ class Panel:
             ("Recorded trajectory (CSV)", "recording"),
             ("Page for a colleague (HTML)", "page"),
         ):
-            self._button(label, lambda what=what: self._tab.save(what))
+            self._button(label, partial(self._tab.save, what))
 
 
 def _reach(values: np.ndarray, rotations: int) -> np.ndarray:

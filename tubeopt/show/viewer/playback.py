@@ -145,7 +145,8 @@ def state_at(playback: Playback, time: float) -> Equilibrium:
     if k == len(points.time) - 1 or time <= points.time[k]:
         return here
     part = (time - points.time[k]) / (points.time[k + 1] - points.time[k])
-    way = [_straight(table, k, part) for table in (points.rotations, points.translations)]
+    parts = np.array([[0.0], [part]])
+    way = [table[k] + parts * (table[k + 1] - table[k]) for table in (points.rotations, points.translations)]
     return follow(here.robot, *way, start=here).equilibria[-1]
 
 
@@ -158,8 +159,3 @@ def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, .
         if start < at <= end:
             out.append(snap)
     return tuple(out)
-
-
-def _straight(table: Array, k: int, part: float) -> list[Array]:
-    """From row k a part of the way to the next."""
-    return [table[k], table[k] + part * (table[k + 1] - table[k])]

@@ -36,11 +36,7 @@ class Player:
         self._playing: float | None = None
 
     def take(self, waypoints: Waypoints) -> Playback:
-        """Make a trajectory ready.
-
-        Raises:
-            SolveError: the branch was lost on the way.
-        """
+        """Make a trajectory ready; raises as `make_playback` does."""
         self.playback = make_playback(self._session().robot, waypoints)
         self._panel.untick("swept")
         self._panel.offer_playback(self.playback.duration)
@@ -54,11 +50,7 @@ class Player:
         return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way"
 
     def replay(self) -> str:
-        """Play what the session has recorded; in words, what that is.
-
-        Raises:
-            InputError: nothing was recorded.   SolveError: as `take` does.
-        """
+        """Play what the session has recorded; in words, what that is. Raises as `recorded` and `take` do."""
         words = self.offer(recorded(self._session()))
         self.toggle()
         return words

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from itertools import pairwise
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ...files.units import TO_MM
 from ...stability import Branch, StabilityMap
 from ...typing import Array
 from ..colours import margin_colour, tube_colour
-from ..plots.branch import fold_points, smooth
+from ..plots.branch import fold_points, smooth, stable_parts
 
 WIDTH, HEIGHT = 340, 190
 LEFT, RIGHT, TOP, BOTTOM = 54, 14, 16, 34
@@ -123,12 +122,10 @@ def s_curve_plot(branch: Branch, equilibrium: Equilibrium, tube: int) -> str:
     labels = f"input of tube {tube + 1} (deg)", "its tip (deg)"
     axes = Axes(_range(np.append(x, here[0]), 10.0), _range(np.append(y, here[1]), 10.0), labels)
     colour = tube_colour(tube)
-    stable = fine.margin[:-1] + fine.margin[1:] > 0
-    cuts = [0, *(np.flatnonzero(stable[1:] != stable[:-1]) + 1), len(stable)]
     body = []
-    for first, last in pairwise(cuts):
-        part = slice(int(first), int(last) + 1, 4)
-        body.append(axes.line(x[part], y[part], colour, dashed=not stable[first]))
+    for first, last, stable in stable_parts(fine.margin):
+        part = slice(first, last + 1, 4)
+        body.append(axes.line(x[part], y[part], colour, dashed=not stable))
     body += [axes.dot(x[k], y[k], colour, hollow=True, radius=3.0) for k in fold_points(fine)]
     body.append(axes.dot(*here, "currentColor"))
     return frame(axes, body, "S-curve: tip angle over input angle", angles=(True, True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -25,7 +26,7 @@ class PushPanel:
         gui: `gui` of a client of a viser server.
         tab: told of what is wanted.
         numbers: reads number boxes; None, with a sentence, where one holds no number.
-        button: makes a button.
+        make: makes a button, and a box to be ticked.
         given: that acts from the beginning, if any: its gravity is among the choices.
     """
 
@@ -34,13 +35,15 @@ class PushPanel:
         gui: Any,
         tab: Wishes,
         numbers: Callable[[list[Any]], np.ndarray | None],
-        button: Callable[[str, Callable[[], None]], Any],
+        make: tuple[Callable[..., Any], Callable[..., Any]],
         given: Load | None = None,
     ) -> None:
         self._given = None if given is None else given.gravity
         self._words = gui.add_html(WORDS.format(""))
         self._shown: tuple[float, ...] = (0.0, 0.0, 0.0)
-        drag = gui.add_checkbox("drag a force", False, hint="Arrows at the head of the force on the tip lead it.")
+        button, check = make
+        hint = "Arrows at the head of the force on the tip lead it."
+        check("drag a force", False, partial(tab.show, "force"), hint=hint)
         self._boxes = [gui.add_text(f"force {axis} (mN)", "0") for axis in "xyz"]
         self._gravity = gui.add_dropdown("gravity", (*DIRECTIONS, GIVEN)[: None if self._given else -1])
         self._gravity.value = GIVEN if self._given else "none"
@@ -54,10 +57,6 @@ class PushPanel:
             self._gravity.value = "none"
             tab.push(np.zeros(3), None, done=True)
 
-        async def dragged(event: Any) -> None:
-            tab.show("force", bool(event.target.value))
-
-        drag.on_update(dragged)
         button("Put the load on", put_on)
         button("Take the load off", take_off)
 

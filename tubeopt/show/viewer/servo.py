@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ...bodies.obstacles import Obstacle
 from ...errors import InputError
+from ...files.units import TO_MM
 from ...inverse.answer import InverseOptions
 from ...inverse.descent import held_by, reach
 from ...inverse.goal import Goal
@@ -41,6 +42,12 @@ class Pull:
     def reached(self) -> bool:
         """Whether the tip is on target."""
         return self.error <= CLOSE_ENOUGH
+
+    @property
+    def told(self) -> tuple[Session, str]:
+        """The session, and in words where the tip stops and why, "" on target."""
+        short = f"the tip stops {self.error * TO_MM:.2f} mm short of the target: {', '.join(self.held)}"
+        return self.session, "" if self.reached else short
 
 
 def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()) -> Pull:

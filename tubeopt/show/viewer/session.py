@@ -291,7 +291,7 @@ def redesign(session: Session, robot: Robot) -> Session:
     keeps = inside and (space.admissible(q) or not before.admissible(session.q))
     rotations, translations = space.split(q if keeps else space.nearest(q))
     try:
-        there = forward_kinematics(robot, rotations, translations, guess=_as_guess(old, robot))
+        there = forward_kinematics(robot, rotations, translations, guess=replace(old, robot=robot))
         same = there.stable and float(np.abs(there.tip_rotations - old.tip_rotations).max()) < 0.5
     except (SolveError, InputError):
         same = False
@@ -303,13 +303,6 @@ def redesign(session: Session, robot: Robot) -> Session:
     if fresh.recording is not None:
         fresh = note(fresh, "the recording begins anew: it is of other tubes")
     return moved_to(fresh)
-
-
-def _as_guess(equilibrium: Equilibrium, robot: Robot) -> Equilibrium:
-    """An equilibrium of other tubes as a place to start from."""
-    if robot.n_tubes != equilibrium.robot.n_tubes:
-        raise InputError("the robots have different numbers of tubes")
-    return replace(equilibrium, robot=robot)
 
 
 def record(session: Session, on: bool) -> Session:

@@ -12,7 +12,6 @@ import numpy as np
 
 from ...bodies.plane import Plane
 from ...errors import InputError, SolveError
-from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
 from ...robots.file import load_robot
 from ...robots.load import Load
@@ -84,14 +83,7 @@ class Tab(Wishes):
         def go() -> None:
             if joint < self.session.robot.n_tubes:
                 self._insights.tube = joint
-            words = ""
-
-            def verb(session: Session) -> Session:
-                nonlocal words
-                moved, words = move_joint(session, joint, value)
-                return moved
-
-            self._change(verb, lambda: words, dragged=joint)
+            self._change(lambda session: move_joint(session, joint, value), dragged=joint)
 
         self._by_hand(go)
 
@@ -121,31 +113,15 @@ class Tab(Wishes):
 
     def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
         def go() -> None:
-            words = ""
-
-            def verb(session: Session) -> Session:
-                nonlocal words
-                led = pull(session, target, min_margin=margin, obstacles=self._obstacles)
-                if not led.reached:
-                    words = f"the tip stops {led.error * TO_MM:.2f} mm short of the target: {', '.join(led.held)}"
-                return led.session
-
             self._pulling = not done
-            self._change(verb, lambda: words)
+            self._change(lambda session: pull(session, target, min_margin=margin, obstacles=self._obstacles).told)
 
         self._by_hand(go, key=None if done else "lead")
 
     def drive(self, velocity: np.ndarray) -> None:
         def go() -> None:
-            words = ""
-
-            def verb(session: Session) -> Session:
-                nonlocal words
-                led, words = self._hand.lead(session, velocity, self.panel.least_margin, self._obstacles)
-                return led
-
             self._driving = bool(velocity.any())
-            self._change(verb, lambda: words)
+            self._change(lambda s: self._hand.lead(s, velocity, self.panel.least_margin, self._obstacles))
 
         self._by_hand(go, key="drive")
 
@@ -245,17 +221,17 @@ class Tab(Wishes):
         self._say(ADVISED)
         self._refresh()
 
-    def _change(
-        self, verb: Callable[[Session], Session], words: Callable[[], str] = lambda: "", *, dragged: int | None = None
-    ) -> None:
-        """Change the session; say why where that cannot be, and show what came of it unless more is to come."""
+    def _change(self, verb: Callable[[Session], Session | tuple[Session, str]], *, dragged: int | None = None) -> None:
+        """Change the session; say why where that cannot be, or in which words the verb tells what stopped it, and show
+        what came of it unless more is to come."""
         before = self.session
         try:
-            self.session = verb(before)
+            changed = verb(before)
         except (InputError, SolveError) as error:
             self._say(str(error), bad=True)
             self.panel.sync(self.session, refused=True)
             return
+        self.session, said = changed if isinstance(changed, tuple) else (changed, "")
         moved = self.session is not before
         if moved:
             # What one hand does without letting go is one change.
@@ -271,7 +247,6 @@ class Tab(Wishes):
         if self.session.robot is not before.robot:
             self.scene.set_stage(self.session.equilibrium)
             self.panel.untick("workspace", "swept")
-        said = words()
         self._say(said, bad=bool(said))
         self._stale = True
         if not self._worker.waiting:
