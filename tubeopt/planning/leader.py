@@ -8,7 +8,7 @@ curve of that length. Forth in time, that is the deployment. How far the arm is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,12 +23,11 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import Built, actuators, build
-from .goals import End, ends, start_equilibrium
+from .building import passing
+from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked, in_time
-from .timing import through
 from .tip_path import distance_from
 from .tracking import track
 from .trajectory import PlanStatistics, Trajectory
@@ -107,18 +106,12 @@ def follow_the_leader(  # noqa: PLR0913
         q = task.chart.joints(path)
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
-    motion = through(q, task.scale, actuators(task, first, rate_limits))
-    end = End(path[-1], q[-1], (0,) * robot.n_tubes)
-    searched = clock.seconds
-    built = build(task, first, end, motion, rate_limits, clock)
-    if not isinstance(built, Built):
-        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(built)}")
-    way = np.concatenate([first.position, built.tip[1:]])
-    deviation = np.array([distance_from(way, e.position).max() for e in built.equilibria])
-    moved = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
-    done = clock.seconds
-    statistics = PlanStatistics("leader", "", 0, moved, moved, 0, len(q), searched, 0.0, done - searched, done)
-    return built.trajectory(task, first, end, rate_limits, statistics, deviation)
+    found = PlanStatistics("leader", "", 0, 0.0, 0.0, 0, len(q), clock.seconds)
+    made = passing(task, first, q, path[-1], rate_limits, clock, found)
+    if not isinstance(made, Trajectory):
+        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(made)}")
+    way = np.concatenate([first.position, made.tip_position[1:]])
+    return replace(made, deviation=np.array([distance_from(way, e.position).max() for e in made.arms]))
 
 
 def _withdrawal(task: Task, goal: Any, begin: float, solver: LeaderSolver) -> tuple[Equilibrium, Array]:
