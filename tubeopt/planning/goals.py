@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.frames import Frame
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -185,6 +186,17 @@ def other_ends(
 def of_the_tip(goal: Any) -> bool:
     """Whether a goal is one of the tip, which several postures may meet."""
     return _tip_goal(goal) is not None
+
+
+def goal_seen(goal: Any, frame: Frame) -> Any:
+    """A goal as a plate sees it that stands in a frame: of the tip in its own axes, any other as it is."""
+    known = _tip_goal(goal)
+    if known is None:
+        return goal
+    towards = known.direction
+    if towards is not None:
+        towards = vector("direction of the goal", towards, 3, "x, y, z") @ frame.axes
+    return TipGoal(frame.seen(known.position), towards)
 
 
 def _tip_goal(goal: Any) -> TipGoal | None:

@@ -21,6 +21,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
 from ..inverse.way_settings import WaySearch
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import Event, motion_along
 from ..typing import Array, Index
@@ -97,6 +98,7 @@ class Follower:
     until: float
     constants: Constants
     effort: WaySearch
+    load: Load | None = None
     count: int = 0
 
     @property
@@ -118,7 +120,7 @@ class Follower:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
         self.count += 1
         try:
-            e = forward_kinematics(self.robot, *pair(joints), guess=here.equilibrium)
+            e = forward_kinematics(self.robot, *pair(joints), load=self.load, guess=here.equilibrium)
         except SolveError:
             return None
         return Step(at, e, joints) if e.stable else None
@@ -308,9 +310,8 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
             some = links[k : k + BATCH]
             intervals = _intervals(follower, some)
             off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
-            found = cleared(intervals, off, follower.scene, follower.wanted, closest)
-            closest = found.closest
-            for link, bound in zip(some, found.bound.tolist(), strict=True):
+            bounds, closest = cleared(intervals, off, follower.scene, follower.wanted, closest)
+            for link, bound in zip(some, bounds.tolist(), strict=True):
                 done[id(link)] = replace(link, bound=bound)
         line = follower.wanted.line(closest)
         short = [key for key, link in done.items() if link.bound < line and link.other.at - link.one.at >= SHORTEST]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from operator import is_
 from os import PathLike
 from typing import Any
 
@@ -110,17 +111,13 @@ class Roadmap(Displayed):
             raise InputError("the roadmap is of another robot")
         asks = (task.obstacles, task.min_margin, task.clearance, task.floor, task.margin_room, task.clearance_room)
         same = len(self.asked_with) == len(asks) and self.asked_with[1:] == asks[1:]
-        if not (same and len(self.asked_with[0]) == len(asks[0]) and all(map(_same, self.asked_with[0], asks[0]))):
+        if not (same and len(self.asked_with[0]) == len(asks[0]) and all(map(is_, self.asked_with[0], asks[0]))):
             self.known.clear()
         self.asked_with = asks
 
     def save(self, path: str | PathLike[str]) -> None:
         """Points and neighbours as .npz; what is known of edges is not kept, since bodies are not."""
         np.savez_compressed(path, points=self.points, edges=self.edges, parameters=self.parameters)
-
-
-def _same(one: object, other: object) -> bool:
-    return one is other
 
 
 def _shortest(size: int, edges: Index, length: Array, start: int) -> list[int] | None:

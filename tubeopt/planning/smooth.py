@@ -322,12 +322,6 @@ def _apart(task: Task, time: Array, tracked: Tracked, places: tuple[Array, Array
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:
     """Knots and shares of the time with a knot in the middle of each bad interval."""
-    points, parts = [z[0]], []
-    for k, part in enumerate(share):
-        if bad[k]:
-            points.append((z[k] + z[k + 1]) / 2)
-            parts += [part / 2, part / 2]
-        else:
-            parts.append(part)
-        points.append(z[k + 1])
-    return np.array(points), np.array(parts)
+    after = np.flatnonzero(bad) + 1
+    points = np.insert(z, after, (z[after - 1] + z[after]) / 2, axis=0)
+    return points, np.repeat(np.where(bad, share / 2, share), 1 + bad)
