@@ -28,6 +28,7 @@ from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked, in_time
+from .reach import step_constraints
 from .tip_path import distance_from
 from .tracking import track
 from .trajectory import PlanStatistics, Trajectory
@@ -178,42 +179,34 @@ def _fit(task: Task, z: Array, last: Equilibrium, length: float, solver: LeaderS
     return z
 
 
+def _foremost(task: Task, z: Array) -> tuple[int, int]:
+    """The tube with which the arm ends, and its carriage."""
+    space = task.chart.space
+    curved = np.array([tube.curved_length for tube in space.robot.tubes])
+    tube = int(np.argmax(task.chart.translations(z[None])[0] + curved))
+    return tube, next(k for k, tubes in enumerate(space.carriages) if tube in tubes)
+
+
 def _withdrawn(task: Task, z: Array, length: float) -> Array:
     """The carriages moved back as far as an arm of a given length asks, the others with them where order asks."""
-    space = task.chart.space
-    n = space.robot.n_tubes
-    out = z.copy()
-    curved = np.array([tube.curved_length for tube in space.robot.tubes])
-    longest = int(np.argmax(task.chart.translations(z[None])[0] + curved))
-    for k, tubes in enumerate(space.carriages):
-        if longest in tubes:
-            out[n + k] = np.clip(
-                length - curved[longest] - space.offset[n + longest], space.lower[n + k], space.upper[n + k]
-            )
-            rows = np.vstack([space.inequalities(out)[0], np.eye(len(z))[n + k], -np.eye(len(z))[n + k]])
-            bounds = np.concatenate([space.inequalities(out)[1], [0.0, 0.0]])
-            rows, bounds = _translations_only(rows, bounds, n)
-            found = constrained_least_squares(np.eye(len(z) - n), np.zeros(len(z) - n), rows, bounds)
-            if found is not None:
-                out[n:] += found.x
+    space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
+    out, (tube, k) = z.copy(), _foremost(task, z)
+    held, place = np.eye(m)[n + k], length - space.robot.tubes[tube].curved_length - space.offset[n + tube]
+    out[n + k] = np.clip(place, space.lower[n + k], space.upper[n + k])
+    rows, bounds = space.inequalities(out)
+    rows, bounds = np.vstack([rows, held, -held]), np.append(bounds, [0.0, 0.0])
+    shifts = np.abs(rows[:, n:]).sum(1) > 0
+    found = constrained_least_squares(np.eye(m - n), np.zeros(m - n), rows[shifts, n:], bounds[shifts])
+    if found is not None:
+        out[n:] += found.x
     return out
-
-
-def _translations_only(rows: Array, bounds: Array, n: int) -> tuple[Array, Array]:
-    kept = np.abs(rows[:, n:]).sum(1) > 0
-    return rows[kept][:, n:], bounds[kept]
 
 
 def _constraints(task: Task, z: Array, rotations: Array, slope: Array, longest: float) -> tuple[Array, Array]:
     """Rows and bounds of a step in units of the scales: ranges, order, the length of the arm, and no change of a
     coordinate beyond the longest."""
-    space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
-    unit = np.eye(m)
-    curved = np.array([tube.curved_length for tube in space.robot.tubes])
-    front = int(np.argmax(task.chart.translations(z[None])[0] + curved))
-    held = next(k for k, tubes in enumerate(space.carriages) if front in tubes)
-    rows = [slope, -slope, unit[n:], -unit[n:], space.rows * task.scale, unit, -unit, unit[n + held], -unit[n + held]]
+    space, n = task.chart.space, task.chart.space.robot.n_tubes
+    rows, bounds = step_constraints(task, z, longest)
+    held = np.eye(len(z))[n + _foremost(task, z)[1]]
     low, high = np.minimum(space.lower[:n] - rotations, 0.0), np.minimum(rotations - space.upper[:n], 0.0)
-    bounds = [low, high, (space.lower - z)[n:] / task.scale[n:], (z - space.upper)[n:] / task.scale[n:]]
-    bounds += [space.least - space.rows @ z, np.full(2 * m, -longest), np.zeros(2)]
-    return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)
+    return np.vstack([slope, -slope, rows, held, -held]), np.concatenate([low, high, bounds, np.zeros(2)])

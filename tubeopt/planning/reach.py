@@ -51,7 +51,7 @@ def _closest(task: Task, start: Array, position: Array) -> float:
         if miss <= effort.reach_near:
             break
         slope = ((gap[1:] - gap[0]) / DIFFERENCE).T
-        rows, bounds = step_constraints(task, z)
+        rows, bounds = step_constraints(task, z, effort.reach_longest_step)
         weights = np.vstack([slope, 1e-3 * np.eye(m)])
         found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), rows, bounds)
         if found is None:
@@ -60,12 +60,13 @@ def _closest(task: Task, start: Array, position: Array) -> float:
     return miss * space.length
 
 
-def step_constraints(task: Task, z: Array) -> tuple[Array, Array]:
-    """Rows and bounds of a step in units of the scales: ranges of the translations, order, and not too far."""
+def step_constraints(task: Task, z: Array, longest: float) -> tuple[Array, Array]:
+    """Rows and bounds of a step in units of the scales: ranges of the translations, order, and no change of a
+    coordinate beyond the longest."""
     space = task.chart.space
     n, m = space.robot.n_tubes, len(z)
     unit = np.eye(m)
     rows = [unit[n:], -unit[n:], space.rows * space.scale, unit, -unit]
     bounds = [(space.lower - z)[n:] / space.scale[n:], (z - space.upper)[n:] / space.scale[n:]]
-    bounds += [space.least - space.rows @ z, np.full(2 * m, -task.effort.reach_longest_step)]
+    bounds += [space.least - space.rows @ z, np.full(2 * m, -longest)]
     return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)

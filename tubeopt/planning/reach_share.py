@@ -197,7 +197,8 @@ def _approach(task: Task, start: Array, place: Array, enough: float) -> tuple[fl
         gap = (tips - place) / chart.space.length
         slope = ((gap[1:] - gap[0]) / DIFFERENCE).T
         weights = np.vstack([slope, 1e-3 * np.eye(m)])
-        step = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), *step_constraints(task, z))
+        constraints = step_constraints(task, z, task.effort.reach_longest_step)
+        step = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), *constraints)
         if step is None:
             break
         tried = z + SHORTER[:, None] * (step.x * scale)
