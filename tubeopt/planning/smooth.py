@@ -117,17 +117,16 @@ def smooth(
         near = _near(task, z)
         if task.chart.size > task.effort.smoothing_operations or clock.left < clock.crowding * building(near):
             return None
-        solved = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
-        if solved is None:
+        found = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
+        if found is None:
             return None
-        motion, found, count = solved
-        iterations += count
-        bad, short = violated(task, start, motion, clock, (motion.time, found))
+        iterations += found.iterations
+        bad, short = violated(task, start, found.motion, clock, (found.motion.time, found.points))
         if not bad.any():
-            return Smoothed(motion, found, iterations)
+            return replace(found, iterations=iterations)
         if clock.over:
             return None
-        z, share = _split(found, share, bad)
+        z, share = _split(found.points, share, bad)
         room += 1.5 * short
     return None
 
@@ -167,8 +166,8 @@ def _solve(
     aim: tuple[str, tuple[Expression, float] | None],
     room: tuple[float, float],
     clock: Clock,
-) -> tuple[Motion, Array, int] | None:
-    """The program's solution from knots (K, m) in the chart: motion, knots, iterations.
+) -> Smoothed | None:
+    """The program's solution from knots (K, m) in the chart.
 
     `aim`: the objective, and an own cost with its weight.  `room`: above the margin and the clearance (m) to keep, at
     knots.
@@ -212,7 +211,7 @@ def _solve(
     tips = x[2 * size : 2 * size + n * len(q)].reshape(len(q), n)
     duration = float(np.sqrt(x[-2])) * unit
     motion = cubic(time * duration, joints, rates / duration)
-    return motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"])
+    return Smoothed(motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"]))
 
 
 def begin_rates(q: Array, time: Array) -> Array:
@@ -272,7 +271,7 @@ def _bounds(
     upper = {name: np.full(size, inf) for name, size in rows.items()}
     for name in ("speed", "force", "twist"):
         upper[name][:] = 0.0
-    inside = np.repeat((np.arange(knots) > 0) & (np.arange(knots) < knots - 1), 1)[:, None]
+    inside = ((np.arange(knots) > 0) & (np.arange(knots) < knots - 1))[:, None]
     lower["order"] = np.tile(space.least / space.length - ROUND_OFF, 2 * (knots - 1))
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
