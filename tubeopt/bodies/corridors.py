@@ -133,10 +133,7 @@ class MeshObstacle:
 
     @cached_property
     def _mesh(self) -> Any:
-        try:
-            import trimesh
-        except ImportError:
-            raise InputError("meshes need trimesh: pip install 'tubeopt[planning]'") from None
+        trimesh = extra("trimesh", "planning", "meshes")
         mesh = trimesh.Trimesh(np.array(self.vertices), np.array(self.faces))
         if mesh.is_watertight:
             mesh.faces = oriented(np.asarray(mesh.vertices), np.asarray(mesh.faces))

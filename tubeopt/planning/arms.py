@@ -115,11 +115,7 @@ class ArmsProof(Displayed):
 
 
 def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
-    """Two arms at least.
-
-    Raises:
-        InputError: fewer, or what is none.
-    """
+    """Two arms at least; raises InputError for fewer, or what is none."""
     try:
         found = tuple(arms)
     except TypeError:
@@ -249,9 +245,8 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
 
 def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None, effort: WaySearch) -> Track:
     wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
-    longest = max(tube.length for tube in arm.robot.tubes)
     until = math.inf if clock is None else clock.began + clock.limit
-    follower = Follower(arm.robot, scene_of(()), wanted, longest, until, Constants.of(arm.robot), effort)
+    follower = Follower(arm.robot, scene_of(()), wanted, until, effort)
     joints = np.concatenate([motion.rotations, motion.translations], axis=1)
     return tracked(follower, first, np.asarray(motion.time, dtype=float), joints, arm.base)
 

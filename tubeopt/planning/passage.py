@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -94,12 +95,20 @@ class Follower:
     robot: Robot
     scene: Scene
     wanted: Wanted
-    length: float
     until: float
-    constants: Constants
     effort: WaySearch
     load: Load | None = None
     count: int = 0
+
+    @cached_property
+    def length(self) -> float:
+        """Of the longest tube, m."""
+        return max(tube.length for tube in self.robot.tubes)
+
+    @cached_property
+    def constants(self) -> Constants:
+        """What no joint changes of the robot."""
+        return Constants.of(self.robot)
 
     @property
     def halvings(self) -> int:

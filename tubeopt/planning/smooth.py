@@ -21,7 +21,6 @@ from .path_program import (
     TABLES,
     PathProgram,
     PathQuestion,
-    parameter_values,
     path_program,
     path_quantities,
 )
@@ -184,7 +183,7 @@ def _solve(
     unit = _duration(q, time, rate, acceleration)
     length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)
     weights = np.array(WEIGHTS[objective]) * [length**-2, 1.0, length**-2, 1.0]
-    p = parameter_values(
+    p = program.values(
         robot=task.chart.parameters,
         offset=space.offset[n:],
         scale=scale,
