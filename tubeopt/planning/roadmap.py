@@ -80,15 +80,17 @@ class Roadmap(Displayed):
             pairs = list(pairwise(found))
             # Both ends first: what begins and ends a way is what the map does not know yet.
             for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):
-                if self._told(own, a, b) is None:
-                    tried += 1
-                    holds = task.motion(points[a], points[b])
-                    if clock.left == 0:  # of which a motion that fails says nothing
-                        break
-                    (self.known if max(a, b) < count else own)[min(a, b), max(a, b)] = holds
-                    if not holds:
-                        open_ &= name != min(a, b) * len(places) + max(a, b)
-                        break
+                one, other = sorted((a, b))
+                if (one, other) in self.known or (one, other) in own:
+                    continue
+                tried += 1
+                holds = task.motion(points[a], points[b])
+                if clock.left == 0:  # of which a motion that fails says nothing
+                    break
+                (self.known if other < count else own)[one, other] = holds
+                if not holds:
+                    open_ &= name != one * len(places) + other
+                    break
             else:
                 return Way(points[found], "roadmap", tried)
         return Way(None, "roadmap", tried, why="the time for the roadmap was over")
@@ -100,10 +102,6 @@ class Roadmap(Displayed):
             self.tips = replace(task, clock=None).arms(self.points).tip
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
-
-    def _told(self, own: dict[tuple[int, int], bool], a: int, b: int) -> bool | None:
-        key = (min(a, b), max(a, b))
-        return self.known.get(key, own.get(key))
 
     def _remember(self, task: Task) -> None:
         """Forget what was found of edges where another question is asked."""
