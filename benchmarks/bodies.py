@@ -95,7 +95,7 @@ def ball() -> MeshObstacle:
         mesh = mesh.subdivide()
     corners = np.array([0.09, -0.05, 0.15]) + 0.02 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1)[:, None]
     body = MeshObstacle(tuple(map(tuple, corners.tolist())), tuple(map(tuple, mesh.faces.tolist())))
-    assert body.grid
+    assert body.lattice
     return body
 
 

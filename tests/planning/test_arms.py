@@ -23,6 +23,7 @@ from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.way_settings import DEFAULT_WAY, WaySearch
 from tubeopt.planning import arms_plan
 from tubeopt.planning.arms import at_rest
+from tubeopt.planning.goals import goal_seen
 from tubeopt.typing import Array
 
 ROBOT = tubeopt.load_robot(Path(__file__).parents[2] / "configs" / "robots" / "crl_ctr.yaml")
@@ -223,9 +224,9 @@ def test_withdrawn_arms_need_room_at_their_plates() -> None:
 def test_a_goal_of_the_tip_is_in_the_frame_that_arms_share(kind: Any) -> None:
     arm = PlacedRobot(ROBOT, base_frame([0.01, 0.02, 0], [0.1, 0, 1]))
     place = np.array([0.004, -0.01, 0.05])
-    assert arms_plan._in_frame(arm, kind(place.tolist())) == pytest.approx(arm.base.seen(place))
+    assert goal_seen(kind(place.tolist()), arm.base).position == pytest.approx(arm.base.seen(place))
     joints = [[0, 0, 0], [-0.02, -0.05, -0.06]]
-    assert arms_plan._in_frame(arm, joints) is joints
+    assert goal_seen(joints, arm.base) is joints
 
 
 def test_orders_begin_with_every_arm() -> None:

@@ -143,7 +143,7 @@ def between(chain: list[Equilibrium], load: Load | None) -> tuple[Arms, Interval
         arms = Arms.of(constants, chain)
         intervals = Intervals.of(arms, *ends)
         return arms, intervals, branch(intervals, margins)
-    loaded = LoadedArms.under(Pull.of(chain[0].robot, load), constants, chain)
+    loaded = LoadedArms.of(constants, chain, pull=Pull.of(chain[0].robot, load))
     pair = LoadedIntervals.of(loaded, *ends)
     return loaded, pair, loaded_branch(pair, margins)
 

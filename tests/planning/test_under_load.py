@@ -38,7 +38,7 @@ EVERYTHING = Load(force=(0.01, -0.02, 0.005), gravity=(0, 3.0, -9.81), distribut
 
 def intervals_of(chain: list[Equilibrium], load: Load) -> tuple[LoadedIntervals, Array]:
     robot = chain[0].robot
-    arms = LoadedArms.under(Pull.of(robot, load), Constants.of(robot), chain)
+    arms = LoadedArms.of(Constants.of(robot), chain, pull=Pull.of(robot, load))
     one = np.arange(len(chain) - 1)
     return LoadedIntervals.of(arms, one, one + 1), np.array([min(e.margin, 1.0) for e in chain])
 
@@ -58,7 +58,7 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
     intervals, margins = intervals_of(chain[::2], load)
     found = loaded_branch(intervals, margins)
     assert found.unbroken.all()
-    inside = LoadedArms.under(intervals.arms.pull, intervals.arms.constants, chain[1::2])
+    inside = LoadedArms.of(intervals.arms.constants, chain[1::2], pull=intervals.arms.pull)
     for k in range(count):
         for section in np.flatnonzero(intervals.length[0][k] > 0):
             x = np.linspace(0, 1, 9)

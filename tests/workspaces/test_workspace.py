@@ -36,8 +36,8 @@ from tubeopt.robots.robot import Robot
 from tubeopt.show.plots.workspace import plot_workspace
 from tubeopt.typing import Array
 from tubeopt.workspaces import alpha_volume, meridian_volume, save_workspace, voxel_volume, voxels
+from tubeopt.workspaces.loss import from_tips
 from tubeopt.workspaces.samples import METHODS, JointSamples
-from tubeopt.workspaces.shooting import from_tips
 from tubeopt.workspaces.voxels import PATCHES, patch_of
 
 MM = 1e-3

@@ -9,7 +9,6 @@ from os import PathLike
 from typing import Annotated, Any
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, extra, positive
@@ -24,10 +23,10 @@ from .scene import Scene
 from .triangles import Triangles, oriented
 
 CELLS = 24
-"""Cells along the longest side of the grid on which the smooth distance from a mesh is interpolated."""
+"""Cells along the longest side of a mesh in the lattice on which its distance is known beforehand."""
 
 AROUND = 0.25
-"""By how much the grid is larger than the mesh, to each side, as a share of its longest side."""
+"""By how much the lattice is larger than the mesh, to each side, as a share of its longest side."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +87,9 @@ class Corridor:
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors along which the distance from the wall grows."""
         array = as_points(points)
-        nearest = np.argmin([part.signed_distance(array) for part in self._parts], axis=0)
-        towards = np.empty_like(array)
-        for k in np.unique(nearest).tolist():
-            mine = nearest == k
-            towards[mine] = -self._parts[k].gradient(array[mine])
-        return towards
+        flat = array.reshape(-1, 3)
+        nearest = self._inside.distances(range(len(self._parts)), flat).argmin(0)
+        return -self._inside.gradients(nearest, flat).reshape(array.shape)
 
 
 def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
@@ -137,67 +133,42 @@ class MeshObstacle:
 
     @cached_property
     def _mesh(self) -> Any:
-        try:
-            import trimesh
-        except ImportError:
-            raise InputError("meshes need trimesh: pip install 'tubeopt[planning]'") from None
+        trimesh = extra("trimesh", "planning", "meshes")
         mesh = trimesh.Trimesh(np.array(self.vertices), np.array(self.faces))
         if mesh.is_watertight:
             mesh.faces = oriented(np.asarray(mesh.vertices), np.asarray(mesh.faces))
         return mesh
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
-        """Numbers only: symbols are interpolated in `grid`."""
+        """Numbers only: symbols are interpolated in `lattice`."""
         if not all(isinstance(value, (int, float, np.ndarray)) for value in (x, y, z)):
             raise InputError("a mesh has no formula for its distance; it is for plans, not for inverse kinematics")
         return self.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m: exact for the nearest of a call, farther away a lower bound.
-
-        A distance changes by no more than its point moves, so that the table in `grid` tells it to within a cell.
-        """
+        """(...) distance of points (..., 3), m: exact for the nearest of a call, farther away a lower bound."""
         array = as_points(points)
         flat = array.reshape(-1, 3)
-        bound, cell = self._bound(flat)
-        near = bound <= max(float(bound.min(initial=np.inf)), 0.0) + 2 * cell
-        bound[near] = self._exact(flat[near])
-        return np.asarray(bound.reshape(array.shape[:-1]))
+        nearest = max(float(self.at_most(flat).min(initial=np.inf)), 0.0)
+        return self.distance_within(flat, np.full(len(flat), np.nextafter(nearest, np.inf))).reshape(array.shape[:-1])
 
     def distance_within(self, points: Array, least: Array) -> Array:
         """(N,) distance of points (N, 3) from the surface where it is less than `least` (N,), else no less than it."""
-        bound, _ = self._bound(points)
+        bound = self.lattice.signed_distance(points)
         near = bound < least
-        bound[near] = self._exact(points[near])
+        bound[near] = self.surface.signed_distance(points[near])
         return bound
 
     SOLID = True
 
     def at_most(self, points: Array) -> Array:
-        """(N,) what the distance of points (N, 3) from the surface is not above, from the table in `grid`."""
-        bound, cell = self._bound(points)
-        low, high = (np.array([axis[k] for axis in self.grid[0]]) for k in (0, -1))
-        return np.asarray(bound + 2 * (cell + np.linalg.norm(points - np.clip(points, low, high), axis=1)))
-
-    def _bound(self, points: Array) -> tuple[Array, float]:
-        """(N,) lower bounds of the distance of points (N, 3), from the table in `grid`, and the size of its cells."""
-        axes, table = self.grid
-        low, high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
-        inside = np.clip(points, low, high)
-        beyond = np.linalg.norm(points - inside, axis=1)
-        size = np.array([axis[1] - axis[0] for axis in axes])
-        cell = float(np.linalg.norm(size))
-        # From outside of the grid, which surrounds the body, the way to the grid is a bound as well.
-        near = scipy.ndimage.map_coordinates(table, ((inside - low) / size).T, order=1, mode="nearest") - cell
-        return np.where(beyond > 0, np.maximum(near - beyond, beyond), near), cell
+        """(N,) what the distance of points (N, 3) from the surface is not above, from the table in `lattice`."""
+        return self.lattice.at_most(points)
 
     @cached_property
     def surface(self) -> Triangles:
         """Its triangles, their normals outwards."""
         return Triangles(np.asarray(self._mesh.triangles))
-
-    def _exact(self, points: Array) -> Array:
-        return self.surface.signed_distance(points)
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
@@ -205,23 +176,15 @@ class MeshObstacle:
         return self.surface.gradient(array.reshape(-1, 3)).reshape(array.shape)
 
     @cached_property
-    def grid(self) -> tuple[tuple[Array, Array, Array], Array]:
-        """Coordinates along x, y, z of a grid around the mesh, and (a, b, c) exact distances on it, m."""
+    def lattice(self) -> DistanceField:
+        """The body as a table of distances on a lattice around it."""
         low, high = self._mesh.bounds
         size = float((high - low).max())
-        axes = []
-        for a, b in zip(low - AROUND * size, high + AROUND * size, strict=True):
-            axes.append(np.linspace(a, b, int(np.ceil(CELLS * (b - a) / size)) + 1))
-        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        distance = self._exact(places.reshape(-1, 3)).reshape(places.shape[:-1])
-        return (axes[0], axes[1], axes[2]), distance
-
-    @cached_property
-    def lattice(self) -> DistanceField:
-        """The distances of `grid` as a body that is a table."""
-        axes, table = self.grid
-        first, second = (np.array([axis[k] for axis in axes]) for k in (0, 1))
-        return DistanceField(table, second - first, Frame(origin=first))
+        first, extent = low - AROUND * size, high - low + 2 * AROUND * size
+        cells = np.ceil(CELLS * extent / size).astype(int)
+        nodes = first + np.moveaxis(np.indices(cells + 1), 0, -1) * (extent / cells)
+        distance = self.surface.signed_distance(nodes.reshape(-1, 3)).reshape(cells + 1)
+        return DistanceField(distance, extent / cells, Frame(origin=first), bounded=True)
 
 
 def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str = "RAS") -> MeshObstacle:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -202,9 +203,7 @@ def _check_size(shape: Sequence[int], each: int, path: Path) -> None:
     sizes = " x ".join(map(str, shape))
     if len(shape) != 3 or min(shape) < 1:
         raise InputError(f"{path} has {sizes or 'no'} voxels; it must be one image of three dimensions")
-    size = each
-    for k in shape:
-        size *= int(k)
+    size = each * math.prod(map(int, shape))
     if size > MOST_BYTES:
         raise InputError(
             f"{path} has {sizes} voxels, {size / 1e9:.3g} GB; it must have {MOST_BYTES / 1e9:g} GB at most: crop it "

@@ -59,24 +59,23 @@ def field_of_labels(
         raise InputError(f"no label of {image.name} is chosen as lumen or forbidden; choose one of {image.labels}")
     box, padding = _box(image, inside, outside, region)
     open_ended = inside is not None or region is not None
-    free = ~outside[box] if inside is None and outside is not None else np.array(inside[box])  # type: ignore[index]
-    if inside is not None and outside is not None:
+    size = tuple(part.stop - part.start for part in box)
+    free = np.ones(size, dtype=bool) if inside is None else np.array(inside[box])
+    if outside is not None:
         free &= ~outside[box]
     if inside is not None and not free.any():
         raise InputError(f"no voxel of {image.name} is left in which the arm may be")
-    if region is not None:
-        free = np.pad(free, 1, constant_values=False)
-        padding = [(1, 1)] * 3
+    if inside is not None and region is None:
+        free = np.pad(free, padding, mode="edge")
     else:
-        free = np.pad(free, padding, mode="edge") if inside is not None else np.pad(free, ROUND, constant_values=True)
-        padding = padding if inside is not None else [(ROUND, ROUND)] * 3
+        free = np.pad(free, padding, constant_values=region is None)
     first = np.array([part.start - before for part, (before, _) in zip(box, padding, strict=True)], dtype=float)
     free, together = _coarser(free, image.spacing, most)
     spacing = image.spacing * together
     if (together > 1).any():
-        size = " x ".join(f"{each * 1e3:.3g}" for each in spacing)
+        cell = " x ".join(f"{each * 1e3:.3g}" for each in spacing)
         LOGGER.warning(
-            f"{image.name}: the region has more than {most:.2g} voxels; its distances are told by cells of {size} mm"
+            f"{image.name}: the region has more than {most:.2g} voxels; its distances are told by cells of {cell} mm"
         )
     lost = float(np.linalg.norm((together - 1) * image.spacing))
     origin = image.frame.placed((first - 0.5) * image.spacing)
@@ -96,7 +95,7 @@ def _box(
         end = np.clip(np.ceil(high + 0.5), 0, shape).astype(int)
         if (end <= begin).any():
             raise InputError(f"the region lies beside {image.name}; it must meet it")
-        return tuple(slice(a, b) for a, b in zip(begin.tolist(), end.tolist(), strict=True)), []
+        return tuple(slice(a, b) for a, b in zip(begin.tolist(), end.tolist(), strict=True)), [(1, 1)] * 3
     chosen = inside if inside is not None else outside
     assert chosen is not None
     if not chosen.any():
@@ -108,7 +107,7 @@ def _box(
         box.append(slice(a, b))
         further = int(np.ceil(BEYOND / image.spacing[axis]))
         padding.append((further if along[0] == 0 else 0, further if along[-1] == shape[axis] - 1 else 0))
-    return tuple(box), padding
+    return tuple(box), padding if inside is not None else [(ROUND, ROUND)] * 3
 
 
 def _coarser(free: Mask, spacing: Array, most: int) -> tuple[Mask, Any]:

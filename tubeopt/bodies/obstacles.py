@@ -362,12 +362,6 @@ class Box(Measured):
         return np.where((beyond.max(-1) > 0)[..., None], unit_vectors(outside, np.array([0.0, 0.0, 1.0])), nearest)
 
 
-def depth(cones: Sequence[RoundCone], points: Array) -> Array:
-    """(...) how deep points (..., 3) lie in the ball of all cones in which they lie deepest, m; outside, negative, the
-    distance from them."""
-    return np.asarray(np.max([-cone.signed_distance(points) for cone in cones], axis=0))
-
-
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
     """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
     array = as_points(points)

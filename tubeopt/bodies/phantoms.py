@@ -17,7 +17,7 @@ from ..errors import positive
 from ..typing import Array
 from .frames import Frame
 from .images import LabelImage
-from .obstacles import RoundCone, as_points, depth
+from .obstacles import RoundCone, as_points, nearest_distance
 
 LUMEN, TARGET = 1, 2
 """Labels of the images."""
@@ -43,7 +43,7 @@ class Phantom:
         outside, where it is the distance from it."""
         array = as_points(points) * 1e3
         cones = [RoundCone(*stretch) for stretch in (self.stretches if stretches is None else stretches)]
-        return depth(cones, array) * 1e-3
+        return -nearest_distance(cones, array) * 1e-3
 
     def image(self, voxel: float = 5e-4, frame: Frame | None = None) -> LabelImage:
         """Labels of voxels of one size, m: LUMEN, and TARGET within it; the image lies along the axes of the plate, or

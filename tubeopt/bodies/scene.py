@@ -18,9 +18,6 @@ import scipy
 
 from ..typing import Array, Index
 
-FEW = 4
-"""Bodies of a kind that are asked one by one."""
-
 HANDFUL = 16
 """Bodies of a kind that are all asked at once: up to so many that takes less than half as long as trees do."""
 
@@ -43,27 +40,33 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Crowd:
-    """Many bodies of one kind."""
+    """The bodies of one kind, at least one, and their numbers in the scene."""
 
     bodies: tuple[Any, ...]
-    kind: Any
-    table: Array
-    layers: tuple[Layer, ...]
+    members: Index
 
-    @staticmethod
-    def of(bodies: Sequence[Any]) -> Crowd:
-        """Bodies of one kind, at least one."""
-        parts = [body.balls() for body in bodies]
+    @property
+    def kind(self) -> Any:
+        """That tells distances from rows of `table`."""
+        return type(self.bodies[0])
+
+    @cached_property
+    def table(self) -> Array:
+        """(b, k) a row for each body."""
+        return np.array([body.numbers() for body in self.bodies])
+
+    @cached_property
+    def layers(self) -> tuple[Layer, ...]:
+        """The balls that cover the bodies."""
+        parts = [body.balls() for body in self.bodies]
         owner = np.repeat(np.arange(len(parts)), [len(radius) for _, radius in parts])
         centre, radius = np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])
         size = np.floor(np.log(radius / radius.min()) / np.log(SIZES)).astype(int)
-        layers = []
-        for each in np.unique(size):
-            mine = size == each
-            layers.append(
-                Layer(scipy.spatial.cKDTree(centre[mine]), owner[mine], radius[mine], float(radius[mine].max()))
-            )
-        return Crowd(tuple(bodies), type(bodies[0]), np.array([body.numbers() for body in bodies]), tuple(layers))
+        alike = [size == each for each in np.unique(size)]
+        return tuple(
+            Layer(scipy.spatial.cKDTree(centre[mine]), owner[mine], radius[mine], float(radius[mine].max()))
+            for mine in alike
+        )
 
     def nearest(self, points: Array, least: Array) -> Array:
         """(N,) distance of points (N, 3) from the nearest body where it is less than `least` (N,), else `least`."""
@@ -86,11 +89,15 @@ class Crowd:
     def pairs(self, points: Array, reach: Array) -> list[tuple[Index, Index]]:
         """Numbers of all bodies, and maybe of others, that come closer than `reach` (N,) to points (N, 3), and rows of
         these points."""
+        if len(self.bodies) <= HANDFUL:
+            body, row = np.nonzero(self.kind.distances(points, self.table[:, None]) < reach)
+            return [(self.members[body], row)]
         found = []
         for layer in self.layers:
             near = layer.tree.query_ball_point(points, np.maximum(reach + layer.largest, 0.0), return_sorted=False)
             row = np.repeat(np.arange(len(points)), [len(each) for each in near])
-            found.append((layer.owner[np.fromiter(chain.from_iterable(near), int, len(row))], row))
+            body = layer.owner[np.fromiter(chain.from_iterable(near), int, len(row))]
+            found.append((self.members[body], row))
         return found
 
     def _told(self, layer: Layer) -> bool:
@@ -115,8 +122,8 @@ class Scene:
         most = np.broadcast_to(reach, len(points))
         near = [np.flatnonzero(_within(self.bodies[k], points, most) < most) for k in rest]
         found = [(np.full(len(rows), k), rows) for k, rows in zip(rest, near, strict=True)]
-        for members, crowd in crowds:
-            found += [(members[body], row) for body, row in crowd.pairs(points, most)]
+        for crowd in crowds:
+            found += crowd.pairs(points, most)
         none = np.zeros(0, dtype=int)
         return np.concatenate([none, *(body for body, _ in found)]), np.concatenate([none, *(row for _, row in found)])
 
@@ -167,31 +174,26 @@ class Scene:
 
     def _by_kind(self, chosen: Index) -> Iterator[tuple[Any, Index, Array]]:
         """Rows of `chosen` whose bodies are of one kind with a table, with their rows of it; None for all others."""
-        kinds, code, row = self._tables
-        of = code[chosen]
-        for c in range(-1, len(kinds)):
-            rows = np.flatnonzero(of == c)
-            if not len(rows):
-                continue
-            kind, table = kinds[c] if c >= 0 else (None, np.zeros((len(self.bodies), 0)))
-            yield kind, rows, table[row[chosen[rows]]]
+        crowds, _ = self._parts
+        crowd, place = self._places
+        for c in np.unique(crowd[chosen]).tolist():
+            rows = np.flatnonzero(crowd[chosen] == c)
+            if c < 0:
+                yield None, rows, np.zeros((len(rows), 0))
+            else:
+                yield crowds[c].kind, rows, crowds[c].table[place[chosen[rows]]]
 
     @cached_property
-    def _tables(self) -> tuple[list[tuple[Any, Array]], Index, Index]:
-        """Kinds that tell distances from tables, with these; of every body which of them it is of, -1 for none, and its
-        row."""
-        rows: dict[type, list[tuple[float, ...]]] = {}
-        code, row = np.full(len(self.bodies), -1), np.zeros(len(self.bodies), dtype=int)
-        for k, body in enumerate(self.bodies):
-            if hasattr(body, "numbers"):
-                same = rows.setdefault(type(body), [])
-                code[k], row[k] = list(rows).index(type(body)), len(same)
-                same.append(body.numbers())
-        return [(kind, np.array(table)) for kind, table in rows.items()], code, row
+    def _places(self) -> tuple[Index, Index]:
+        """Of every body which crowd it is in, -1 for none, and the how many-th there."""
+        crowd, place = np.full(len(self.bodies), -1), np.zeros(len(self.bodies), dtype=int)
+        for c, each in enumerate(self._parts[0]):
+            crowd[each.members], place[each.members] = c, np.arange(len(each.members))
+        return crowd, place
 
     @cached_property
-    def _parts(self) -> tuple[list[tuple[Index, Crowd]], list[int]]:
-        """Crowds, with the numbers of their bodies, and the numbers of all others."""
+    def _parts(self) -> tuple[list[Crowd], list[int]]:
+        """Crowds, and the numbers of all bodies that are in none."""
         kinds: dict[type, list[int]] = {}
         rest = []
         for k, body in enumerate(self.bodies):
@@ -199,13 +201,7 @@ class Scene:
                 kinds.setdefault(type(body), []).append(k)
             else:
                 rest.append(k)
-        crowds = []
-        for same in kinds.values():
-            if len(same) > FEW:
-                crowds.append((np.array(same), Crowd.of([self.bodies[k] for k in same])))
-            else:
-                rest += same
-        return crowds, rest
+        return [Crowd(tuple(self.bodies[k] for k in same), np.array(same)) for same in kinds.values()], rest
 
     @cached_property
     def solid(self) -> bool:
@@ -233,7 +229,7 @@ class Scene:
         out = within.copy()
         for k in rest:
             out = np.minimum(out, _within(self.bodies[k], points, out))
-        for _, crowd in crowds:
+        for crowd in crowds:
             out = crowd.nearest(points, out)
         return out
 

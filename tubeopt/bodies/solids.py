@@ -63,10 +63,7 @@ def field_of_mesh(
     """
     choice("keep", keep, KEEP)
     corners = mesh.surface.corners
-    axes = _lattice(corners.reshape(-1, 3), cell, name, AROUND[keep])
-    shape, size = tuple(len(axis) for axis in axes), float(axes[0][1] - axes[0][0])
-    origin = np.array([axis[0] for axis in axes])
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) - origin
+    nodes, shape, size, origin = _lattice(corners.reshape(-1, 3), cell, name, AROUND[keep])
     surface = Triangles((corners if keep == "out" else corners[:, ::-1]) - origin)  # from the inside, all else is body
     least, most = _bounds(surface.corners, nodes, size)
     near = least < BAND * size
@@ -108,17 +105,17 @@ def field_of_points(
         raise InputError(f"{name} has no points; it must be a table of x, y, z")
     if not np.isfinite(array).all():
         raise InputError(f"{name} has points that are NaN or infinite; every number must be finite")
-    axes = _lattice(np.concatenate([array - radius, array + radius]), cell, name, AROUND["out"])
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    origin, size = np.array([axis[0] for axis in axes]), float(axes[0][1] - axes[0][0])
+    ends = np.concatenate([array - radius, array + radius])
+    nodes, shape, size, origin = _lattice(ends, cell, name, AROUND["out"])
     tree = scipy.spatial.cKDTree(array - origin)
-    far, _ = tree.query(nodes.reshape(-1, 3) - origin)
-    values, placed = far.reshape(nodes.shape[:3]) - radius, Frame(origin=origin)
+    far, _ = tree.query(nodes)
+    values, placed = far.reshape(shape) - radius, Frame(origin=origin)
     return DistanceField(values, np.full(3, size), placed, 0.0, True, name, Centres(tree))
 
 
-def _lattice(points: Array, cell: float | None, name: str, around: int) -> list[Array]:
-    """Coordinates of nodes around points along x, y and z, evenly spaced alike."""
+def _lattice(points: Array, cell: float | None, name: str, around: int) -> tuple[Array, tuple[int, ...], float, Array]:
+    """Nodes (N, 3) around points, from the first of them, m; how many along x, y and z, their spacing, and where (3,)
+    the first is."""
     low, high = points.min(0), points.max(0)
     extent = np.maximum(high - low, 1e-6)
     least = float((extent.prod() / MOST_NODES) ** (1 / 3))
@@ -128,8 +125,8 @@ def _lattice(points: Array, cell: float | None, name: str, around: int) -> list[
         raise InputError(
             f"{name} would have {' x '.join(map(str, count))} cells of {size * 1e3:g} mm; make them larger"
         )
-    middle = (low + high) / 2
-    return [m + (np.arange(k) - (k - 1) / 2) * size for m, k in zip(middle, count.tolist(), strict=True)]
+    nodes = np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) * size
+    return nodes, tuple(count.tolist()), size, (low + high) / 2 - (count - 1) / 2 * size
 
 
 def _bounds(corners: Array, nodes: Array, size: float) -> tuple[Array, Array]:

@@ -1,6 +1,7 @@
 """Trajectories that never snap: on one stable branch all the way, around obstacles, within rates, and proved."""
 
-from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
+from .apart import PairProof
+from .arms import ArmsProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
 from .entry import EntryRegion, plan_from_region
 from .goals import TipGoal

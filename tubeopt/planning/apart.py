@@ -14,13 +14,14 @@ the bound of `branch` and the error of interpolation, and as thick as its outerm
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from ..bodies.frames import Frame
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..typing import Array, Index, Mask
 from .clearing import SHARE, Wanted
@@ -188,25 +189,35 @@ def _joined(parts: Sequence[PairCells]) -> PairCells:
 
 
 @dataclass(frozen=True, eq=False)
-class Apart:
-    """What is known of two arms: lower bound of their distance at all times, -inf where none is shown; the least
-    between equilibria that were looked at, taken as linear in time there, m; and when that was, s. `bounds` (M,) are
-    those in the M whiles between `times` (M + 1,), s."""
+class PairProof(Displayed):
+    """Two arms by their numbers, from 0, and lower bound of the distance between their surfaces at all times, m: -inf
+    where none is shown; the least between the equilibria that were looked at, m, and when, s, taken as linear in time
+    there. `bounds` (M,) hold in the M whiles between `times` (M + 1,), s: each as sharp as it took to show the
+    clearance, or to tell the least. What an arm needs at its plate is a body to the others: `ArmsProof.proofs` tell of
+    it."""
 
-    least: float
-    measured: float
+    arms: tuple[int, int]
+    least_clearance: float
+    """Lower bound at all times, m; -inf where none is shown."""
+    measured_clearance: float
+    """The least that was measured, m."""
     when: float
-    times: Array
-    bounds: Array
+    times: Array = field(repr=False)
+    bounds: Array = field(repr=False)
 
-    def within(self, most: float) -> Apart:
-        """The same of arms of which something that does not move is `most` apart, m."""
-        bounds = np.minimum(self.bounds, most)
-        return replace(self, least=min(self.least, most), measured=min(self.measured, most), bounds=bounds)
+    def at_least(self, begin: Array, end: Array) -> Array:
+        """(T,) lower bounds of the distance from times (T,) to later ones (T,), s, m; before and after its own times
+        both arms rest."""
+        most = len(self.bounds) - 1
+        first = np.clip(np.searchsorted(self.times, begin, "right") - 1, 0, most)
+        last = np.clip(np.searchsorted(self.times, end, "left") - 1, 0, most)
+        return np.array([self.bounds[a : max(a, b) + 1].min() for a, b in zip(first, last, strict=True)])
 
 
-def apart(one: Track, other: Track, wanted: Wanted) -> Apart:
-    """Bound of the distance between the surfaces of two arms, as sharp as is wanted where it is the least."""
+def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, most: float = np.inf) -> PairProof:
+    """Bound of the distance between the surfaces of two arms, as sharp as is wanted where it is the least, of which
+    something that does not move is `most` apart, m."""
+    one, other = tracks
     measured, when = np.inf, 0.0
     for _ in range(one.follower.effort.proof_arms_rounds):
         times = np.union1d(one.times, other.times)
@@ -222,7 +233,8 @@ def apart(one: Track, other: Track, wanted: Wanted) -> Apart:
         bound = np.full(len(bound), -np.inf)
     if len(times) == 1:
         times = np.append(times, times)
-    return Apart(float(bound.min()), float(measured), float(when), times, bound)
+    bound = np.minimum(bound, most)
+    return PairProof(arms, float(bound.min()), min(float(measured), most), float(when), times, bound)
 
 
 def _finer(track: Track, links: Index) -> Track:

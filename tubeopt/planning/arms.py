@@ -25,7 +25,7 @@ from ..inverse.outline import Outline
 from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.robot import Robot
 from ..typing import Array
-from .apart import Apart, Track, apart, tracked
+from .apart import PairProof, Track, apart, tracked
 from .clearing import Wanted
 from .cross_sections import Constants
 from .motion import RateLimits
@@ -78,32 +78,6 @@ class TimedMotion(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class PairProof(Displayed):
-    """Two arms by their numbers, from 0, and lower bound of the distance between their surfaces at all times, m: -inf
-    where none is shown; the least between the equilibria that were looked at, m, and when, s, taken as linear in time
-    there. `bounds` (M,) hold in the M whiles between `times` (M + 1,), s: each as sharp as it took to show the
-    clearance, or to tell the least. What an arm needs at its plate is a body to the others: `ArmsProof.proofs` tell of
-    it."""
-
-    arms: tuple[int, int]
-    least_clearance: float
-    """Lower bound at all times, m; -inf where none is shown."""
-    measured_clearance: float
-    """The least that was measured, m."""
-    when: float
-    times: Array = field(repr=False)
-    bounds: Array = field(repr=False)
-
-    def at_least(self, begin: Array, end: Array) -> Array:
-        """(T,) lower bounds of the distance from times (T,) to later ones (T,), s, m; before and after its own times
-        both arms rest."""
-        most = len(self.bounds) - 1
-        first = np.clip(np.searchsorted(self.times, begin, "right") - 1, 0, most)
-        last = np.clip(np.searchsorted(self.times, end, "left") - 1, 0, most)
-        return np.array([self.bounds[a : max(a, b) + 1].min() for a, b in zip(first, last, strict=True)])
-
-
-@dataclass(frozen=True, eq=False)
 class ArmsProof(Displayed):
     """What was found on motions of several arms: of each by itself, of each pair, and what is wrong, in words."""
 
@@ -141,11 +115,7 @@ class ArmsProof(Displayed):
 
 
 def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
-    """Two arms at least.
-
-    Raises:
-        InputError: fewer, or what is none.
-    """
+    """Two arms at least; raises InputError for fewer, or what is none."""
     try:
         found = tuple(arms)
     except TypeError:
@@ -255,10 +225,10 @@ def verify_arms(  # noqa: PLR0913
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
-        found = apart(tracks[i], tracks[j], Wanted(clearance, effort.proof_arms_accuracy, effort.proof_arms_cells))
-        found = found.within(between_plates(known[i], known[j]))
-        pairs.append(PairProof((i, j), found.least, found.measured, found.when, found.times, found.bounds))
-        faults += _between(known, (i, j), found, clearance)
+        wanted = Wanted(clearance, effort.proof_arms_accuracy, effort.proof_arms_cells)
+        most = between_plates(known[i], known[j])
+        pairs.append(apart((i, j), (tracks[i], tracks[j]), wanted, most))
+        faults += _between(known, pairs[-1], clearance)
     return ArmsProof(tuple(proofs), tuple(pairs), tuple(faults))
 
 
@@ -275,25 +245,24 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
 
 def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None, effort: WaySearch) -> Track:
     wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
-    longest = max(tube.length for tube in arm.robot.tubes)
     until = math.inf if clock is None else clock.began + clock.limit
-    follower = Follower(arm.robot, scene_of(()), wanted, longest, until, Constants.of(arm.robot), effort)
+    follower = Follower(arm.robot, scene_of(()), wanted, until, effort)
     joints = np.concatenate([motion.rotations, motion.translations], axis=1)
     return tracked(follower, first, np.asarray(motion.time, dtype=float), joints, arm.base)
 
 
-def _between(arms: Sequence[PlacedRobot], pair: tuple[int, int], found: Apart, clearance: float) -> list[str]:
+def _between(arms: Sequence[PlacedRobot], found: PairProof, clearance: float) -> list[str]:
     """What is wrong with two arms, or is not shown of them."""
-    words = " and ".join(called(arms, k) for k in pair)
-    if found.measured < clearance:
+    words = " and ".join(called(arms, k) for k in found.arms)
+    if found.measured_clearance < clearance:
         return [
-            f"{words} {CLOSE} {found.measured * 1e3:.4g} mm at {found.when:.4g} s; they must keep "
+            f"{words} {CLOSE} {found.measured_clearance * 1e3:.4g} mm at {found.when:.4g} s; they must keep "
             f"{clearance * 1e3:.6g} mm"
         ]
-    if found.least == -math.inf:
+    if found.least_clearance == -math.inf:
         return [f"not proved: nothing bounds the distance of {words} all the way"]
-    if found.least < clearance:
-        shown = f"{found.least * 1e3:.4g} mm are shown of the distance of {words}"
+    if found.least_clearance < clearance:
+        shown = f"{found.least_clearance * 1e3:.4g} mm are shown of the distance of {words}"
         return [f"not proved: of the clearance of {clearance * 1e3:.6g} mm only {shown}"]
     return []
 

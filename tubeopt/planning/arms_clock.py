@@ -7,11 +7,12 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..equilibrium.result import Equilibrium
 from ..inverse.outline import Outline
 from ..inverse.way_settings import WaySearch
-from ..typing import Array, Index
+from ..typing import Array
 from .arms import PlacedRobot
 from .trajectory import Trajectory
 
@@ -49,8 +50,7 @@ def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effo
     for other in others:
         if other.time[-1] > since:
             times = np.linspace(since, other.time[-1], effort.delay_instants)
-            every = np.arange(len(times))
-            if line.at_times(times).gaps(other.at_times(times), every, every).min() < room:
+            if line.at_times(times).gaps(other.at_times(times)).min() < room:
                 return False
     return True
 
@@ -123,10 +123,7 @@ class Lines:
         ]
         return Lines(times, *parts)
 
-    def gaps(self, other: Lines, rows: Index, others: Index) -> Array:
-        """(r,) distances between the surfaces of two arms at rows (r,) of either, m."""
-        out = []
-        for a, b in zip(rows, others, strict=True):
-            away = np.linalg.norm(self.points[a][:, None] - other.points[b], axis=2)
-            out.append((away - self.radius[a][:, None] - other.radius[b]).min())
-        return np.array(out)
+    def gaps(self, other: Lines) -> Array:
+        """(T,) distances between the surfaces of two arms at the same instants, m."""
+        both = zip(self.points, self.radius, other.points, other.radius, strict=True)
+        return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in both])

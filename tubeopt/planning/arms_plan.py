@@ -22,7 +22,7 @@ from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, vector
+from ..errors import InputError, SolveError
 from ..inverse.arguments import checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.question import prepared
@@ -42,7 +42,7 @@ from .arms import (
     verify_arms,
 )
 from .arms_clock import Lines, Move, sooner
-from .goals import TipGoal
+from .goals import goal_seen
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
@@ -107,8 +107,7 @@ class ArmsPlan(Displayed):
             Lines.of(arm, each, DEFAULT_WAY.delay_points).at_times(t)
             for arm, each in zip(self.arms, self.trajectories, strict=True)
         ]
-        every, pairs = np.arange(len(t)), combinations(range(len(self.arms)), 2)
-        return np.stack([lines[i].gaps(lines[j], every, every) for i, j in pairs], axis=1)
+        return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
 
 
 @small
@@ -158,7 +157,7 @@ def plan_arms(
         with of_arm(known, k):
             first.append(_start(known[k], start))
     _check_starts(known, first, options.clearance, options.effort.delay_points)
-    goals = [_in_frame(arm, goal) for arm, goal in zip(known, goals, strict=True)]
+    goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
 
     def planned(k: int, ends: Sequence[Equilibrium], limit: float, withdrawn: bool) -> Trajectory:
         arm = known[k]
@@ -227,24 +226,11 @@ def _start(arm: PlacedRobot, start: Any) -> Equilibrium:
     return forward_kinematics(arm.robot, rotations, translations)
 
 
-def _in_frame(arm: PlacedRobot, goal: Any) -> Any:
-    """A goal of the tip as the arm's own plate has it; any other as it is."""
-    if isinstance(goal, TipGoal):
-        towards = goal.direction
-        if towards is not None:
-            towards = vector("direction of the goal", towards, 3, "x, y, z") @ arm.base.axes
-        return TipGoal(arm.base.seen(goal.position), towards)
-    joints = isinstance(goal, (tuple, list)) and len(goal) == 2
-    if joints or hasattr(goal, "robot") or hasattr(goal, "equilibrium"):
-        return goal
-    return arm.base.seen(vector("goal", goal, 3, "x, y, z"))
-
-
 def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float, points: int) -> None:
     """Raise SolveError where two arms are too close before they move."""
     lines = [Lines.at(arm, [e], points) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
-        gap = min(float(lines[i].gaps(lines[j], np.array([0]), np.array([0]))[0]), between_plates(arms[i], arms[j]))
+        gap = min(float(lines[i].gaps(lines[j])[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:
             raise SolveError(
                 f"no plan exists: at their starts {called(arms, i)} and {called(arms, j)} are {gap * 1e3:.3g} mm "

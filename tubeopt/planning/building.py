@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from ..inverse.task import Task
 from ..typing import Array
 from .goals import End, limits_of
 from .motion import Motion, RateLimits
-from .proof import Proof, verify_trajectory
-from .timing import Limits
+from .proof import verify_trajectory
+from .timing import Limits, through
 from .tracking import Tracked, track
 from .trajectory import PlanStatistics, Trajectory
 
@@ -32,54 +32,17 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
     return Limits(*rates.of(task.chart.space), tip, task.effort)
 
 
-@dataclass(frozen=True, eq=False)
-class Built:
-    """A sampled motion that was followed to its end, and its proof, which may not have been finished in time."""
-
-    time: Array
-    joints: Array
-    tip: Array
-    margin: Array
-    equilibria: tuple[Equilibrium, ...]
-    proof: Proof
-
-    def trajectory(
-        self,
-        task: Task,
-        first: Equilibrium,
-        end: End,
-        rates: RateLimits,
-        statistics: PlanStatistics,
-        deviation: Array | None = None,
-    ) -> Trajectory:
-        """The answer."""
-        table = np.array([task.chart.space.joint(q) for q in self.joints])
-        rotations, translations = np.split(table, 2, axis=1)
-        return Trajectory(
-            robot=first.robot,
-            time=self.time,
-            rotations=rotations,
-            translations=translations,
-            tip_position=self.tip,
-            margin=self.margin,
-            arms=self.equilibria,
-            start=first,
-            end=self.equilibria[-1],
-            turns=end.turns,
-            obstacles=task.obstacles,
-            min_margin=task.min_margin,
-            min_clearance=task.clearance - task.reserve,
-            rate_limits=rates,
-            proof=self.proof,
-            statistics=statistics,
-            deviation=deviation,
-        )
-
-
 def build(
-    task: Task, first: Equilibrium, end: End | None, motion: Motion, rates: RateLimits, clock: Clock
-) -> Built | Faults:
-    """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these."""
+    task: Task,
+    first: Equilibrium,
+    end: End | None,
+    motion: Motion,
+    rates: RateLimits,
+    clock: Clock,
+    found: PlanStatistics,
+) -> Trajectory | Faults:
+    """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these. What was
+    `found` before is told with the length of what is made of it and the seconds of the proof."""
     space = task.chart.space
     t, q = motion.sampled(task.scale, task.effort)
     begin = space.join(first.rotations, first.translations)
@@ -110,7 +73,7 @@ def build(
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < hurry < task.effort.tip_hurry and len(proof.faults) == 1:
-            return build(task, first, end, motion.slower(hurry), rates, clock)
+            return build(task, first, end, motion.slower(hurry), rates, clock, found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
     rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.late_seconds))
@@ -119,7 +82,39 @@ def build(
     known = Tracked((*proof.samples, *rest.equilibria), lost=False)
     if end is not None and float(np.abs(task.chart.of(known.equilibria[-1]) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
-    return Built(t, q, known.tip, known.margin, known.equilibria, proof)
+    length = float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum())
+    seconds = clock.seconds
+    proving = seconds - found.search_seconds - found.smooth_seconds
+    return Trajectory(
+        robot=first.robot,
+        time=t,
+        rotations=table[:, :n],
+        translations=table[:, n:],
+        tip_position=known.tip,
+        margin=known.margin,
+        arms=known.equilibria,
+        start=first,
+        end=known.equilibria[-1],
+        turns=(0,) * n if end is None else end.turns,
+        obstacles=task.obstacles,
+        min_margin=task.min_margin,
+        min_clearance=task.clearance - task.reserve,
+        rate_limits=rates,
+        proof=proof,
+        statistics=replace(found, length=length, proof_seconds=proving, seconds=seconds),
+    )
+
+
+def passing(
+    task: Task, first: Equilibrium, q: Array, last: Array, rates: RateLimits, clock: Clock, found: PlanStatistics
+) -> Trajectory | Faults:
+    """The fastest motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart."""
+    motion = through(q, task.scale, actuators(task, first, rates))
+    end = End(last, q[-1], (0,) * first.robot.n_tubes)
+    made = build(task, first, end, motion, rates, clock, found)
+    if isinstance(made, Trajectory):  # nothing was smoothed
+        return replace(made, statistics=replace(made.statistics, raw_length=made.statistics.length))
+    return made
 
 
 def no_time(clock: Clock) -> str:

@@ -45,14 +45,6 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False)
-class Cleared:
-    """Lower bounds (B,) of the clearance on every interval, and the least distance that was measured, m."""
-
-    bound: Array
-    closest: float
-
-
-@dataclass(frozen=True, eq=False)
 class Cells:
     """N cells: interval, section, fractions (N, 2) of the section and (N, 2) of the time, and at their corners
     (N, 2 along, 2 in time): points (..., 3) and distances of the centreline from bodies, m."""
@@ -118,8 +110,9 @@ class Sizes:
         return np.asarray(self.along / far + self.sagitta >= self.time / far)
 
 
-def cleared(intervals: Intervals, off: Array, scene: Scene, wanted: Wanted, closest: float) -> Cleared:
-    """Bounds of the clearance between equilibria, sharp where it is the least.
+def cleared(intervals: Intervals, off: Array, scene: Scene, wanted: Wanted, closest: float) -> tuple[Array, float]:
+    """Lower bounds (B,) of the clearance between equilibria, sharp where it is the least; and the least distance that
+    was measured, m.
 
     Args:
         off: (B, K) by how much, m, the arm may be off the straight line between both ends, from `branch`.
@@ -150,7 +143,7 @@ def cleared(intervals: Intervals, off: Array, scene: Scene, wanted: Wanted, clos
         within = max(sizes.chosen(~over).needed(closest), 0.0)
         cells = _halved(cells.chosen(~over), intervals, sizes.longer(least)[~over], scene, within)
         sizes = Sizes.of(cells, intervals, off)
-    return Cleared(bound, closest)
+    return bound, closest
 
 
 def _first(intervals: Intervals) -> Cells:

@@ -27,7 +27,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array
-from .goals import TipGoal, of_the_tip, start_equilibrium
+from .goals import TipGoal, goal_seen, of_the_tip, start_equilibrium
 from .motion import RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
@@ -159,7 +159,7 @@ def plan_from_region(
     def planned(frame: Frame, left: int) -> Trajectory:
         limit = max(clock.left / min(left, options.effort.entry_share), 1e-3)
         bodies, own = seen_from(frame, obstacles), replace(options, time_limit=limit)
-        return plan_trajectory(robot, start, _goal_seen(goal, frame), obstacles=bodies, options=own, **given)
+        return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=own, **given)
 
     why, unproved, tried = "", None, 0
     for k in order:
@@ -185,15 +185,6 @@ def plan_from_region(
     )
 
 
-def _goal_seen(goal: Any, frame: Frame) -> Any:
-    """A goal as a plate sees it."""
-    if not of_the_tip(goal):
-        return goal
-    known = goal if isinstance(goal, TipGoal) else TipGoal(np.asarray(goal, dtype=float))
-    towards = None if known.direction is None else np.asarray(known.direction) @ frame.axes
-    return TipGoal(frame.seen(known.position), towards)
-
-
 def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], clock: Clock) -> Array:
     """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
     infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
@@ -207,7 +198,7 @@ def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], 
         if _room(task, at_start.placed(frame))[0] < task.clearance:
             found.append(np.inf)
         elif of_tip:
-            found.append(_missed(task, arms, _goal_seen(goal, frame), frame))
+            found.append(_missed(task, arms, goal_seen(goal, frame), frame))
         else:
             found.append(max(task.clearance - _room(task, arms.placed(frame))[0], 0.0))
     return np.array(found)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.frames import Frame
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -164,11 +165,13 @@ def other_ends(
     wanted = _tip_goal(goal)
     if wanted is None or task.chart.load is not None:
         return []
-    here, found = task.chart.of(start), []
+    here, found, robot = task.chart.of(start), [], task.chart.space.robot
     postures: list[Equilibrium] = []
     for place in wanted.places()[: task.effort.goal_places]:
+        asked = _asked(task, start, place, clock)
         with suppress(SolveError):  # none in so short a time
-            postures += _postures(task, start, place, clock)
+            answers = inverse_kinematics(robot, place.position, all_solutions=True, **asked)
+            postures += [answer.equilibrium for answer in answers]
     for e in postures:
         try:
             _allowed(task, "goal", e)
@@ -185,6 +188,17 @@ def other_ends(
 def of_the_tip(goal: Any) -> bool:
     """Whether a goal is one of the tip, which several postures may meet."""
     return _tip_goal(goal) is not None
+
+
+def goal_seen(goal: Any, frame: Frame) -> Any:
+    """A goal as a plate sees it that stands in a frame: of the tip in its own axes, any other as it is."""
+    known = _tip_goal(goal)
+    if known is None:
+        return goal
+    towards = known.direction
+    if towards is not None:
+        towards = vector("direction of the goal", towards, 3, "x, y, z") @ frame.axes
+    return TipGoal(frame.seen(known.position), towards)
 
 
 def _tip_goal(goal: Any) -> TipGoal | None:
@@ -279,13 +293,6 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
     return [answer.equilibrium]
 
 
-def _postures(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
-    """All equilibria whose tip has a pose, as far as inverse kinematics finds them."""
-    robot = task.chart.space.robot
-    answers = inverse_kinematics(robot, goal.position, all_solutions=True, **_asked(task, start, goal, clock))
-    return [answer.equilibrium for answer in answers]
-
-
 def _asked(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     """What inverse kinematics is asked beside the position."""
     return {"load": task.chart.load, "direction": goal.direction, "seed": start, **_kept(task, clock)}
@@ -373,11 +380,6 @@ def _turned(task: Task, e: Equilibrium, here: Array, modulo: bool) -> list[End]:
 
 
 def _end(task: Task, e: Equilibrium, turns: Sequence[int]) -> End:
-    whole = 2 * np.pi * np.array(turns)
     q = posture_of(task.chart.space, e).q
-    n = len(whole)
-    return End(
-        task.chart.of(e) + np.append(whole, np.zeros(len(q) - n)),
-        q + np.append(whole, np.zeros(len(q) - n)),
-        tuple(turns),
-    )
+    whole = 2 * np.pi * np.pad(turns, (0, len(q) - len(turns)))
+    return End(task.chart.of(e) + whole, q + whole, tuple(turns))

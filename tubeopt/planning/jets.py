@@ -35,10 +35,6 @@ class Jet:
         """A linear function with no negative weights, of all three."""
         return Jet(function(self.v), function(self.d), function(self.dd))
 
-    def over(self, divisor: Array) -> Jet:
-        """Divided by a constant greater than 0."""
-        return self.map(lambda bound: bound / divisor)
-
 
 def linear(begin: Array, end: Array) -> Jet:
     """Of what goes linearly from one value to another while time goes from 0 to 1."""

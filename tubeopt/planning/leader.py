@@ -8,7 +8,7 @@ curve of that length. Forth in time, that is the deployment. How far the arm is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,12 +23,12 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import Built, actuators, build
-from .goals import End, ends, start_equilibrium
+from .building import passing
+from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked, in_time
-from .timing import through
+from .reach import step_constraints
 from .tip_path import distance_from
 from .tracking import track
 from .trajectory import PlanStatistics, Trajectory
@@ -107,18 +107,12 @@ def follow_the_leader(  # noqa: PLR0913
         q = task.chart.joints(path)
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
-    motion = through(q, task.scale, actuators(task, first, rate_limits))
-    end = End(path[-1], q[-1], (0,) * robot.n_tubes)
-    searched = clock.seconds
-    built = build(task, first, end, motion, rate_limits, clock)
-    if not isinstance(built, Built):
-        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(built)}")
-    way = np.concatenate([first.position, built.tip[1:]])
-    deviation = np.array([distance_from(way, e.position).max() for e in built.equilibria])
-    moved = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
-    done = clock.seconds
-    statistics = PlanStatistics("leader", "", 0, moved, moved, 0, len(q), searched, 0.0, done - searched, done)
-    return built.trajectory(task, first, end, rate_limits, statistics, deviation)
+    found = PlanStatistics("leader", "", 0, 0.0, 0.0, 0, len(q), clock.seconds)
+    made = passing(task, first, q, path[-1], rate_limits, clock, found)
+    if not isinstance(made, Trajectory):
+        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(made)}")
+    way = np.concatenate([first.position, made.tip_position[1:]])
+    return replace(made, deviation=np.array([distance_from(way, e.position).max() for e in made.arms]))
 
 
 def _withdrawal(task: Task, goal: Any, begin: float, solver: LeaderSolver) -> tuple[Equilibrium, Array]:
@@ -185,42 +179,34 @@ def _fit(task: Task, z: Array, last: Equilibrium, length: float, solver: LeaderS
     return z
 
 
+def _foremost(task: Task, z: Array) -> tuple[int, int]:
+    """The tube with which the arm ends, and its carriage."""
+    space = task.chart.space
+    curved = np.array([tube.curved_length for tube in space.robot.tubes])
+    tube = int(np.argmax(task.chart.translations(z[None])[0] + curved))
+    return tube, next(k for k, tubes in enumerate(space.carriages) if tube in tubes)
+
+
 def _withdrawn(task: Task, z: Array, length: float) -> Array:
     """The carriages moved back as far as an arm of a given length asks, the others with them where order asks."""
-    space = task.chart.space
-    n = space.robot.n_tubes
-    out = z.copy()
-    curved = np.array([tube.curved_length for tube in space.robot.tubes])
-    longest = int(np.argmax(task.chart.translations(z[None])[0] + curved))
-    for k, tubes in enumerate(space.carriages):
-        if longest in tubes:
-            out[n + k] = np.clip(
-                length - curved[longest] - space.offset[n + longest], space.lower[n + k], space.upper[n + k]
-            )
-            rows = np.vstack([space.inequalities(out)[0], np.eye(len(z))[n + k], -np.eye(len(z))[n + k]])
-            bounds = np.concatenate([space.inequalities(out)[1], [0.0, 0.0]])
-            rows, bounds = _translations_only(rows, bounds, n)
-            found = constrained_least_squares(np.eye(len(z) - n), np.zeros(len(z) - n), rows, bounds)
-            if found is not None:
-                out[n:] += found.x
+    space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
+    out, (tube, k) = z.copy(), _foremost(task, z)
+    held, place = np.eye(m)[n + k], length - space.robot.tubes[tube].curved_length - space.offset[n + tube]
+    out[n + k] = np.clip(place, space.lower[n + k], space.upper[n + k])
+    rows, bounds = space.inequalities(out)
+    rows, bounds = np.vstack([rows, held, -held]), np.append(bounds, [0.0, 0.0])
+    shifts = np.abs(rows[:, n:]).sum(1) > 0
+    found = constrained_least_squares(np.eye(m - n), np.zeros(m - n), rows[shifts, n:], bounds[shifts])
+    if found is not None:
+        out[n:] += found.x
     return out
-
-
-def _translations_only(rows: Array, bounds: Array, n: int) -> tuple[Array, Array]:
-    kept = np.abs(rows[:, n:]).sum(1) > 0
-    return rows[kept][:, n:], bounds[kept]
 
 
 def _constraints(task: Task, z: Array, rotations: Array, slope: Array, longest: float) -> tuple[Array, Array]:
     """Rows and bounds of a step in units of the scales: ranges, order, the length of the arm, and no change of a
     coordinate beyond the longest."""
-    space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
-    unit = np.eye(m)
-    curved = np.array([tube.curved_length for tube in space.robot.tubes])
-    front = int(np.argmax(task.chart.translations(z[None])[0] + curved))
-    held = next(k for k, tubes in enumerate(space.carriages) if front in tubes)
-    rows = [slope, -slope, unit[n:], -unit[n:], space.rows * task.scale, unit, -unit, unit[n + held], -unit[n + held]]
+    space, n = task.chart.space, task.chart.space.robot.n_tubes
+    rows, bounds = step_constraints(task, z, longest)
+    held = np.eye(len(z))[n + _foremost(task, z)[1]]
     low, high = np.minimum(space.lower[:n] - rotations, 0.0), np.minimum(rotations - space.upper[:n], 0.0)
-    bounds = [low, high, (space.lower - z)[n:] / task.scale[n:], (z - space.upper)[n:] / task.scale[n:]]
-    bounds += [space.least - space.rows @ z, np.full(2 * m, -longest), np.zeros(2)]
-    return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)
+    return np.vstack([slope, -slope, rows, held, -held]), np.concatenate([low, high, bounds, np.zeros(2)])

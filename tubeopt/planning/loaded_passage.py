@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from ..equilibrium.continuation import JointPath
-from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_continuation import JointFamily
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.loaded import loaded_point
@@ -21,7 +20,7 @@ from ..typing import Array, Index
 from .branch import Branch
 from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
-from .passage import Follower, Step, pair
+from .passage import Follower, Step
 from .sections import Intervals
 
 
@@ -47,15 +46,6 @@ class LoadedFollower(Follower):
         """The load on the cross-sections."""
         return Pull.of(self.robot, self.load)
 
-    def step(self, here: Step, at: float, joints: Array) -> Step | None:
-        """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
-        self.count += 1
-        try:
-            e = forward_kinematics(self.robot, *pair(joints), load=self.load, guess=here.equilibrium)
-        except SolveError:
-            return None
-        return Step(at, e, joints) if e.stable else None
-
     def near(self, here: Step, at: float, joints: Array) -> Step | None:
         """The same: small changes of joints are one solve."""
         return self.step(here, at, joints)
@@ -64,7 +54,7 @@ class LoadedFollower(Follower):
         """Those between some of a list of equilibria."""
         if uncovered(self.load):
             return super().intervals(equilibria, one, other)
-        return LoadedIntervals.of(LoadedArms.under(self.pull, self.constants, equilibria), one, other)
+        return LoadedIntervals.of(LoadedArms.of(self.constants, equilibria, pull=self.pull), one, other)
 
     def joined(self, intervals: Intervals) -> Branch:
         """What is known between neighbours: nothing of a load that the bounds do not cover."""

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..equilibrium.result import Equilibrium
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..typing import Array, Index
-from .cross_sections import Bending, Constants, Drift
+from .cross_sections import Bending, Drift
 from .jets import Jet
-from .sections import JUMP, PARTS, SHAPE_ERROR, Arms, Intervals
+from .sections import JUMP, SHAPE_ERROR, Arms, Intervals
 
 
 def uncovered(load: Load) -> str:
@@ -57,12 +55,6 @@ class LoadedArms(Arms):
     """Equilibria under a load, one after the other."""
 
     pull: Pull
-
-    @staticmethod
-    def under(pull: Pull, constants: Constants, equilibria: Sequence[Equilibrium]) -> LoadedArms:
-        """Those of a list of equilibria."""
-        plain = Arms.of(constants, equilibria)
-        return LoadedArms(**{field.name: getattr(plain, field.name) for field in fields(Arms)}, pull=pull)
 
     @cached_property
     def ends(self) -> Array:
@@ -200,11 +192,6 @@ class LoadedIntervals(Intervals):
     def loads(self) -> tuple[Array, Array, Array]:
         """(B, K, n) sizes of torques, and by how much torques (B, K, n) and moments (B, K) differ at most between both
         ends, at the ends of PARTS stretches of every section."""
-        x = np.linspace(0.0, 1.0, PARTS + 1)
-        tables = []
-        for e, cuts in ((self.one, self.begin), (self.other, self.end)):
-            s = cuts[:, :-1, None] + x * np.diff(cuts, axis=1)[:, :, None]
-            tables.append(self.arms.sampled(np.broadcast_to(e[:, None, None], s.shape), s))
-        (torque, moment), (later, after) = tables
+        (torque, moment), (later, after) = (self.arms.sampled(*places) for places in self.parts)
         size = np.maximum(np.abs(torque), np.abs(later)).max(2)
         return size, np.abs(later - torque).max(2), np.linalg.norm(after - moment, axis=-1).max(2)

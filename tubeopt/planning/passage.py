@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
 from ..inverse.way_settings import WaySearch
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import Event, motion_along
 from ..typing import Array, Index
@@ -93,11 +95,20 @@ class Follower:
     robot: Robot
     scene: Scene
     wanted: Wanted
-    length: float
     until: float
-    constants: Constants
     effort: WaySearch
+    load: Load | None = None
     count: int = 0
+
+    @cached_property
+    def length(self) -> float:
+        """Of the longest tube, m."""
+        return max(tube.length for tube in self.robot.tubes)
+
+    @cached_property
+    def constants(self) -> Constants:
+        """What no joint changes of the robot."""
+        return Constants.of(self.robot)
 
     @property
     def halvings(self) -> int:
@@ -118,7 +129,7 @@ class Follower:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
         self.count += 1
         try:
-            e = forward_kinematics(self.robot, *pair(joints), guess=here.equilibrium)
+            e = forward_kinematics(self.robot, *pair(joints), load=self.load, guess=here.equilibrium)
         except SolveError:
             return None
         return Step(at, e, joints) if e.stable else None
@@ -308,9 +319,8 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
             some = links[k : k + BATCH]
             intervals = _intervals(follower, some)
             off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
-            found = cleared(intervals, off, follower.scene, follower.wanted, closest)
-            closest = found.closest
-            for link, bound in zip(some, found.bound.tolist(), strict=True):
+            bounds, closest = cleared(intervals, off, follower.scene, follower.wanted, closest)
+            for link, bound in zip(some, bounds.tolist(), strict=True):
                 done[id(link)] = replace(link, bound=bound)
         line = follower.wanted.line(closest)
         short = [key for key, link in done.items() if link.bound < line and link.other.at - link.one.at >= SHORTEST]

@@ -59,23 +59,6 @@ OPTIONS: dict[str, Any] = {
     "ipopt.mu_init": 1e-2,
 }
 
-PARAMETERS = (
-    "robot",
-    "offset",
-    "scale",
-    "rate",
-    "acceleration",
-    "weights",
-    "order",
-    "step",
-    "twist",
-    "radius",
-)
-"""robot (7n,); offset (n,) of the translations; scale (m,); rate, acceleration (m,) over the scale, times the unit of
-time and its square; weights (4,) of length, time, effort and margin; order (rows, m) of the joints; step (intervals,)
-share of the time of each interval; twist (intervals,) largest change of a tip rotation, rad; radius (n,) of the arm,
-m."""
-
 
 @dataclass(frozen=True)
 class PathQuestion:
@@ -101,7 +84,7 @@ class PathProgram:
     """The program, its Hessian, and its constraints with their Jacobian. Unknowns, in units of the scale, by columns:
     joint values (m, K), rates (m, K), tip rotations (n, K), square of the duration, margin.
 
-    `rows`: number of constraints of each kind, in order.
+    `rows`: number of constraints of each kind, in order.   `parameters`: their names, in order.
     `least`: of unknowns and parameters, the smooth least distances by columns (rows, K), m; `body`: of which obstacle
     every one of these rows is.
     """
@@ -112,17 +95,20 @@ class PathProgram:
     rows: dict[str, int]
     least: ca.Function
     body: list[int]
+    parameters: tuple[str, ...]
+
+    def values(self, **given: Any) -> Array:
+        """The parameters in order: robot (7n,); offset (n,) of the translations; scale (m,); rate, acceleration (m,)
+        over the scale, times the unit of time and its square; weights (4,) of length, time, effort and margin; order
+        (rows, m) of the joints; step (intervals,) share of the time of each interval; twist (intervals,) largest change
+        of a tip rotation, rad; radius (n,) of the arm, m."""
+        return np.concatenate([np.ravel(np.asarray(given[name], dtype=float), order="F") for name in self.parameters])
 
     def solver(self, seconds: float) -> ca.Function:
         """IPOPT, to spend at most so many seconds."""
         options = {**OPTIONS, "ipopt.max_wall_time": max(seconds, 0.1)}
         options |= {"hess_lag": self.hessian, "jac_g": self.jacobian}
         return ca.nlpsol("path", "ipopt", self.problem, options)
-
-
-def parameter_values(**values: Any) -> Array:
-    """Parameters of a program, in the order in which `path_program` reads them."""
-    return np.concatenate([np.ravel(np.asarray(values[name], dtype=float), order="F") for name in PARAMETERS])
 
 
 def path_program(question: PathQuestion) -> PathProgram:
@@ -135,7 +121,7 @@ def _program(question: PathQuestion) -> PathProgram:
     m, knots = n + groups, question.intervals + 1
     sizes = {"robot": question.kind.size, "offset": n, "scale": m, "rate": m, "acceleration": m, "weights": 4}
     sizes |= {"order": question.rows * m, "step": intervals, "twist": intervals, "radius": n}
-    p = {name: ca.MX.sym(name, sizes[name]) for name in PARAMETERS}
+    p = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     joints, rates, tip = ca.MX.sym("q", m, knots), ca.MX.sym("v", m, knots), ca.MX.sym("z", n, knots)
     square, margin = ca.MX.sym("S"), ca.MX.sym("mu")
     q = joints * ca.repmat(p["scale"], 1, knots)
@@ -183,7 +169,7 @@ def _program(question: PathQuestion) -> PathProgram:
     problem["g"], jacobian = _constraints(ca.vertcat(*parts.values()), arms, knot, at, x, given)
     distances = ca.Function("least", [x, given], [ca.vec(knot.map(knots)(*at)[n + question.kind.sections :, :])])
     hessian = _hessian({**problem, "f": objective}, rows, bent)
-    return PathProgram(problem, hessian, jacobian, rows, distances, rows_of_bodies(question))
+    return PathProgram(problem, hessian, jacobian, rows, distances, rows_of_bodies(question), tuple(sizes))
 
 
 def _knot(question: PathQuestion) -> ca.Function:

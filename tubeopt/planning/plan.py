@@ -21,7 +21,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import Built, Faults, actuators, build, no_time
+from .building import Faults, actuators, build, no_time
 from .candidates import motions_near
 from .goals import End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
@@ -178,15 +178,11 @@ def _make(
     smoothed = clock.seconds
     faults: Faults = ()
     for motion, how, iterations, knots in motions:
-        built = build(task, first, end, motion, rates, clock)
-        if not isinstance(built, Built):
-            faults = built
-            continue
-        length = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
-        done = clock.seconds
-        numbers = (way.motions, raw, length, iterations, knots)
-        seconds = (searched, smoothed - searched, done - smoothed, done)
-        return built.trajectory(task, first, end, rates, PlanStatistics(way.how, how, *numbers, *seconds))
+        numbers = (way.motions, raw, 0.0, iterations, knots, searched, smoothed - searched)
+        made = build(task, first, end, motion, rates, clock, PlanStatistics(way.how, how, *numbers))
+        if isinstance(made, Trajectory):
+            return made
+        faults = made
     return faults
 
 
@@ -216,13 +212,10 @@ def _not_found(
         points, motion = way.closest, None
         with suppress(LateError):
             points, motion = _affordable(task, way.closest, actuators(task, first, rates), clock.left)
-        built = () if motion is None else build(task, first, None, motion, rates, clock)
-        if isinstance(built, Built) and built.proof.holds and motion is not None:
-            end = End(points[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
-            numbers = (way.motions, 0.0, task.length(points), 0, len(points))
-            seconds = (clock.seconds, 0.0, 0.0, clock.seconds)
-            statistics = PlanStatistics("partial", "", *numbers, *seconds)
-            partial = built.trajectory(task, first, end, rates, statistics)
+        if motion is not None:
+            found = PlanStatistics("partial", "", way.motions, 0.0, 0.0, 0, len(points), clock.seconds)
+            made = build(task, first, None, motion, rates, clock, found)
+            partial = made if isinstance(made, Trajectory) and made.proof.holds else None
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
     why = f"; {way.why}" if way.why else ""
     count = "1 motion was" if way.motions == 1 else f"{way.motions} motions were"

@@ -37,7 +37,6 @@ from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array, Sentence
 from .clearing import Wanted
-from .cross_sections import Constants
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .loaded_passage import LoadedFollower
 from .motion import RateLimits
@@ -194,11 +193,10 @@ def verify_trajectory(  # noqa: PLR0913
     forced = under_any_force(robot, shift, max_force) if positive("max_force", max_force, zero=True) else None
     if forced is not None and load is not None:
         raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
-    longest = max(tube.length for tube in robot.tubes)
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     until = math.inf if clock is None else time_now() + clock.left
     wanted = Wanted(clearance + moved, effort.proof_accuracy, effort.proof_cells)
-    what = robot, scene_of(bodies), wanted, longest, until, Constants.of(robot), effort
+    what = robot, scene_of(bodies), wanted, until, effort
     follower = Follower(*what) if load is None else LoadedFollower(*what, load=load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
@@ -258,10 +256,8 @@ def _times(time: ArrayLike, count: int) -> Array:
     if t.shape != (count,):
         raise InputError(f"time has shape {t.shape}; it must be one number for each of the {count} samples")
     if not np.isfinite(t).all():
-        raise InputError(
-            f"time is {t[int(np.argmin(np.isfinite(t)))]} at sample {int(np.argmin(np.isfinite(t))) + 1}; "
-            "it must be finite"
-        )
+        k = int(np.argmin(np.isfinite(t)))
+        raise InputError(f"time is {t[k]} at sample {k + 1}; it must be finite")
     if (np.diff(t) <= 0).any():
         k = int(np.argmax(np.diff(t) <= 0))
         raise InputError(

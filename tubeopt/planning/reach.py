@@ -38,34 +38,42 @@ def least_miss(task: Task, position: Array, clock: Clock | None = None) -> float
 
 def _closest(task: Task, start: Array, position: Array) -> float:
     """Distance at which Gauss-Newton from joint values (m,), taken for tip rotations, ends, m."""
-    space, effort, z = task.chart.space, task.effort, start.copy()
-    m, scale = len(z), space.scale
-    moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(scale)])
+    length, effort, z = task.chart.space.length, task.effort, start
     miss = np.inf
     for _ in range(effort.reach_steps):
-        tips = task.chart.arms(z + moves, 0.0).tip
-        gap = (tips - position) / space.length
-        if np.linalg.norm(gap[0]) > (1 - 1e-3) * miss:
+        tips = tips_about(task, z)
+        here = float(np.linalg.norm(tips[0] - position))
+        if here > (1 - 1e-3) * miss:
             break
-        miss = float(np.linalg.norm(gap[0]))
-        if miss <= effort.reach_near:
+        miss = here
+        step = None if miss <= effort.reach_near * length else step_towards(task, z, tips, position)
+        if step is None:
             break
-        slope = ((gap[1:] - gap[0]) / DIFFERENCE).T
-        rows, bounds = step_constraints(task, z)
-        weights = np.vstack([slope, 1e-3 * np.eye(m)])
-        found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), rows, bounds)
-        if found is None:
-            break
-        z = z + found.x * scale
-    return miss * space.length
+        z = z + step
+    return miss
 
 
-def step_constraints(task: Task, z: Array) -> tuple[Array, Array]:
-    """Rows and bounds of a step in units of the scales: ranges of the translations, order, and not too far."""
+def tips_about(task: Task, z: Array) -> Array:
+    """(m + 1, 3) tips, m, at a point (m,) of the chart and a DIFFERENCE farther along each coordinate."""
+    return task.chart.arms(z + np.vstack([np.zeros(len(z)), DIFFERENCE * np.diag(task.scale)]), 0.0).tip
+
+
+def step_towards(task: Task, z: Array, tips: Array, position: Array) -> Array | None:
+    """(m,) the damped step of Gauss-Newton by which tips `tips_about` a point come closer to a place; None for none."""
+    gap = (tips - position) / task.chart.space.length
+    weights = np.vstack([((gap[1:] - gap[0]) / DIFFERENCE).T, 1e-3 * np.eye(len(z))])
+    constraints = step_constraints(task, z, task.effort.reach_longest_step)
+    found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(len(z))), *constraints)
+    return None if found is None else np.asarray(found.x * task.scale)
+
+
+def step_constraints(task: Task, z: Array, longest: float) -> tuple[Array, Array]:
+    """Rows and bounds of a step in units of the scales: ranges of the translations, order, and no change of a
+    coordinate beyond the longest."""
     space = task.chart.space
     n, m = space.robot.n_tubes, len(z)
     unit = np.eye(m)
     rows = [unit[n:], -unit[n:], space.rows * space.scale, unit, -unit]
     bounds = [(space.lower - z)[n:] / space.scale[n:], (z - space.upper)[n:] / space.scale[n:]]
-    bounds += [space.least - space.rows @ z, np.full(2 * m, -task.effort.reach_longest_step)]
+    bounds += [space.least - space.rows @ z, np.full(2 * m, -longest)]
     return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)

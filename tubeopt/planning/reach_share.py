@@ -20,7 +20,6 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..inverse.clock import Clock, LateError
-from ..inverse.least_squares import constrained_least_squares
 from ..inverse.task import Task
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -30,7 +29,7 @@ from .goals import check_start, start_equilibrium
 from .motion import DEFAULT_RATES
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked
-from .reach import DIFFERENCE, step_constraints
+from .reach import step_towards, tips_about
 from .roadmap import Roadmap, build_roadmap
 
 SAME = 0.05
@@ -186,26 +185,18 @@ class _Search:
 
 def _approach(task: Task, start: Array, place: Array, enough: float) -> tuple[float, Array]:
     """How close (m) Gauss-Newton comes to a place by points at which the robot may be, and the last of them."""
-    chart, z, m = task.chart, start, len(start)
-    scale = chart.space.scale
-    moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(scale)])
-    tips = chart.arms(z + moves, 0.0).tip
+    z, tips = start, tips_about(task, start)
     miss = float(np.linalg.norm(tips[0] - place))
     for _ in range(task.effort.share_steps):
-        if miss <= enough:
-            break
-        gap = (tips - place) / chart.space.length
-        slope = ((gap[1:] - gap[0]) / DIFFERENCE).T
-        weights = np.vstack([slope, 1e-3 * np.eye(m)])
-        step = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), *step_constraints(task, z))
+        step = None if miss <= enough else step_towards(task, z, tips, place)
         if step is None:
             break
-        tried = z + SHORTER[:, None] * (step.x * scale)
+        tried = z + SHORTER[:, None] * step
         arms = task.arms(tried)
         left = np.where(task.spare(tried, arms=arms) >= 0, np.linalg.norm(arms.tip - place, axis=1), np.inf)
         best = int(left.argmin())
         if left[best] > 0.99 * miss:
             break
         z, miss = tried[best], float(left[best])
-        tips = chart.arms(z + moves, 0.0).tip
+        tips = tips_about(task, z)
     return miss, z

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from operator import is_
 from os import PathLike
 from typing import Any
 
@@ -79,15 +80,17 @@ class Roadmap(Displayed):
             pairs = list(pairwise(found))
             # Both ends first: what begins and ends a way is what the map does not know yet.
             for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):
-                if self._told(own, a, b) is None:
-                    tried += 1
-                    holds = task.motion(points[a], points[b])
-                    if clock.left == 0:  # of which a motion that fails says nothing
-                        break
-                    (self.known if max(a, b) < count else own)[min(a, b), max(a, b)] = holds
-                    if not holds:
-                        open_ &= name != min(a, b) * len(places) + max(a, b)
-                        break
+                one, other = sorted((a, b))
+                if (one, other) in self.known or (one, other) in own:
+                    continue
+                tried += 1
+                holds = task.motion(points[a], points[b])
+                if clock.left == 0:  # of which a motion that fails says nothing
+                    break
+                (self.known if other < count else own)[one, other] = holds
+                if not holds:
+                    open_ &= name != one * len(places) + other
+                    break
             else:
                 return Way(points[found], "roadmap", tried)
         return Way(None, "roadmap", tried, why="the time for the roadmap was over")
@@ -100,27 +103,19 @@ class Roadmap(Displayed):
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
-    def _told(self, own: dict[tuple[int, int], bool], a: int, b: int) -> bool | None:
-        key = (min(a, b), max(a, b))
-        return self.known.get(key, own.get(key))
-
     def _remember(self, task: Task) -> None:
         """Forget what was found of edges where another question is asked."""
         if not np.array_equal(task.chart.parameters, self.parameters):
             raise InputError("the roadmap is of another robot")
         asks = (task.obstacles, task.min_margin, task.clearance, task.floor, task.margin_room, task.clearance_room)
         same = len(self.asked_with) == len(asks) and self.asked_with[1:] == asks[1:]
-        if not (same and len(self.asked_with[0]) == len(asks[0]) and all(map(_same, self.asked_with[0], asks[0]))):
+        if not (same and len(self.asked_with[0]) == len(asks[0]) and all(map(is_, self.asked_with[0], asks[0]))):
             self.known.clear()
         self.asked_with = asks
 
     def save(self, path: str | PathLike[str]) -> None:
         """Points and neighbours as .npz; what is known of edges is not kept, since bodies are not."""
         np.savez_compressed(path, points=self.points, edges=self.edges, parameters=self.parameters)
-
-
-def _same(one: object, other: object) -> bool:
-    return one is other
 
 
 def _shortest(size: int, edges: Index, length: Array, start: int) -> list[int] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -41,11 +41,11 @@ class Arms:
     rotation: Array
     torsion: Array
 
-    @staticmethod
-    def of(constants: Constants, equilibria: Sequence[Equilibrium]) -> Arms:
-        """Those of a list of equilibria."""
+    @classmethod
+    def of(cls, constants: Constants, equilibria: Sequence[Equilibrium], **more: Any) -> Self:
+        """Those of a list of equilibria; with `more` of what bears a load."""
         sizes = [len(e.arc_length) for e in equilibria]
-        return Arms(
+        return cls(
             constants=constants,
             equilibria=tuple(equilibria),
             first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp),
@@ -54,6 +54,7 @@ class Arms:
             tangent=np.concatenate([e.frame[:, :, 2] for e in equilibria]),
             rotation=np.concatenate([e.rotation.T for e in equilibria]),
             torsion=np.concatenate([e.torsion.T for e in equilibria]),
+            **more,
         )
 
     @cached_property
@@ -69,8 +70,7 @@ class Arms:
     @cached_property
     def _key(self) -> tuple[Array, float]:
         stride = 2.0 * float(self.arc_length.max(initial=0.0)) + 1e-3
-        owner = np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
-        return self.arc_length + owner * stride, stride
+        return self.arc_length + self.owner * stride, stride
 
     @cached_property
     def owner(self) -> Index:
@@ -281,14 +281,18 @@ class Intervals:
             points.append(self.arms.points(e[which], low + x * (high - low)))
         return points[0], points[1]
 
+    @property
+    def parts(self) -> tuple[tuple[Index, Array], tuple[Index, Array]]:
+        """At either end equilibria and arc lengths (B, K, PARTS + 1), of the ends of PARTS stretches of a section."""
+        x = np.linspace(0.0, 1.0, PARTS + 1)
+        before, after = (cuts[:, :-1, None] + x * np.diff(cuts, axis=1)[:, :, None] for cuts in (self.begin, self.end))
+        one, other = (np.broadcast_to(e[:, None, None], before.shape) for e in (self.one, self.other))
+        return (one, before), (other, after)
+
     @cached_property
     def changes(self) -> tuple[Array, Array]:
         """(B, K, n) and (B, K, n, n): by how much theta_i, and theta_i - theta_j, differ at most between both ends, at
         the ends of PARTS stretches of every section."""
-        x = np.linspace(0.0, 1.0, PARTS + 1)
-        tables = []
-        for e, cuts in ((self.one, self.begin), (self.other, self.end)):
-            s = cuts[:, :-1, None] + x * np.diff(cuts, axis=1)[:, :, None]
-            tables.append(self.arms.rotations(np.broadcast_to(e[:, None, None], s.shape), s))
-        change = tables[1] - tables[0]
+        before, after = (self.arms.rotations(*places) for places in self.parts)
+        change = after - before
         return np.abs(change).max(2), np.abs(change[..., :, None] - change[..., None, :]).max(2)

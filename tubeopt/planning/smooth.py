@@ -21,7 +21,6 @@ from .path_program import (
     TABLES,
     PathProgram,
     PathQuestion,
-    parameter_values,
     path_program,
     path_quantities,
 )
@@ -117,17 +116,16 @@ def smooth(
         near = _near(task, z)
         if task.chart.size > task.effort.smoothing_operations or clock.left < clock.crowding * building(near):
             return None
-        solved = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
-        if solved is None:
+        found = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
+        if found is None:
             return None
-        motion, found, count = solved
-        iterations += count
-        bad, short = violated(task, start, motion, clock, (motion.time, found))
+        iterations += found.iterations
+        bad, short = violated(task, start, found.motion, clock, (found.motion.time, found.points))
         if not bad.any():
-            return Smoothed(motion, found, iterations)
+            return replace(found, iterations=iterations)
         if clock.over:
             return None
-        z, share = _split(found, share, bad)
+        z, share = _split(found.points, share, bad)
         room += 1.5 * short
     return None
 
@@ -167,8 +165,8 @@ def _solve(
     aim: tuple[str, tuple[Expression, float] | None],
     room: tuple[float, float],
     clock: Clock,
-) -> tuple[Motion, Array, int] | None:
-    """The program's solution from knots (K, m) in the chart: motion, knots, iterations.
+) -> Smoothed | None:
+    """The program's solution from knots (K, m) in the chart.
 
     `aim`: the objective, and an own cost with its weight.  `room`: above the margin and the clearance (m) to keep, at
     knots.
@@ -185,7 +183,7 @@ def _solve(
     unit = _duration(q, time, rate, acceleration)
     length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)
     weights = np.array(WEIGHTS[objective]) * [length**-2, 1.0, length**-2, 1.0]
-    p = parameter_values(
+    p = program.values(
         robot=task.chart.parameters,
         offset=space.offset[n:],
         scale=scale,
@@ -212,7 +210,7 @@ def _solve(
     tips = x[2 * size : 2 * size + n * len(q)].reshape(len(q), n)
     duration = float(np.sqrt(x[-2])) * unit
     motion = cubic(time * duration, joints, rates / duration)
-    return motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"])
+    return Smoothed(motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"]))
 
 
 def begin_rates(q: Array, time: Array) -> Array:
@@ -272,7 +270,7 @@ def _bounds(
     upper = {name: np.full(size, inf) for name, size in rows.items()}
     for name in ("speed", "force", "twist"):
         upper[name][:] = 0.0
-    inside = np.repeat((np.arange(knots) > 0) & (np.arange(knots) < knots - 1), 1)[:, None]
+    inside = ((np.arange(knots) > 0) & (np.arange(knots) < knots - 1))[:, None]
     lower["order"] = np.tile(space.least / space.length - ROUND_OFF, 2 * (knots - 1))
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
@@ -322,12 +320,6 @@ def _apart(task: Task, time: Array, tracked: Tracked, places: tuple[Array, Array
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:
     """Knots and shares of the time with a knot in the middle of each bad interval."""
-    points, parts = [z[0]], []
-    for k, part in enumerate(share):
-        if bad[k]:
-            points.append((z[k] + z[k + 1]) / 2)
-            parts += [part / 2, part / 2]
-        else:
-            parts.append(part)
-        points.append(z[k + 1])
-    return np.array(points), np.array(parts)
+    after = np.flatnonzero(bad) + 1
+    points = np.insert(z, after, (z[after - 1] + z[after]) / 2, axis=0)
+    return points, np.repeat(np.where(bad, share / 2, share), 1 + bad)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -21,13 +21,12 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import Built, actuators, build
-from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
+from .building import passing
+from .goals import LEAST_SECONDS, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked
 from .reach import least_miss
-from .timing import through
 from .trajectory import PlanStatistics, Trajectory
 
 LONGEST = 1000
@@ -124,10 +123,9 @@ def follow_tip_path(  # noqa: PLR0913
                 if stuck.share >= furthest:
                     furthest, reason = stuck.share, str(stuck)
                 break
-            made = _make(task, equilibria, curve, rate_limits, clock)
-            if isinstance(made, Trajectory) and made.deviation is not None and made.deviation.max() <= tolerance:
+            made, reason = _make(task, equilibria, curve, rate_limits, clock)
+            if made is not None and made.deviation is not None and made.deviation.max() <= tolerance:
                 return made
-            reason = "between its points the tip leaves the curve" if isinstance(made, Trajectory) else "; ".join(made)
             furthest, spacing = 1.0, spacing / 2
             if clock.over:
                 break
@@ -241,20 +239,15 @@ def _track(
 
 def _make(
     task: Task, equilibria: Sequence[Equilibrium], curve: Array, rates: RateLimits, clock: Clock
-) -> Trajectory | tuple[str, ...]:
-    """Time the joint values, prove them, and measure the tip's distance from the curve; else what is wrong."""
-    space = task.chart.space
-    q = np.array([space.join(e.rotations, e.translations) for e in equilibria])
-    searched = clock.seconds
-    motion = through(q, task.scale, actuators(task, equilibria[0], rates))
-    end = End(task.chart.of(equilibria[-1]), q[-1], (0,) * space.robot.n_tubes)
-    built = build(task, equilibria[0], end, motion, rates, clock)
-    if not isinstance(built, Built):
-        return built
-    length = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
-    done = clock.seconds
-    statistics = PlanStatistics("tip path", "", len(q), length, length, 0, len(q), searched, 0.0, done - searched, done)
-    return built.trajectory(task, equilibria[0], end, rates, statistics, distance_from(curve, built.tip))
+) -> tuple[Trajectory | None, str]:
+    """A proved motion with these tips and how far its tip leaves the curve; else what is wrong."""
+    q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
+    found = PlanStatistics("tip path", "", len(q), 0.0, 0.0, 0, len(q), clock.seconds)
+    made = passing(task, equilibria[0], q, task.chart.of(equilibria[-1]), rates, clock, found)
+    if not isinstance(made, Trajectory):
+        return None, "; ".join(made)
+    made = replace(made, deviation=distance_from(curve, made.tip_position))
+    return made, "between its points the tip leaves the curve"
 
 
 def distance_from(curve: Array, points: Array) -> Array:

@@ -41,9 +41,9 @@ class PlanStatistics:
     iterations: int
     knots: int
     search_seconds: float
-    smooth_seconds: float
-    proof_seconds: float
-    seconds: float
+    smooth_seconds: float = 0.0
+    proof_seconds: float = 0.0
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -68,7 +69,7 @@ def workspace(
     if not count:
         raise InputError(f"samples is {samples}; a grid of no more points has none that keeps the tubes in order")
     sink = _Memory(robot, count) if out is None else _Disk(robot, count, Path(out), _spec(robot, method, seed, count))
-    with sink:
+    with closing(sink):
         done = sink.done
         if progress is not None:
             progress(done, count)
@@ -166,11 +167,8 @@ class _Memory:
         self._table = np.full((count, width(robot.n_tubes)), np.nan)
         self._failures: list[tuple[int, str]] = []
 
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, *_: object) -> None:
-        pass
+    def close(self) -> None:
+        """Nothing is open."""
 
     def append(self, rows: Array, failures: list[tuple[int, str]]) -> None:
         """Add rows."""
@@ -225,10 +223,8 @@ class _Disk:
         self._file.truncate(start + rows * 8 * self._width)
         return rows
 
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Close the file."""
         self._file.close()
 
     def append(self, rows: Array, failures: list[tuple[int, str]]) -> None:

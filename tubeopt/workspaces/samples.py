@@ -135,13 +135,8 @@ def _bounds(space: JointSpace, forward: Array) -> tuple[Array, Array]:
     """Least and greatest value of each of forward q over all admissible q."""
     bounds = list(zip(space.lower.tolist(), space.upper.tolist(), strict=True))
     rows = {"A_ub": -space.rows, "b_ub": -space.least} if len(space.least) else {}
-    ends = []
-    for row in forward:
-        if np.count_nonzero(row) == 1 and not (space.rows @ row).any() if len(space.least) else True:
-            k = int(np.argmax(row))
-            ends.append((bounds[k][0], bounds[k][1]))
-            continue
-        least, most = (scipy.optimize.linprog(sign * row, bounds=bounds, **rows) for sign in (1.0, -1.0))
-        ends.append((float(least.fun), -float(most.fun)))
-    low, high = np.array(ends).T
+    low, high = (
+        np.array([sign * scipy.optimize.linprog(sign * row, bounds=bounds, **rows).fun for row in forward])
+        for sign in (1.0, -1.0)
+    )
     return low, np.maximum(low, high)

@@ -67,12 +67,10 @@ def shared_workspace(
 
 def _tips(workspace: Workspace, min_margin: float) -> Array:
     require_samples(workspace)
-    table = workspace.table
-    tips = table[held(table, min_margin)]
-    n = workspace.robot.n_tubes
+    tips = np.asarray(workspace.tip_position[held(workspace.table, min_margin)])
     if not len(tips):
         raise InputError(f"no sample of the workspace has a margin of {min_margin:g}")
-    return np.asarray(tips[:, 2 * n : 2 * n + 3])
+    return tips
 
 
 def _shared(tips: Sequence[Array], bases: tuple[Frame, Frame], size: float) -> SharedWorkspace:

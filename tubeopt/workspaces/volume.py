@@ -129,15 +129,11 @@ def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margi
     """
     if radius is not None:
         positive("radius", radius)
-    tips = _some_tips(workspace, min_margin)
+    table = workspace.some(20_000)
+    tips = np.asarray(table[held(table, min_margin), -7:-4])
     value, reach = alpha_shape(tips, radius)
     half, _ = alpha_shape(tips[: len(tips) // 2], radius)
     return Volume(value, "alpha", reach, half, float("nan"), float("nan"))
-
-
-def _some_tips(workspace: Workspace, min_margin: float) -> Array:
-    table = workspace.some(20_000)
-    return np.asarray(table[held(table, min_margin), -7:-4])
 
 
 def alpha_shape(points: Array, radius: float | None = None) -> tuple[float, float]:
