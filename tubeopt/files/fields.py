@@ -143,9 +143,13 @@ def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
 # --- the fields ------------------------------------------------------------------------------------------------------
 
 
-@functools.lru_cache(maxsize=256)
 def described(what: Any) -> tuple[Described, ...]:
     """The fields of a dataclass that are keys, in order."""
+    return _keys(what)
+
+
+@functools.lru_cache(maxsize=256)
+def _keys(what: Any) -> tuple[Described, ...]:
     return tuple(_described(field) for field in marked(what))
 
 
