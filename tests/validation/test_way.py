@@ -307,7 +307,7 @@ def test_what_is_held_out_to_first_order_is_what_is_held_out() -> None:
     chosen = choose_parameters(robot(), data, NAMES)
     problem = FitProblem(ArmModel(robot(), data, chosen), options)
     fold = deal(data, 6, passes(data).place)
-    exact = hold_out(problem.model, problem.weights(), problem.fit, fold).residuals
+    exact = hold_out(problem.model, problem.weights(), problem.fit, fold)
     told = predicted_held_out(problem.model, problem.weights(), problem.fit, fold)
     moved = np.linalg.norm(exact - problem.fit.residuals, axis=1)
     assert moved.max() > 0.05 * MM

@@ -123,11 +123,6 @@ class Marked:
         return next((mark for mark in self.marks if isinstance(mark, kind)), None)
 
 
-@functools.lru_cache(maxsize=256)
-def _hints(what: Any) -> dict[str, Any]:
-    return typing.get_type_hints(what, include_extras=True)
-
-
 def marked(what: Any) -> tuple[Marked, ...]:
     """The fields of a dataclass that say something about themselves, in order."""
     return _marked(what)
@@ -135,7 +130,8 @@ def marked(what: Any) -> tuple[Marked, ...]:
 
 @functools.lru_cache(maxsize=256)
 def _marked(what: Any) -> tuple[Marked, ...]:
-    known = [(field, _hints(what)[field.name]) for field in dataclasses.fields(what)]
+    hints = typing.get_type_hints(what, include_extras=True)
+    known = [(field, hints[field.name]) for field in dataclasses.fields(what)]
     return tuple(_read(field, hint) for field, hint in known if get_origin(hint) is Annotated)
 
 

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import logging
 from decimal import Decimal
+from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo
+from pydantic import Discriminator, Field, Tag
 
 from ..errors import InputError
-from ..files.checked import Entry, Number, Positive
+from ..files.checked import Entry, Number, Positive, in_file
 from ..files.csv_file import read_csv
 from ..files.fields import Part, entry_of, to_data
 from ..files.marks import Usual
 from ..files.plausible import unusual
-from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, shown, to_si
+from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, to_si
 from ..typing import Array
 from .pieces import Piece, Slots, check_table
 from .series import Quantity, Series, extremes, spline, turned
@@ -98,11 +99,8 @@ else:
     SlotsEntry = entry_of(Slots)
 
 
-def _load_table(value: object, info: ValidationInfo) -> tuple[Array, Array]:
+def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
     """Arc lengths (k,), m, and u* (k, 3), 1/m, of a table in a CSV file."""
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
-    path = info.context["directory"] / value if info.context else value
     table = read_csv(path)
     wanted = [*COLUMNS, *(["twist_deg_per_mm"] if "twist_deg_per_mm" in table.columns else [])]
     for name in table.columns:
@@ -132,7 +130,7 @@ def _load_table(value: object, info: ValidationInfo) -> tuple[Array, Array]:
 
 Table = Annotated[
     Any,
-    PlainValidator(_load_table, json_schema_input_type=str),
+    in_file(_load_table, "a CSV file"),
     Field(description=f"path of a CSV file, relative to this file, with {', '.join(COLUMNS)} and twist_deg_per_mm"),
 ]
 

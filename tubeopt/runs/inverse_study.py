@@ -153,12 +153,8 @@ class InverseStudy(LoadedStudy):
             return None
         return joints_of(self.robot, self.reference_deg, self.reference_mm)
 
-    def _seed(self) -> tuple[Array, Array] | None:
-        """Joint values where the robot is."""
-        return self.start
-
-    def _options(self) -> InverseOptions:
-        return InverseOptions(
+    def _common(self) -> dict[str, Any]:
+        options = InverseOptions(
             objective=self.objective,
             direction_weight=None if self.direction_weight is None else float(self.direction_weight),
             clearance=to_si(self.clearance_mm, MM),
@@ -166,13 +162,7 @@ class InverseStudy(LoadedStudy):
             starts=self.starts,
             time_limit=float(self.time_limit_s),
         )
-
-    def _common(self) -> dict[str, Any]:
-        return {
-            "min_margin": float(self.min_margin),
-            "obstacles": self.bodies,
-            "options": self._options(),
-        }
+        return {"seed": self.start, "min_margin": float(self.min_margin), "obstacles": self.bodies, "options": options}
 
     def run(self, progress: Progress | None = None) -> Postures | TargetTable:
         """The answers; raises SolveError where a single target has none, and closest is not asked for."""
@@ -186,7 +176,6 @@ class InverseStudy(LoadedStudy):
         direction = None if self.direction is None else [float(x) for x in self.direction]
         given: dict[str, Any] = {
             "direction": direction,
-            "seed": self._seed(),
             "reference": self._reference(),
             "on_failure": on_failure,
             "reachable": self.reachable and self.pushing() is None,
@@ -201,7 +190,7 @@ class InverseStudy(LoadedStudy):
 
     def _table(self, targets: Targets, on_failure: str, progress: Progress | None) -> TargetTable:
         rows: list[Row] = []
-        session = IkSession(self.robot, seed=self._seed(), **self._common()) if self.follow else None
+        session = IkSession(self.robot, **self._common()) if self.follow else None
         for k, position in enumerate(targets.position):
             direction = None if targets.direction is None else targets.direction[k]
             try:
@@ -212,7 +201,6 @@ class InverseStudy(LoadedStudy):
                         self.robot,
                         position,
                         direction=direction,
-                        seed=self._seed(),
                         reference=self._reference(),
                         on_failure=on_failure,
                         reachable=self.reachable and self.pushing() is None,

@@ -33,8 +33,6 @@ MeasurementsPath = Annotated[
 ]
 """Measurements of the study's robot, given as the path of their file."""
 
-"""x, y and z."""
-
 
 class ValidationStudy(Study):
     """How far measured tips are from the model's, and which parameters bring them closest."""

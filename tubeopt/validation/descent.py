@@ -125,14 +125,18 @@ class Descent:
     obstacle: str = ""
 
 
+def weighted_sums(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, Array]:
+    """J'WJ (Q, Q) and J'Wr (Q,) of observations with weights (V,)."""
+    flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
+    weighted = flat * np.repeat(w, 3)[:, None]
+    return weighted.T @ flat, weighted.T @ residuals.ravel()
+
+
 def normal_equations(
     model: ArmModel, weights: Weights, state: State, residuals: Array, jacobian: Array
 ) -> tuple[Array, Array]:
     """J'WJ with the priors (Q, Q), and half the gradient (Q,)."""
-    w = weights.of(residuals)
-    flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
-    weighted = flat * np.repeat(w, 3)[:, None]
-    square, slope = weighted.T @ flat, weighted.T @ residuals.ravel()
+    square, slope = weighted_sums(jacobian, residuals, weights.of(residuals))
     count = len(state.x)
     inverse = 1 / weights.prior**2
     square[np.arange(count), np.arange(count)] += inverse

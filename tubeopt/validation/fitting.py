@@ -8,7 +8,7 @@ where h_v is what the device should see: positions of stations along the arm and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -316,7 +316,7 @@ class FitProblem:
         out = (
             (None, None)
             if fold is None
-            else distances(model, hold_out(model, self.weights(), self.fit, fold, options.solver).residuals)
+            else distances(model, hold_out(model, self.weights(), self.fit, fold, options.solver))
         )
         told(3, 4)
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
@@ -331,7 +331,7 @@ class FitProblem:
             confidence=options.confidence,
             noise=self.sigma[0],
             axis_noise=self.sigma[1] if model.directed.any() else None,
-            before=compare_at(model, replace(model.start), model.robot),
+            before=compare_at(model, model.start, model.robot),
             after=compare_at(model, state, calibrated),
             held_out_errors=None if out[0] is None else out[0][:, 0],
             held_out_axis_errors=out[1],

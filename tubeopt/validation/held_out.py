@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..errors import SolveError
 from ..typing import Array, Index
-from .descent import DEFAULT_SOLVER, Descent, FitSolver, Weights, descend, normal_equations
+from .descent import DEFAULT_SOLVER, Descent, FitSolver, Weights, descend, normal_equations, weighted_sums
 from .model import ArmModel
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Residuals (V, 3) of every observation by the fit to the folds without it; fold (V,)."""
-
-    residuals: Array
-    fold: Index
-
-
-def hold_out(
-    model: ArmModel, weights: Weights, fit: Descent, fold: Index, solver: FitSolver = DEFAULT_SOLVER
-) -> HeldOut:
-    """Residuals of every observation by fits to the other folds, with the slopes of the fit to all; `fold` (N,) is that
-    of each row.
+def hold_out(model: ArmModel, weights: Weights, fit: Descent, fold: Index, solver: FitSolver = DEFAULT_SOLVER) -> Array:
+    """(V, 3) residuals of every observation by fits to the other folds, with the slopes of the fit to all; `fold` (N,)
+    is that of each row.
 
     A fold without which the parameters leave the allowed robots keeps those of the whole fit.
     """
@@ -37,7 +27,7 @@ def hold_out(
             out[own == k] = without.residuals[own == k]
         except SolveError:
             out[own == k] = fit.residuals[own == k]
-    return HeldOut(out, np.asarray(own))
+    return out
 
 
 def predicted_held_out(model: ArmModel, weights: Weights, near: Descent, fold: Index) -> Array:
@@ -50,15 +40,9 @@ def predicted_held_out(model: ArmModel, weights: Weights, near: Descent, fold: I
     out = np.empty_like(near.residuals)
     for k in np.unique(own):
         mine = own == k
-        a, b = _part(jacobian[mine], near.residuals[mine], w[mine])
+        a, b = weighted_sums(jacobian[mine], near.residuals[mine], w[mine])
         out[mine] = near.residuals[mine] + jacobian[mine] @ np.clip(-_solve(square - a, slope - b), *bounds)
     return out
-
-
-def _part(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, Array]:
-    flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
-    weighted = flat * np.repeat(w, 3)[:, None]
-    return weighted.T @ flat, weighted.T @ residuals.ravel()
 
 
 def _solve(square: Array, slope: Array) -> Array:
@@ -73,7 +57,7 @@ def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent, block: Ind
     """
     own, w = block[model.row], weights.of(fit.residuals)
     labels = np.unique(own)
-    parts = [_part(fit.jacobian[own == k], fit.residuals[own == k], w[own == k]) for k in labels]
+    parts = [weighted_sums(fit.jacobian[own == k], fit.residuals[own == k], w[own == k]) for k in labels]
     squares, slopes = np.array([a for a, _ in parts]), np.array([b for _, b in parts])
     whole = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
     prior = whole[0] - squares.sum(0), whole[1] - slopes.sum(0)

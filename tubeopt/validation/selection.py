@@ -194,19 +194,25 @@ class _Search:
     def _earlier(self) -> _Trial | None:
         """A set with an effect of the table in the place of one behind it, where the data do not speak strongly against
         it; what is held out at few places, and charged for parameters, is no such evidence."""
-        order, now, sets, solver = list(self.known), Effects(self.now.effects), self.sets, self.options.solver
-        limit = self._seen(self.now) + solver.strong * sets.inflation
-        near = sets.seen(now) + (solver.strong + solver.crooked) * sets.inflation
+        order = list(self.known)
         for kind in reversed(self.now.effects):
             for other in order[: order.index(kind)]:
-                fewer = now - {kind}
-                changed = fewer | {other}
-                if other in now or sets.seen(changed) > near or sets.lost(changed) >= sets.lost(fewer):
-                    continue  # it must predict better than nothing in its place, not only cost little
-                trial = self._tried(changed)
-                if trial is not None and self._seen(trial) <= limit:
+                trial = self._in_place(other, kind)
+                if trial is not None:
                     return trial
         return None
+
+    def _in_place(self, other: str, kind: str) -> _Trial | None:
+        """The set with another effect in the place of one of now; None where the data speak strongly against it."""
+        sets, now, solver = self.sets, Effects(self.now.effects), self.options.solver
+        fewer, room = now - {kind}, solver.strong * sets.inflation
+        changed = fewer | {other}
+        if other in now or sets.seen(changed) > sets.seen(now) + room + solver.crooked * sets.inflation:
+            return None
+        if sets.lost(changed) >= sets.lost(fewer):
+            return None  # it must predict better than nothing in its place, not only cost little
+        trial = self._tried(changed)
+        return trial if trial is not None and self._seen(trial) <= self._seen(self.now) + room else None
 
     def _fewer(self) -> _Trial | None:
         """The set without the effect that is least worth its price by the fit to all; None where all are worth it."""
@@ -351,18 +357,7 @@ class _Search:
 
     def _rivals(self, kind: str) -> tuple[str, ...]:
         """Other effects that predict as well in the place of one that is kept."""
-        sets, now, solver = self.sets, Effects(self.now.effects), self.options.solver
-        fewer, room = now - {kind}, solver.strong * sets.inflation
-        near, limit = sets.seen(now) + room + solver.crooked * sets.inflation, self._seen(self.now) + room
-        found = []
-        for other in self.known:
-            changed = fewer | {other}
-            if other in now or sets.seen(changed) > near or sets.lost(changed) >= sets.lost(fewer):
-                continue
-            trial = self._tried(changed)
-            if trial is not None and self._seen(trial) <= limit:
-                found.append(other)
-        return tuple(found)
+        return tuple(other for other in self.known if self._in_place(other, kind) is not None)
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
         """Part by which the held-out error falls, and that over its standard error between blocks."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration
 from ..robots.concentric import ConcentricRobot, friction_of
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
@@ -17,7 +18,17 @@ from ..typing import Array
 from .rubbed import with_torque
 
 CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
-CALIBRATED = " (calibrated)"
+
+DRIVES = {
+    "rotation": "rotation_offsets",
+    "rotation_gain": "rotation_gains",
+    "rotation_play": "rotation_play",
+    "translation": "translation_offsets",
+    "translation_gain": "translation_gains",
+    "translation_play": "translation_play",
+    "translation_compliance": "translation_compliance",
+}
+"""Numbers of the drives -> the table of a calibration that holds them."""
 
 
 @dataclass(eq=False)
@@ -70,23 +81,15 @@ class Setup:
         drives = robot.calibration or Calibration.none(robot.n_tubes)
         tubes = members(robot)
         extra = robot.transmission_length if isinstance(robot, EccentricRobot) else 0.0
+        dimensions = dimensions_of(tubes)
+        dimensions["straight_length"] += extra
         pieces = tuple((k, j) for k, tube in enumerate(tubes) if len(tube.pieces) > 1 for j in range(len(tube.pieces)))
         return cls(
             latency=drives.latency,
-            rotation=np.array(drives.rotation_offsets),
-            rotation_gain=np.array(drives.rotation_gains),
-            rotation_play=np.array(drives.rotation_play),
-            translation=np.array(drives.translation_offsets),
-            translation_gain=np.array(drives.translation_gains),
-            translation_play=np.array(drives.translation_play),
-            translation_compliance=np.array(drives.translation_compliance),
+            **{name: np.array(getattr(drives, table)) for name, table in DRIVES.items()},
             friction=_torques(robot),
             clearance=_clearance(robot),
-            curvature=np.array([tube.curvature for tube in tubes]),
-            straight_length=np.array([tube.straight_length + extra for tube in tubes]),
-            curved_length=np.array([tube.curved_length for tube in tubes]),
-            bending_stiffness=np.array([tube.bending_stiffness for tube in tubes]),
-            torsional_stiffness=np.array([tube.torsional_stiffness for tube in tubes]),
+            **dimensions,
             piece_curvature=np.zeros(len(pieces)),
             plate_shift=np.zeros(3),
             plate_tilt=np.zeros(2),
@@ -108,17 +111,8 @@ class Setup:
 
     def calibration(self, found_by: str = "") -> Calibration | None:
         """The part that the drives have; None where they read true."""
-        found = Calibration(
-            rotation_offsets=tuple(self.rotation.tolist()),
-            translation_offsets=tuple(self.translation.tolist()),
-            rotation_gains=tuple(self.rotation_gain.tolist()),
-            translation_gains=tuple(self.translation_gain.tolist()),
-            rotation_play=tuple(self.rotation_play.tolist()),
-            translation_play=tuple(self.translation_play.tolist()),
-            translation_compliance=tuple(self.translation_compliance.tolist()),
-            latency=self.latency,
-            found_by=found_by,
-        )
+        tables: dict[str, Any] = {table: tuple(getattr(self, name).tolist()) for name, table in DRIVES.items()}
+        found = Calibration(**tables, latency=self.latency, found_by=found_by)
         return None if found.trivial else found
 
     def robot(self, given: Robot, found_by: str = "") -> CommonRobot:
@@ -149,7 +143,7 @@ class Setup:
         changed |= {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
         kb, kt = float(self.bending_stiffness[k]), float(self.torsional_stiffness[k])
         if kb != first.bending_stiffness[k] or kt != first.torsional_stiffness[k]:
-            changed |= _stiffness(tube, kb, kt)
+            changed |= {"bending_stiffness": kb, "torsional_stiffness": kt}
         return replace(tube, **changed | self._pieces(tube, k, first))
 
     def _pieces(self, tube: Tube, k: int, first: Setup) -> dict[str, Any]:
@@ -167,7 +161,6 @@ class Setup:
         return {"pieces": pieces, "curvature": bend * max(piece.largest_curvature for piece in pieces)}
 
 
-DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
 TUBES = ("friction", "clearance", "piece_curvature", *DIMENSIONS)
 """What describes the tubes, how they rub, and how loose they are."""
 
@@ -183,16 +176,6 @@ def _clearance(robot: Robot) -> Array:
     if not isinstance(robot, ConcentricRobot):
         return np.zeros(0)
     return np.zeros(robot.n_tubes - 1) if robot.clearance is None else np.array(robot.clearance)
-
-
-def _stiffness(tube: Tube, bending: float, torsional: float) -> dict[str, Any]:
-    """What gives a tube these stiffnesses, N m^2: themselves, or moduli where they follow from the material."""
-    if any(field.name == "bending_stiffness" for field in fields(tube)):
-        return {"bending_stiffness": bending, "torsional_stiffness": torsional}
-    moduli: dict[str, Any] = {"youngs_modulus": bending / tube.second_moment}
-    moduli["shear_modulus"] = torsional / tube.polar_moment
-    name = tube.material.name.removesuffix(CALIBRATED) + CALIBRATED
-    return {"material": replace(tube.material, name=name, **moduli)}
 
 
 def members(robot: Robot) -> tuple[Tube, ...]:
