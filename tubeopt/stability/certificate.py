@@ -121,7 +121,7 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
         >>> round(tubeopt.snap_free_certificate(robot), 3)
         -0.996
     """
-    shift = _shift(robot, translations)
+    shift = shifts(robot, translations)
     assembly = robot.assembly(shift)
     if positive("max_force", max_force, zero=True):
         if assembly.eccentric:
@@ -174,10 +174,6 @@ def estimated_certificate(robot: Robot, shift: Array) -> float:
 
 def _finer(robot: Robot, shift: Array) -> ReducedProblem:
     return reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
-
-
-def _shift(robot: Robot, translations: ArrayLike | None) -> Array:
-    return shifts(robot, translations)
 
 
 def _problem(robot: Robot, shift: Array) -> ReducedProblem:
@@ -236,7 +232,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
         >>> tubeopt.certify(robot).snap_free
         False
     """
-    n, shift = robot.n_tubes, _shift(robot, translations)
+    n, shift = robot.n_tubes, shifts(robot, translations)
     if robot.assembly(shift).eccentric:
         return _of_segments(robot, shift)
     problem, opposition, proved = _problem(robot, shift), None, None

@@ -88,23 +88,31 @@ def loaded_legs(
     for k in range(len(joints) - 1):
         family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
         point = LoadedPoint(0.0, point.member, point.state, point.margin)
-        snaps = list[Snap]()
-        for step in loaded_motion_along(family, point):
-            if isinstance(step, LoadedPoint):
-                point = step
-                continue
-            snaps.append(_snap(robot, load, step, k))
-            if first_only:
-                break
+        point, snaps = loaded_leg(family, point, k, first_only=first_only)
         yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), snaps
         if first_only and snaps:
             return
 
 
-def _snap(robot: Robot, load: Load, event: LoadedEvent, index: int) -> Snap:
-    before = to_loaded(robot, event.loss.point, load, LOADED_DISCRETISATION, ("fold", 0.0))
-    after = to_loaded(robot, event.landed, load, LOADED_DISCRETISATION, ("energy descent", 0.0))
-    return snap_between(index, event.loss.t, before, after)
+def loaded_leg(
+    family: JointFamily, point: LoadedPoint, index: int, *, first_only: bool = False
+) -> tuple[LoadedPoint, list[Snap]]:
+    """The end of a motion from a stable point at t = 0, with `first_only` before its first snap, and the snaps on it,
+    which lie behind the waypoint `index`."""
+    snaps = list[Snap]()
+    for step in loaded_motion_along(family, point):
+        if isinstance(step, LoadedPoint):
+            point = step
+            continue
+        acting = family.load_at(step.loss.t)
+        before, after = (
+            to_loaded(family.path.robot, place, acting, LOADED_DISCRETISATION, (how, 0.0))
+            for place, how in ((step.loss.point, "fold"), (step.landed, "energy descent"))
+        )
+        snaps.append(snap_between(index, step.loss.t, before, after))
+        if first_only:
+            break
+    return point, snaps
 
 
 def _first(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:

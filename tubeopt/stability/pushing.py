@@ -9,16 +9,15 @@ import numpy as np
 from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint
+from ..equilibrium.load_continuation import JointFamily
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..robots.load import Load, between
+from ..robots.load import Load
 from ..solvers.parallel.blas import small
 from .following import Path
-from .loaded_following import loaded_motion_along
-from .snap import Snap, snap_between
+from .loaded_following import loaded_leg
 
 
 @small
@@ -45,16 +44,6 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
     except SolveError:
         here = np.concatenate([alpha, shift])
     family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
-    point, snaps = replace(loaded_point(equilibrium), t=0.0), list[Snap]()
-    for step in loaded_motion_along(family, point):
-        if isinstance(step, LoadedPoint):
-            point = step
-            continue
-        acting = between(before, load, step.loss.t)
-        ends = [
-            to_loaded(robot, place, acting, LOADED_DISCRETISATION, (how, 0.0))
-            for place, how in ((step.loss.point, "fold"), (step.landed, "energy descent"))
-        ]
-        snaps.append(snap_between(0, step.loss.t, *ends))
+    point, snaps = loaded_leg(family, replace(loaded_point(equilibrium), t=0.0), 0)
     end = to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the load before", 0.0))
     return Path((equilibrium, end), tuple(snaps))

@@ -17,7 +17,7 @@ import scipy
 from ..block.transcription.reduced import ReducedProblem
 from ..typing import Array, Index, Mask
 from .settings import SnapSearch
-from .shooting import relative, relative_joints, relative_slope
+from .shooting import relative, relative_joints
 
 TURN = 2 * np.pi
 
@@ -49,14 +49,14 @@ def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable
     tips[places] = seeds
     angles = np.tile(start, (len(tips), 1))
     angles[:, coupled[:-1]] += tips
-    joints = relative_joints(problem, coupled, angles) - origin
-    determinant = np.linalg.det(relative_slope(problem, coupled, angles))
+    joints, slope = relative_joints(problem, coupled, angles)
+    determinant = np.linalg.det(slope)
     determinant[places] = np.minimum(determinant[places], 0.0)
     turns = min(effort.sheet_turns, int(((effort.sheet_nodes / len(tips)) ** (1 / d) - 1) / 2))
     whole = (2 * turns + 1,) * d
     offset = np.stack(np.meshgrid(*[np.repeat(np.arange(-turns, turns + 1), size)] * d, indexing="ij"), axis=-1)
     return Sheet(
-        np.tile(joints.reshape(*shape, d), (*whole, 1)) + TURN * offset,
+        np.tile((joints - origin).reshape(*shape, d), (*whole, 1)) + TURN * offset,
         np.tile(determinant.reshape(shape), whole),
         (turns * size,) * d,
     )

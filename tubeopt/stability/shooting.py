@@ -137,17 +137,12 @@ def relative(angles: Array, free: Index) -> Array:
     return angles[:, free[:-1]] - angles[:, free[-1:]]
 
 
-def relative_joints(problem: ReducedProblem, free: Index, tips: Array) -> Array:
-    """(B, d) joint rotations of tip angles (B, n), relative to that of the last of the tubes `free`."""
-    return relative(to_base(problem, tips), free)
-
-
-def relative_slope(problem: ReducedProblem, free: Index, tips: Array) -> Array:
-    """(B, d, d) derivatives of the relative joint rotations with respect to the relative tip angles."""
-    by_tip = shoot(whole(problem), tips, slopes=True).by_tip
-    assert by_tip is not None
-    own = free[:-1]
-    return np.asarray(by_tip[:, own[:, None], own] - by_tip[:, free[-1:, None], own])
+def relative_joints(problem: ReducedProblem, free: Index, tips: Array) -> tuple[Array, Array]:
+    """(B, d) joint rotations of tip angles (B, n), relative to that of the last of the tubes `free`, and their
+    derivatives (B, d, d) by the relative tip angles."""
+    shot, own = shoot(whole(problem), tips, slopes=True), free[:-1]
+    assert shot.by_tip is not None
+    return relative(shot.rotations, free), shot.by_tip[:, own[:, None], own] - shot.by_tip[:, free[-1:, None], own]
 
 
 def profiles(problem: ReducedProblem, tips: Array) -> Array:
