@@ -24,7 +24,7 @@ from ..bodies.frames import Frame
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..typing import Array, Index, Mask
-from .clearing import SHARE, Wanted
+from .clearing import SHARE, Table, Wanted, parted
 from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
 from .sections import Intervals
 
@@ -99,7 +99,7 @@ def tracked(follower: Follower, first: Equilibrium, time: Array, joints: Array, 
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class Side(Table):
     """Of N cells what belongs to one arm: link, section, fractions x (N, 2) of it, and points (N, 2 along, 2 in time,
     3), m."""
 
@@ -107,10 +107,6 @@ class Side:
     section: Index
     x: Array
     points: Array
-
-    def chosen(self, rows: Mask | Index) -> Side:
-        """Some of them."""
-        return Side(self.link[rows], self.section[rows], self.x[rows], self.points[rows])
 
     def along(self) -> Array:
         """(N,) squares of their length, m^2."""
@@ -125,22 +121,14 @@ class Side:
     def halved(self, track: Track, t: Array) -> tuple[Side, Side]:
         """Both halves along the arm."""
         middle = self.x.mean(1)
-        new = track.places(self.link, self.section, middle, t)
-        parts = []
-        for k in (0, 1):
-            x, points = self.x.copy(), self.points.copy()
-            x[:, 1 - k], points[:, 1 - k] = middle, new
-            parts.append(replace(self, x=x, points=points))
-        return parts[0], parts[1]
+        points = parted(self.points, 1, track.places(self.link, self.section, middle, t))
+        one, other = (replace(self, x=x, points=p) for x, p in zip(parted(self.x, 1, middle), points, strict=True))
+        return one, other
 
     def brief(self) -> tuple[Side, Side]:
         """Both halves in time."""
-        middle, parts = self.points.mean(2), []
-        for k in (0, 1):
-            points = self.points.copy()
-            points[:, :, 1 - k] = middle
-            parts.append(replace(self, points=points))
-        return parts[0], parts[1]
+        one, other = (replace(self, points=points) for points in parted(self.points, 2, self.points.mean(2)))
+        return one, other
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,20 +160,11 @@ class PairCells:
                 parts.append(replace(some, sides=(half, some.sides[1]) if k == 0 else (some.sides[0], half)))
         some = self.chosen(most == 2)
         firsts, seconds = (side.brief() for side in some.sides)
-        for k in (0, 1):
-            t = some.t.copy()
-            t[:, 1 - k] = some.t.mean(1)
-            parts.append(replace(some, t=t, sides=(firsts[k], seconds[k])))
-        return _joined(parts)
-
-
-def _joined(parts: Sequence[PairCells]) -> PairCells:
-    sides = []
-    for k in (0, 1):
-        names = Side.__dataclass_fields__
-        sides.append(Side(*(np.concatenate([getattr(part.sides[k], name) for part in parts]) for name in names)))
-    which, t = (np.concatenate([getattr(part, name) for part in parts]) for name in ("which", "t"))
-    return PairCells(which, t, (sides[0], sides[1]))
+        for t, one, other in zip(parted(some.t, 1, some.t.mean(1)), firsts, seconds, strict=True):
+            parts.append(replace(some, t=t, sides=(one, other)))
+        first, second = (Side.joined([part.sides[k] for part in parts]) for k in (0, 1))
+        which, t = (np.concatenate([getattr(part, name) for part in parts]) for name in ("which", "t"))
+        return PairCells(which, t, (first, second))
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ def motions_near(
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
     effort, found = task.effort, []
-    scanned = aim == "length" and extra is None and _scanned(task)
+    scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
     most = effort.scanned_seconds * clock.crowding if scanned else effort.smoothing_seconds
     own = Clock(min(most, effort.smoothing_share * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
@@ -73,10 +73,6 @@ def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) 
         return length >= SHORT
     straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
     return 1 - straight / length > (task.effort.worth_among_bodies if task.obstacles else task.effort.worth_smoothing)
-
-
-def _scanned(task: Task) -> bool:
-    return any(isinstance(body, DistanceField) for body in task.obstacles)
 
 
 def _rounded(task: Task, first: Equilibrium, way: tuple[Array, Array], limits: Limits, clock: Clock) -> Motion | None:

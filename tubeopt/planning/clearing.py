@@ -14,7 +14,9 @@ closest are halved until what the bound gives away is small.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -45,7 +47,21 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class Table:
+    """Arrays with a row for each of N."""
+
+    def chosen(self, rows: Mask | Index) -> Self:
+        """Some of them."""
+        return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """All of several."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+
+@dataclass(frozen=True, eq=False)
+class Cells(Table):
     """N cells: interval, section, fractions (N, 2) of the section and (N, 2) of the time, and at their corners
     (N, 2 along, 2 in time): points (..., 3) and distances of the centreline from bodies, m."""
 
@@ -59,13 +75,9 @@ class Cells:
     def __len__(self) -> int:
         return len(self.which)
 
-    def chosen(self, rows: Mask) -> Cells:
-        """Some of them."""
-        return Cells(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
 
 @dataclass(frozen=True, eq=False)
-class Sizes:
+class Sizes(Table):
     """Of cells (N,): squares of their length and of their way in time, how far the arm bends off them, how far it may
     be off a straight line in time, and its radius, m."""
 
@@ -74,10 +86,6 @@ class Sizes:
     sagitta: Array
     off: Array
     radius: Array
-
-    def chosen(self, rows: Mask) -> Sizes:
-        """Those of some."""
-        return Sizes(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     @staticmethod
     def of(cells: Cells, intervals: Intervals, off: Array) -> Sizes:
@@ -159,21 +167,20 @@ def _first(intervals: Intervals) -> Cells:
 
 def _halved(cells: Cells, intervals: Intervals, along: Mask, scene: Scene, within: float) -> Cells:
     """Both halves of all cells, in length or else in time; distances at new corners are told up to `within`."""
-    parts = []
+    parts: list[Cells] = []
     long, brief = cells.chosen(along), cells.chosen(~along)
-    middle = long.x.mean(1)
-    one, other = intervals.places(long.which, long.section, middle)
+    one, other = intervals.places(long.which, long.section, long.x.mean(1))
     new = (1 - long.t[..., None]) * one[:, None] + long.t[..., None] * other[:, None]
-    told = scene.nearest(new.reshape(-1, 3), within).reshape(-1, 2)
-    for k in (0, 1):
-        x, points, distance = long.x.copy(), long.points.copy(), long.distance.copy()
-        x[:, 1 - k], points[:, 1 - k], distance[:, 1 - k] = middle, new, told
-        parts.append(replace(long, x=x, points=points, distance=distance))
-    new = brief.points.mean(2)
-    told = scene.nearest(new.reshape(-1, 3), within).reshape(-1, 2)
-    for k in (0, 1):
-        t, points, distance = brief.t.copy(), brief.points.copy(), brief.distance.copy()
-        t[:, 1 - k], points[:, :, 1 - k], distance[:, :, 1 - k] = brief.t.mean(1), new, told
-        parts.append(replace(brief, t=t, points=points, distance=distance))
-    names = cells.__dataclass_fields__
-    return Cells(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    for some, name, axis, middle in ((long, "x", 1, new), (brief, "t", 2, brief.points.mean(2))):
+        told, share = scene.nearest(middle.reshape(-1, 3), within).reshape(-1, 2), getattr(some, name)
+        tables = parted(share, 1, share.mean(1)), parted(some.points, axis, middle), parted(some.distance, axis, told)
+        for own, points, distance in zip(*tables, strict=True):
+            changed: dict[str, Any] = {name: own}
+            parts.append(replace(some, **changed, points=points, distance=distance))
+    return Cells.joined(parts)
+
+
+def parted(table: Array, axis: int, middle: Array) -> tuple[Array, Array]:
+    """What cells have at both ends of an axis of a table, as their halves have it, which meet in the middle."""
+    low, high = np.take(table, 0, axis), np.take(table, 1, axis)
+    return np.stack([low, middle], axis), np.stack([middle, high], axis)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -275,26 +275,18 @@ def halves(follower: Follower, link: Link) -> list[Link]:
     return [replace(half, unbounded=link.unbounded) for half in parts]
 
 
-def _looked_at(follower: Follower, links: Sequence[Link]) -> list[tuple[Link, bool, Array]]:
+def _looked_at(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Link, bool, Array]]:
     """Every link with whether one stable branch joins its ends, and its `off`."""
-    out: list[tuple[Link, bool, Array]] = []
     for k in range(0, len(links), BATCH):
         some = links[k : k + BATCH]
-        intervals = _intervals(follower, some)
-        found = follower.joined(intervals)
-        counted = (
-            replace(link, unbounded=0 if turned else link.unbounded + 1)
-            for link, turned in zip(some, found.turned.tolist(), strict=True)
-        )
-        out += list(zip(counted, found.unbroken.tolist(), found.off, strict=True))
-    return out
+        found = follower.joined(_intervals(follower, some))
+        told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, strict=True)
+        for link, turned, unbroken, off in told:
+            yield replace(link, unbounded=0 if turned else link.unbounded + 1), unbroken, off
 
 
 def _intervals(follower: Follower, links: Sequence[Link]) -> Intervals:
-    steps: dict[int, Step] = {}
-    for link in links:
-        steps.setdefault(id(link.one), link.one)
-        steps.setdefault(id(link.other), link.other)
+    steps = {id(step): step for link in links for step in (link.one, link.other)}
     number = {key: k for k, key in enumerate(steps)}
     one, other = (np.array([number[id(getattr(link, end))] for link in links]) for end in ("one", "other"))
     return follower.intervals([step.equilibrium for step in steps.values()], one, other)

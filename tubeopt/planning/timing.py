@@ -117,7 +117,7 @@ def _largest(curves: Sequence[scipy.interpolate.PPoly], grids: Sequence[Array], 
         all_tips = limits.tip[1](np.concatenate([curve(s) for curve, s in zip(curves, grids, strict=True)]))
         tips = list(np.split(all_tips, np.cumsum([len(s) for s in grids])[:-1]))
     asked = zip(curves, grids, tips, strict=True)
-    return _paced([_Program.of(curve, s, limits, tip) for curve, s, tip in asked])
+    return [_paced(_Program.of(curve, s, limits, tip)) for curve, s, tip in asked]
 
 
 def _time(s: Array, b: Array) -> Array:
@@ -175,31 +175,23 @@ class _Program:
         return _Program(h, rows_u, rows_b, most)
 
 
-def _paced(programs: Sequence[_Program]) -> list[Array]:
-    """(N + 1,) the largest b of every program: all at once, cell by cell, backwards from their ends and then forwards.
+def _paced(program: _Program) -> Array:
+    """(N + 1,) the largest b of a program: cell by cell, backwards from its end and then forwards.
 
-    Every row is two lines between which u lies, |u + v b| <= w. A program of fewer cells ends in some without rows.
+    Every row is two lines between which u lies, |u + v b| <= w.
     """
-    counts = [len(each.h) for each in programs]
-    most = np.zeros((len(programs), max(counts) + 1))
-    grown = np.full((len(programs), max(counts), 1), 2.0)  # what b grows by with u
-    rows = np.zeros((2, len(programs), max(counts), programs[0].row_u.shape[1]))
-    for k, (count, each) in enumerate(zip(counts, programs, strict=True)):
-        most[k, : count + 1], rows[:, k, :count] = each.most, (each.row_u, each.row_b)
-        grown[k, :count, 0] = 2 * each.h
-    steep = np.abs(rows[0]) > TINY
-    some = np.where(steep, rows[0], 1.0)
-    v, w = np.where(steep, rows[1] / some, 0.0), np.where(steep, 1 / np.abs(some), np.inf)
-    level = np.where(steep, np.inf, 1 / np.maximum(np.abs(rows[1]), TINY)).min(2)
-    most[:, :-1] = np.minimum(most[:, :-1], np.minimum(level, _between(v, w, grown)))
+    grown = 2 * program.h[:, None]  # what b grows by with u
+    steep = np.abs(program.row_u) > TINY
+    some = np.where(steep, program.row_u, 1.0)
+    v, w = np.where(steep, program.row_b / some, 0.0), np.where(steep, 1 / np.abs(some), np.inf)
+    level = np.where(steep, np.inf, 1 / np.maximum(np.abs(program.row_b), TINY)).min(1)
+    most = np.append(np.minimum(program.most[:-1], np.minimum(level, _between(v, w, grown))), program.most[-1])
     # What the next b is at most, of a line; and back from that, where it grows with b.
     slope, bound = 1 - grown * v, grown * w
     grows = slope > TINY
     back, more = 1 / np.where(grows, slope, 1.0), np.where(grows, bound / np.where(grows, slope, 1.0), np.inf)
-    for row, steep, level in zip(most, back, more, strict=True):
-        row[::-1] = _least(row[::-1], steep[::-1], level[::-1])
-    b = [_least(row, steep, level) for row, steep, level in zip(most, slope, bound, strict=True)]
-    return [row[: count + 1] for row, count in zip(b, counts, strict=True)]
+    most = _least(most[::-1], back[::-1], more[::-1])[::-1]
+    return _least(most, slope, bound)
 
 
 def _least(most: Array, steep: Array, level: Array) -> Array:
@@ -239,11 +231,11 @@ def _least(most: Array, steep: Array, level: Array) -> Array:
 
 
 def _between(v: Array, w: Array, grown: Array) -> Array:
-    """(p, N) the largest b for which some u with |u + v b| <= w (p, N, r) leaves the next b no less than 0."""
-    least = np.full(v.shape[:2], np.inf)
-    for k in range(v.shape[2]):
-        one = v[..., k, None]
-        falls = np.concatenate([np.abs(one - v[..., k + 1 :]), one - 1 / grown], axis=2)
-        room = np.concatenate([w[..., k, None] + w[..., k + 1 :], w[..., k, None]], axis=2)
-        np.minimum(least, np.where(falls > 0, room / np.where(falls > 0, falls, 1.0), np.inf).min(2), out=least)
+    """(N,) the largest b for which some u with |u + v b| <= w (N, r) leaves the next b no less than 0."""
+    least = np.full(len(v), np.inf)
+    for k in range(v.shape[1]):
+        one = v[:, k, None]
+        falls = np.concatenate([np.abs(one - v[:, k + 1 :]), one - 1 / grown], axis=1)
+        room = np.concatenate([w[:, k, None] + w[:, k + 1 :], w[:, k, None]], axis=1)
+        np.minimum(least, np.where(falls > 0, room / np.where(falls > 0, falls, 1.0), np.inf).min(1), out=least)
     return least
