@@ -35,12 +35,9 @@ def plot_inverse(
     """
     found = list(solutions) if isinstance(solutions, Sequence) else [solutions]
     first, *others = found
-    arms = [each.equilibrium for each in found]
-    seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in arms]))
     figure = new_figure(7.0, 5.0)
     headed(figure, caption(first.equilibrium) + _alternatives(others))
-    ghosts = [each.equilibrium for each in others]
-    (scene,) = draw_scenes(figure, [first.equilibrium], [ghosts], (seen.elevation, seen.azimuth))
+    (scene,), seen = draw_scenes(figure, [first.equilibrium], [[each.equilibrium for each in others]], view)
     _draw_target(scene, first, seen)
     return figure
 
