@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ...equilibrium.result import Equilibrium
 from ...errors import SolveError
 from ...files.units import TO_MM
 from ...stability import Path, Snap
+from ...typing import Array
 from .style import FAINT, INK, Axes, Figure, headed, name_above, new_figure, number, picture
 
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
@@ -39,16 +40,14 @@ def plot_path(path: Path) -> Figure:
     curve = _curve(path)
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    for k, (name, colour) in enumerate(COORDINATES):
-        _draw_curve(above, curve, path, lambda e, k=k: float(e.tip_position[k]) * TO_MM, colour, name)
-    _draw_curve(below, curve, path, lambda e: e.margin, INK, "margin")
+    _draw_curves(above, curve, path, lambda e: e.tip_position * TO_MM, COORDINATES)
+    _draw_curves(below, curve, path, lambda e: np.array([e.margin]), (("margin", INK),))
     _mark_snaps(above, below, path)
     below.axhline(0, color=FAINT, lw=0.7)
     least = float(np.nanmin([here.margin for _, here in curve if here is not None]))
     below.set_ylim(min(-0.05, least - 0.05), 1.05)
     above.set_ylabel("tip position (mm)")
-    below.set_ylabel("margin")
-    below.set_xlabel("waypoint")
+    below.set(ylabel="margin", xlabel="waypoint")
     last = len(path.equilibria)
     below.set_xlim(1 - 0.02 * last, last + 0.02 * last)
     below.xaxis.get_major_locator().set_params(integer=True)
@@ -100,15 +99,21 @@ def _place(snap: Snap) -> float:
     return snap.index + 1 + snap.fraction
 
 
-def _draw_curve(
-    axes: Axes, curve: Curve, path: Path, quantity: Callable[[Equilibrium], float], colour: str, name: str
+def _draw_curves(
+    axes: Axes,
+    curve: Curve,
+    path: Path,
+    quantities: Callable[[Equilibrium], Array],
+    looks: Sequence[tuple[str, str]],
 ) -> None:
-    """A quantity along the curve, with an open mark where each snap begins, and a full one where it ends."""
-    values = [np.nan if here is None else quantity(here) for _, here in curve]
-    axes.plot([place for place, _ in curve], values, color=colour, lw=1.4, label=name)
-    for snap in path.snaps:
-        for side, face in ((snap.before, "white"), (snap.after, colour)):
-            axes.plot([_place(snap)], [quantity(side)], "o", ms=4, mfc=face, mec=colour, zorder=4, clip_on=False)
+    """Quantities along the curve, with an open mark where each snap begins, and a full one where it ends."""
+    values = [np.full(len(looks), np.nan) if here is None else quantities(here) for _, here in curve]
+    for k, (name, colour) in enumerate(looks):
+        axes.plot([place for place, _ in curve], np.array(values)[:, k], color=colour, lw=1.4, label=name)
+        for snap in path.snaps:
+            for side, face in ((snap.before, "white"), (snap.after, colour)):
+                value = quantities(side)[k]
+                axes.plot([_place(snap)], [value], "o", ms=4, mfc=face, mec=colour, zorder=4, clip_on=False)
 
 
 def _mark_snaps(above: Axes, below: Axes, path: Path) -> None:
