@@ -166,8 +166,7 @@ def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
         if part.any():
             axes.hist(values[part], edges.tolist(), color=colour, label=f"{words}, {100 * part.mean():.1f} %")
     axes.axvline(0.0, color=INK, lw=0.8)
-    axes.set_xlabel("certificate")
-    axes.set_ylabel(f"of {len(values)} samples")
+    axes.set(xlabel="certificate", ylabel=f"of {len(values)} samples")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     if poses:
         beside = figure.add_subplot(1, 2, 2)
@@ -175,8 +174,7 @@ def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
         beside.bar(at, analysis.spread_95 * TO_MM, color="#B8CEDF", width=0.7, label="95 % within")
         beside.bar(at, analysis.spread * TO_MM, color=FREE, width=0.35, label="RMS")
         beside.set_xticks(at)
-        beside.set_xlabel("task pose")
-        beside.set_ylabel("distance of the tip (mm)")
+        beside.set(xlabel="task pose", ylabel="distance of the tip (mm)")
         beside.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return headed(figure, heading) if heading else figure
 

@@ -69,8 +69,7 @@ def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) ->
     # What follows the hold is how the tube would cool in its mold; the table tells of the quench.
     axes.text(plan.time[-1], 0.5 * plan.highest, "unquenched", fontsize=7, ha="right", color=FAINT)
     axes.set_ylabel("temperature (°C)")
-    axes.set_ylim(0, None)
-    axes.set_xlim(0, plan.time[-1])
+    axes.set(ylim=(0, None), xlim=(0, plan.time[-1]))
     axes.legend(loc="lower center", fontsize=7, ncols=2, bbox_to_anchor=(0.56, 0.1))
 
 
@@ -101,8 +100,7 @@ def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
 def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
     on = plan.duty > 0
     axes.plot(plan.time[on], plan.voltage[on], color=BATTERY, lw=1.1)
-    axes.set_ylabel("battery (V)")
-    axes.set_xlabel("time (s)")
+    axes.set(ylabel="battery (V)", xlabel="time (s)")
     pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on]))) if on.any() else 0.1
     if on.any():
         axes.set_ylim(plan.voltage[on].min() - pad, plan.voltage[on].max() + pad)
@@ -116,10 +114,8 @@ def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
     axes.plot(x, plan.temperature[end], color=TUBE, lw=1.4, label="hold ends")
     axes.plot(x, plan.ideal_temperature[end], color=IDEAL, lw=0.8, ls="--", label="ideal duty")
     _mark_zones(axes, plan)
-    axes.set_xlim(0, float(x[-1] + x[0]))
-    axes.set_ylim(0, 1.18 * plan.spec.limit)
-    axes.set_xlabel("along the tube, from the end of a clamp (mm)")
-    axes.set_ylabel("temperature (°C)")
+    axes.set(xlim=(0, float(x[-1] + x[0])), ylim=(0, 1.18 * plan.spec.limit))
+    axes.set(xlabel="along the tube, from the end of a clamp (mm)", ylabel="temperature (°C)")
     axes.legend(loc="lower center", fontsize=7)
 
 

@@ -82,11 +82,8 @@ def _draw_board(axes: Axes, board: PegBoard) -> None:
             ha="right" if end == 0 else "left",
             va="center",
         )
-    axes.set_aspect("equal")
-    axes.set_xlim(-2, width + 2)
-    axes.set_ylim(-2, height + 2)
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
+    axes.set(aspect="equal", xlim=(-2, width + 2), ylim=(-2, height + 2))
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
 
 
 def _outwards(board: PegBoard, s: float, *, left: bool) -> Array:

@@ -38,8 +38,7 @@ def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     factor = max(1.0, round_below(LONG_ENOUGH * spread / max(float(np.nanmax(v.errors)), 1e-12)))
     for axes, (i, j) in ((above, (0, 1)), (beside, (0, 2))):
         _draw_arrows(axes, v.predicted[:, [i, j]] * TO_MM, v.residuals[:, [i, j]] * TO_MM, factor)
-        axes.set_xlabel(f"{'xyz'[i]} (mm)")
-        axes.set_ylabel(f"{'xyz'[j]} (mm)")
+        axes.set(xlabel=f"{'xyz'[i]} (mm)", ylabel=f"{'xyz'[j]} (mm)")
     above.set_title("seen along the axis of the base", loc="left")
     beside.set_title("seen from the side", loc="left")
     scale = "to scale" if factor == 1 else f"{factor:g} times their length"
@@ -149,16 +148,13 @@ def _draw_by_separation(axes: Axes, separation: Array, errors: Array) -> None:
         axes.plot([k - 0.28, k + 0.28], [here.mean()] * 2, color=INK, lw=1.4)
         axes.annotate(f"{here.mean():.2f}", (k + 0.3, here.mean()), va="center", fontsize=6.5)
     axes.set_xticks(range(len(np.unique(apart))), [f"{value:g}" for value in np.unique(apart)])
-    axes.set_xlabel("separation (deg), line: mean")
-    axes.set_ylabel("tip error (mm)")
-    axes.set_ylim(0, None)
-    axes.set_xlim(-0.5, len(np.unique(apart)) - 0.2)
+    axes.set(xlabel="separation (deg), line: mean", ylabel="tip error (mm)")
+    axes.set(ylim=(0, None), xlim=(-0.5, len(np.unique(apart)) - 0.2))
 
 
 def _draw_by_row(axes: Axes, errors: Array) -> None:
     axes.plot(np.arange(1, len(errors) + 1), errors, "o", ms=3, mfc="none", mec=PREDICTED, mew=0.9)
-    axes.set_xlabel("row of the measurements")
-    axes.set_ylabel("tip error (mm)")
+    axes.set(xlabel="row of the measurements", ylabel="tip error (mm)")
     axes.set_ylim(0, None)
 
 
@@ -179,8 +175,7 @@ def _draw_histogram(axes: Axes, v: Validation) -> None:
             fontsize=7,
             bbox={"fc": "white", "ec": "none", "pad": 0.8},
         )
-    axes.set_xlabel(f"tip error (mm)\n1 mm is {0.1 / v.length:.2f} % of the length")
-    axes.set_ylabel("configurations")
+    axes.set(xlabel=f"tip error (mm)\n1 mm is {0.1 / v.length:.2f} % of the length", ylabel="configurations")
     axes.set_xlim(0, 1.12 * float(errors.max()) or 1.0)
 
 
@@ -246,12 +241,9 @@ def plot_simulated_circles(
     reach = (
         1.16 * TO_MM * max(np.abs(tips[:, :2]).max() + e.max() for tips, e in zip(circles, table.error, strict=True))
     )
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(-reach, reach)
-    axes.set_aspect("equal")
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     axes.grid()
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
     figure.legend(title="simulated tips; separation", loc="outside lower center", ncols=2)
     axes.set_title(title, loc="left")
     return finish(figure, path)
