@@ -162,7 +162,7 @@ def plot_rig_fit(fit: RigFit) -> Figure:
 @picture
 def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     """Picture of a led heating: curved parts of uncertain rigs over time, near the window, and what moves them."""
-    feedback, spec = answer.feedback, answer.plan.spec
+    feedback = answer.feedback
     figure = new_figure(9.4, 5.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
     whole = figure.add_subplot(grid[0, 0])
@@ -170,8 +170,7 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     history = feedback.history
     inside = history.in_hold(feedback.law)
     for axes in (whole, close):
-        axes.axhspan(*spec.window_degC, color=WINDOW, alpha=WINDOW_ALPHA, lw=0, label="window")
-        axes.axhline(spec.limit, color=INK, lw=0.8, ls=(0, (5, 3)), label="limit")
+        _window(axes, answer.plan)
     running = np.where(history.place < len(feedback.law.planned), 1.0, np.nan)
     whole.plot(history.time, (history.hottest * running)[:, 1:], color=TUBE, lw=0.3, alpha=0.35)
     whole.plot([], [], color=TUBE, label=f"hottest of the curve, {feedback.samples} rigs")
@@ -180,7 +179,7 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     close.plot(history.time, (history.coldest * held)[:, 1:], color=COLD, lw=0.3, alpha=0.35)
     close.plot([], [], color=TUBE, label="hottest of the curve in the hold")
     close.plot([], [], color=COLD, label="coldest")
-    low, high = spec.window_degC
+    low, high = answer.plan.spec.window_degC
     close.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
     times = history.time[inside.any(axis=1)]
     if len(times) > 1:

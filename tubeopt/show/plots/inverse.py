@@ -33,8 +33,7 @@ def plot_inverse(
         solutions: one answer, or several of the same target, the best first.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side.
     """
-    found = list(solutions) if isinstance(solutions, Sequence) else [solutions]
-    first, *others = found
+    first, *others = solutions if isinstance(solutions, Sequence) else [solutions]
     figure = new_figure(7.0, 5.0)
     headed(figure, caption(first.equilibrium) + _alternatives(others))
     (scene,), seen = draw_scenes(figure, [first.equilibrium], [[each.equilibrium for each in others]], view)
@@ -125,6 +124,8 @@ def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) 
     translations = np.array([each.translations for each in arms]) * TO_MM
     for i in range(robot.n_tubes):
         rows[0].plot(way, rotations[:, i], color=tube_colour(i), lw=1.2)
+        end = np.array([way[-1], rotations[-1, i]])
+        note(rows[0], f"tube {i + 1}", end, np.array([3.0, 0.0]), colour=tube_colour(i), level=True)
     for tubes in robot.moving_together:
         rows[1].plot(way, translations[:, tubes[0]], color=tube_colour(tubes[0]), lw=1.2)
     rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.2)
@@ -136,13 +137,4 @@ def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) 
         axes.grid()
     for axes in rows[:2]:
         axes.tick_params(labelbottom=False)
-    for i in range(robot.n_tubes):
-        note(
-            rows[0],
-            f"tube {i + 1}",
-            np.array([way[-1], rotations[-1, i]]),
-            np.array([3.0, 0.0]),
-            colour=tube_colour(i),
-            level=True,
-        )
     rows[2].set_xlabel("way of the tip (mm)")

@@ -100,11 +100,7 @@ def _place(snap: Snap) -> float:
 
 
 def _draw_curves(
-    axes: Axes,
-    curve: Curve,
-    path: Path,
-    quantities: Callable[[Equilibrium], Array],
-    looks: Sequence[tuple[str, str]],
+    axes: Axes, curve: Curve, path: Path, quantities: Callable[[Equilibrium], Array], looks: Sequence[tuple[str, str]]
 ) -> None:
     """Quantities along the curve, with an open mark where each snap begins, and a full one where it ends."""
     values = [np.full(len(looks), np.nan) if here is None else quantities(here) for _, here in curve]

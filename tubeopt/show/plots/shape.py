@@ -194,13 +194,6 @@ def draw_plate(axes: Axes, points: Array, view: View) -> None:
     axes.add_collection(facets(plate, view))
 
 
-def _widest(equilibrium: Equilibrium) -> float:
-    """Diameter of the thickest tube, m; of an eccentric robot, inner diameter of its widest sheath."""
-    offset = equilibrium.robot.assembly(equilibrium.translations).offset
-    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + offset
-    return 2 * float(radius.max())
-
-
 def _scene_mesh(equilibrium: Equilibrium, ghosts: Sequence[Equilibrium]) -> Mesh:
     """The robot on its plate, and the ghosts."""
     parts = [_plate_mesh(plate_radius(equilibrium)), robot_mesh(equilibrium)]
@@ -249,9 +242,10 @@ def _beside(line: Centreline, s: float, view: View) -> Array:
 
 
 def close_up_radius(equilibrium: Equilibrium) -> float:
-    """Radius of what a close-up shows, m."""
-    thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
-    return max(1.7 * thickest, 1.1 * _widest(equilibrium))
+    """Radius of what a close-up shows, m: a tube, and all that the widest sheath of an eccentric robot holds."""
+    diameter = np.array([tube.outer_diameter for tube in equilibrium.robot.tubes])
+    across = diameter + 2 * equilibrium.robot.assembly(equilibrium.translations).offset
+    return float(max(1.7 * diameter.max(), 1.1 * across.max()))
 
 
 def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:

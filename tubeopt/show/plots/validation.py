@@ -201,11 +201,9 @@ def plot_error_table(table: ErrorTable, *, title: str = "") -> Figure:
 
 def _closed(direction: Array, points: Array) -> Array:
     """(361, 2) points of the smooth closed line through `points` (D, 2) at directions (D,), rad."""
-    start = direction[0]
-    knots, values = np.append(direction, start + 2 * np.pi), np.vstack([points, points[:1]])
-    return np.asarray(
-        scipy.interpolate.CubicSpline(knots, values, bc_type="periodic")(start + np.linspace(0, 2 * np.pi, 361))
-    )
+    knots = np.append(direction, direction[0] + 2 * np.pi)
+    line = scipy.interpolate.CubicSpline(knots, np.vstack([points, points[:1]]), bc_type="periodic")
+    return np.asarray(line(np.linspace(knots[0], knots[-1], 361)))
 
 
 @styled
