@@ -7,7 +7,7 @@ import numpy as np
 from ...files.units import TO_MM
 from ...validation import Comparison
 from .stage import note
-from .style import FAINT, INK, Axes, Figure, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, name_above, new_figure, picture
 
 KEPT, REFUSED = "#0072B2", "#B8BEC6"
 
@@ -45,15 +45,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     if c.fit is not None:
         noise = c.fit.noise * np.sqrt(3) * TO_MM
         axes.axvline(noise, color=INK, lw=0.8, ls=(0, (4, 3)))
-        axes.annotate(
-            f"what the fit leaves, {noise:.2f}",
-            (noise, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-        )
+        name_above(axes, noise, f"what the fit leaves, {noise:.2f}")
     axes.invert_yaxis()
     axes.set_xlim(0, 1.14 * float(values.max()))
     axes.set_xlabel(f"RMS tip error held out (mm), {c.folds} blocks")

@@ -85,11 +85,8 @@ def plot_targets(
     figure = new_figure(9.0, 5.0)
     name = title or arms[-1].robot.name or "robot"
     worst = max(each.position_error for each in solutions)
-    headed(
-        figure,
-        f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least "
-        f"{min(each.margin for each in solutions):.3f}",
-    )
+    least = min(each.margin for each in solutions)
+    headed(figure, f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least {least:.3f}")
     grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
     scene = figure.add_subplot(grid[:, 0])
     _draw_arms(scene, [arms[k] for k in chosen], targets, view)

@@ -47,14 +47,13 @@ def plot_payload(
     side.legend(loc="best")
     way = [float(np.linalg.norm(e.tip_position - equilibria[0].tip_position)) for e in equilibria]
     linear = np.linalg.norm(_first_order(equilibria[0], equilibria[-1], payloads), axis=1)
-    moved.plot(payloads * TO_MILLI, np.array(way) * TO_MM, color=TUBE_COLOURS[0], lw=1.8)
-    moved.plot(
-        payloads * TO_MILLI, linear * TO_MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start"
-    )
+    weight = payloads * TO_MILLI
+    moved.plot(weight, np.array(way) * TO_MM, color=TUBE_COLOURS[0], lw=1.8)
+    moved.plot(weight, linear * TO_MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start")
     moved.set_ylabel("way of the tip (mm)")
     moved.legend(loc="upper left")
     moved.tick_params(labelbottom=False)
-    margin.plot(payloads * TO_MILLI, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)
+    margin.plot(weight, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)
     margin.set_ylim(min(0.0, *(e.margin for e in equilibria)), 1.05)
     margin.set(ylabel="stability margin", xlabel="payload (mN)")
     for panel in (side, moved, margin):

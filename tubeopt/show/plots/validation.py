@@ -12,7 +12,7 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
-from .stage import round_below
+from .stage import note, round_below
 from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
 
 MEASURED = "#D55E00"
@@ -187,14 +187,7 @@ def plot_error_table(table: ErrorTable, *, title: str = "") -> Figure:
     _draw_radar(axes, table.direction, table.separation, table.error * TO_MM)
     row, column = np.unravel_index(int(table.error.argmax()), table.error.shape)
     worst = float(table.error[row, column]) * TO_MM
-    axes.annotate(
-        f"{worst:.1f} mm",
-        (float(table.direction[column]), worst),
-        xytext=(-9, -1),
-        textcoords="offset points",
-        fontsize=8,
-        ha="right",
-    )
+    note(axes, f"{worst:.1f} mm", np.array([table.direction[column], worst]), np.array([-9.0, -1.0]))
     axes.set_title(title or f"tip error (mm) over direction, mean {table.summary.mean * TO_MM:.1f} mm", pad=16)
     return figure
 
