@@ -101,8 +101,8 @@ def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
     on = plan.duty > 0
     axes.plot(plan.time[on], plan.voltage[on], color=BATTERY, lw=1.1)
     axes.set(ylabel="battery (V)", xlabel="time (s)")
-    pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on]))) if on.any() else 0.1
     if on.any():
+        pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on])))
         axes.set_ylim(plan.voltage[on].min() - pad, plan.voltage[on].max() + pad)
 
 

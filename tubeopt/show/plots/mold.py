@@ -128,11 +128,8 @@ def _line(pieces: Sequence[Piece]) -> Array:
 def _extent(mold: Mold) -> tuple[Array, ...]:
     """Least and greatest coordinates (mm) of plate and clamps, with some room."""
     reach = mold.spec.clamps.grip + mold.spec.clamps.width / 2
-    tips = [
-        np.asarray(clamp.face) + reach * np.asarray(clamp.direction)
-        for groove in mold.grooves
-        for clamp in groove.clamps
-    ]
+    clamps = [clamp for groove in mold.grooves for clamp in groove.clamps]
+    tips = [np.asarray(clamp.face) + reach * np.asarray(clamp.direction) for clamp in clamps]
     points = np.array([(0.0, 0.0), mold.size, *tips]) * TO_MM
     return points.min(axis=0) - 4, points.max(axis=0) + 4
 

@@ -141,15 +141,16 @@ def _draw_radar(axes: Axes, direction: Array, separation: Array, error: Array) -
 
 def _draw_by_separation(axes: Axes, separation: Array, errors: Array) -> None:
     apart = np.round(np.degrees(separation), 4)
-    for k, value in enumerate(np.unique(apart)):
+    values = np.unique(apart)
+    for k, value in enumerate(values):
         here = errors[apart == value]
         spread = np.linspace(-0.25, 0.25, len(here)) if len(here) > 1 else np.zeros(1)
         axes.plot(k + spread, here, "o", ms=3, mfc="none", mec=tube_colour(k), mew=0.9)
         axes.plot([k - 0.28, k + 0.28], [here.mean()] * 2, color=INK, lw=1.4)
         axes.annotate(f"{here.mean():.2f}", (k + 0.3, here.mean()), va="center", fontsize=6.5)
-    axes.set_xticks(range(len(np.unique(apart))), [f"{value:g}" for value in np.unique(apart)])
+    axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
     axes.set(xlabel="separation (deg), line: mean", ylabel="tip error (mm)")
-    axes.set(ylim=(0, None), xlim=(-0.5, len(np.unique(apart)) - 0.2))
+    axes.set(ylim=(0, None), xlim=(-0.5, len(values) - 0.2))
 
 
 def _draw_by_row(axes: Axes, errors: Array) -> None:
