@@ -13,6 +13,7 @@ from ...errors import InputError
 from ...stability import Branch
 from ...typing import Array
 from ..colours import tube_colour
+from .stage import note
 from .style import FAINT, INK, Axes, Figure, angle_locator, new_figure, number, picture
 
 BAND = "#ECEEF1"
@@ -156,15 +157,8 @@ def _draw_folds(axes: Axes, curve: Branch, inputs: Array, tips: Array) -> None:
 def _draw_jump(axes: Axes, branch: Branch, inputs: Array, tips: Array, fold: int, *, outward: int) -> None:
     """The angles of a fold, and an arrow to where the robot lands."""
     x, y = float(inputs[fold]), float(tips[fold])
-    axes.annotate(
-        f"input {x:.3f}°\ntip {y:.3f}°".replace("-", "\N{MINUS SIGN}"),
-        (x, y),
-        (9 * outward, 0),
-        textcoords="offset points",
-        ha="left" if outward > 0 else "right",
-        va="center",
-        zorder=6,
-    )
+    words = f"input {x:.3f}°\ntip {y:.3f}°".replace("-", "\N{MINUS SIGN}")
+    note(axes, words, np.array([x, y]), np.array([9.0 * outward, 0.0]))
     landed = landing(branch, fold)
     if landed is None:
         return
@@ -172,12 +166,5 @@ def _draw_jump(axes: Axes, branch: Branch, inputs: Array, tips: Array, fold: int
     end = float(np.interp(place, np.arange(len(tips)), tips))
     arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.0, "shrinkA": 4, "shrinkB": 1, "mutation_scale": 11}
     axes.annotate("", (x, end), (x, y), arrowprops=arrow, zorder=4)
-    axes.annotate(
-        f"snap: tip turns {number(abs(end - y), 1)}°",
-        (x, (y + end) / 2),
-        (5 * outward, 0),
-        textcoords="offset points",
-        ha="left" if outward > 0 else "right",
-        va="center",
-        color=FAINT,
-    )
+    words = f"snap: tip turns {number(abs(end - y), 1)}°"
+    note(axes, words, np.array([x, (y + end) / 2]), np.array([5.0 * outward, 0.0]), colour=FAINT)

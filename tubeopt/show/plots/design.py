@@ -166,8 +166,7 @@ def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
         if part.any():
             axes.hist(values[part], edges.tolist(), color=colour, label=f"{words}, {100 * part.mean():.1f} %")
     axes.axvline(0.0, color=INK, lw=0.8)
-    axes.set_xlabel("certificate")
-    axes.set_ylabel(f"of {len(values)} samples")
+    axes.set(xlabel="certificate", ylabel=f"of {len(values)} samples")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     if poses:
         beside = figure.add_subplot(1, 2, 2)
@@ -175,8 +174,7 @@ def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
         beside.bar(at, analysis.spread_95 * TO_MM, color="#B8CEDF", width=0.7, label="95 % within")
         beside.bar(at, analysis.spread * TO_MM, color=FREE, width=0.35, label="RMS")
         beside.set_xticks(at)
-        beside.set_xlabel("task pose")
-        beside.set_ylabel("distance of the tip (mm)")
+        beside.set(xlabel="task pose", ylabel="distance of the tip (mm)")
         beside.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return headed(figure, heading) if heading else figure
 
@@ -233,15 +231,13 @@ def plot_pair_shares(
     figure = new_figure(7.2, 3.4)
     panels = figure.subplots(1, 2, sharey=True)
     most = 2 * TO_MM * max(shares[1].clearance, 1e-4)
-    image = None
     for panel, one, when in zip(panels, shares, ("as given", "as designed"), strict=True):
         table = np.where(np.eye(len(one.apart), dtype=bool), np.nan, one.apart * TO_MM)
         panel.set_facecolor(FAINT)
-        image = panel.imshow(table, vmin=0, vmax=most, cmap="RdBu")
+        panel.imshow(table, vmin=0, vmax=most, cmap="RdBu")
         panel.set(title=f"{when}: {100 * one.share:.0f} % held", xlabel=f"place of the tip of {names[1]}")
         panel.set(xticks=range(0, len(table), TICKS), yticks=range(0, len(table), TICKS))
     panels[0].set_ylabel(f"place of the tip of {names[0]}")
-    assert image is not None
-    figure.colorbar(image, ax=panels, label="arms apart (mm)", extend="both")
+    figure.colorbar(panels[0].images[0], ax=panels, label="arms apart (mm)", extend="both")
     headed(figure, title or f"{names[0]} and {names[1]} with their tips at two places at the same time")
     return figure

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +13,8 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ..arm_surfaces import Centreline
 from ..colours import tube_colour
-from .shape import plate_mesh
-from .stage import Box, View, draw_box, facets
+from .shape import draw_plate
+from .stage import View
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
@@ -69,11 +68,7 @@ def plot_reach(
     grid = figure.add_gridspec(2, 3, width_ratios=[2.5, 1.3, 0.06])
     scene, above, side = (figure.add_subplot(at) for at in (grid[:, 0], grid[0, 1], grid[1, 1]))
     seen = View(*view)
-    points = np.concatenate([curve.points for curve in curves])
-    radius = 0.07 * float(np.abs(points).max())
-    plate = plate_mesh(radius)
-    draw_box(scene, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), seen)
-    scene.add_collection(facets(plate, seen))
+    draw_plate(scene, np.concatenate([curve.points for curve in curves]), seen)
     _draw_curves(scene, [(curve, seen.project(curve.points)) for curve in curves], scale, opacity)
     flat = [(curve, curve.points * TO_MM) for curve in curves]
     _draw_curves(above, flat, scale, opacity)
@@ -99,19 +94,14 @@ def _draw_curves(axes: Axes, curves: Sequence[tuple[Curve, Array]], scale: Norma
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
-    pieces, depth, value = [], [], []
-    for curve, seen in curves:
-        along = np.broadcast_to(np.asarray(curve.value, dtype=float), len(seen))
-        for k, (a, b) in enumerate(pairwise(seen)):
-            pieces.append([a[:2], b[:2]])
-            depth.append(a[2] + b[2])
-            value.append((along[k] + along[k + 1]) / 2)
-    order = np.argsort(depth, kind="stable")
-    colours = colormaps[MAP](scale(np.array(value)[order]))
+    lines = [np.column_stack([seen, np.broadcast_to(curve.value, len(seen))]) for curve, seen in curves]
+    pieces = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+    pieces = pieces[np.argsort(pieces[..., 2].sum(axis=1), kind="stable")]
+    colours = colormaps[MAP](scale(pieces[..., 3].mean(axis=1)))
     colours[:, 3] = opacity
     width = 0.6 if opacity < 1 else 1.2
-    lines = LineCollection([pieces[k] for k in order], colors=colours, linewidths=width, capstyle="round", zorder=3)
-    axes.add_collection(lines)
+    drawn = LineCollection(list(pieces[..., :2]), colors=colours, linewidths=width, capstyle="round", zorder=3)
+    axes.add_collection(drawn)
     tips = [(seen[-1], float(np.ravel(curve.value)[-1])) for curve, seen in curves if curve.tip]
     if tips:
         at = np.array([tip for tip, _ in tips])

@@ -6,7 +6,8 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...validation import Comparison
-from .style import FAINT, INK, Axes, Figure, new_figure, picture
+from .stage import note
+from .style import FAINT, INK, Axes, Figure, name_above, new_figure, picture
 
 KEPT, REFUSED = "#0072B2", "#B8BEC6"
 
@@ -36,8 +37,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
         value = step.held_out.rms * TO_MM
         axes.barh(k, value, height=0.62, color="none", edgecolor=REFUSED, lw=0.9)
         gain = f"{100 * step.gain + 0.0:+.1f} %".replace("-0.0", "±0.0").replace("+0.0", "±0.0").replace("-", "−")
-        axes.annotate(gain, (max(value, last), k), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7,
-                      color=FAINT)  # fmt: skip
+        note(axes, gain, np.array([max(value, last), k]), np.array([4.0, 0.0]), size=7, colour=FAINT)
     names = [name for name, _ in rows] + [f"({s.effect.replace('_', ' ')})" for s in c.refused]
     axes.set_yticks(range(len(names)), names)
     for label in axes.get_yticklabels()[len(rows) :]:
@@ -45,15 +45,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     if c.fit is not None:
         noise = c.fit.noise * np.sqrt(3) * TO_MM
         axes.axvline(noise, color=INK, lw=0.8, ls=(0, (4, 3)))
-        axes.annotate(
-            f"what the fit leaves, {noise:.2f}",
-            (noise, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-        )
+        name_above(axes, noise, f"what the fit leaves, {noise:.2f}")
     axes.invert_yaxis()
     axes.set_xlim(0, 1.14 * float(values.max()))
     axes.set_xlabel(f"RMS tip error held out (mm), {c.folds} blocks")

@@ -48,12 +48,9 @@ def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
         ("Safety", safety(plan), A4[1] - EDGE - 104),
     ):
         sheet_text(figure, 152.0, y, head, weight="bold")
-        sheet_text(figure, 152.0, y - STEP, "\n".join(_wrapped(line) for line in lines))
+        wrapped = [textwrap.fill(line, WRAPPED, initial_indent="- ", subsequent_indent="  ") for line in lines]
+        sheet_text(figure, 152.0, y - STEP, "\n".join(wrapped))
     return figure
-
-
-def _wrapped(text: str) -> str:
-    return textwrap.fill(text, WRAPPED, initial_indent="- ", subsequent_indent="  ")
 
 
 def sheet_numbers(made: TubeFabrication) -> list[tuple[str, str]]:

@@ -42,5 +42,4 @@ def _draw(axes: Axes, band: FrictionBand, across: int, magnified: float) -> None
         axes.fill(*around.T, color=tube_colour(0), alpha=alpha, lw=0, label=name)
     axes.plot(*line.T, color=INK, lw=1.0, label="without friction")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"{'xy'[across]} (mm)")
-    axes.set_ylabel("z (mm)")
+    axes.set(xlabel=f"{'xy'[across]} (mm)", ylabel="z (mm)")

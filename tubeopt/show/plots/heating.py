@@ -69,8 +69,7 @@ def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) ->
     # What follows the hold is how the tube would cool in its mold; the table tells of the quench.
     axes.text(plan.time[-1], 0.5 * plan.highest, "unquenched", fontsize=7, ha="right", color=FAINT)
     axes.set_ylabel("temperature (°C)")
-    axes.set_ylim(0, None)
-    axes.set_xlim(0, plan.time[-1])
+    axes.set(ylim=(0, None), xlim=(0, plan.time[-1]))
     axes.legend(loc="lower center", fontsize=7, ncols=2, bbox_to_anchor=(0.56, 0.1))
 
 
@@ -101,10 +100,9 @@ def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
 def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
     on = plan.duty > 0
     axes.plot(plan.time[on], plan.voltage[on], color=BATTERY, lw=1.1)
-    axes.set_ylabel("battery (V)")
-    axes.set_xlabel("time (s)")
-    pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on]))) if on.any() else 0.1
+    axes.set(ylabel="battery (V)", xlabel="time (s)")
     if on.any():
+        pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on])))
         axes.set_ylim(plan.voltage[on].min() - pad, plan.voltage[on].max() + pad)
 
 
@@ -116,10 +114,8 @@ def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
     axes.plot(x, plan.temperature[end], color=TUBE, lw=1.4, label="hold ends")
     axes.plot(x, plan.ideal_temperature[end], color=IDEAL, lw=0.8, ls="--", label="ideal duty")
     _mark_zones(axes, plan)
-    axes.set_xlim(0, float(x[-1] + x[0]))
-    axes.set_ylim(0, 1.18 * plan.spec.limit)
-    axes.set_xlabel("along the tube, from the end of a clamp (mm)")
-    axes.set_ylabel("temperature (°C)")
+    axes.set(xlim=(0, float(x[-1] + x[0])), ylim=(0, 1.18 * plan.spec.limit))
+    axes.set(xlabel="along the tube, from the end of a clamp (mm)", ylabel="temperature (°C)")
     axes.legend(loc="lower center", fontsize=7)
 
 
@@ -166,7 +162,7 @@ def plot_rig_fit(fit: RigFit) -> Figure:
 @picture
 def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     """Picture of a led heating: curved parts of uncertain rigs over time, near the window, and what moves them."""
-    feedback, spec = answer.feedback, answer.plan.spec
+    feedback = answer.feedback
     figure = new_figure(9.4, 5.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
     whole = figure.add_subplot(grid[0, 0])
@@ -174,8 +170,7 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     history = feedback.history
     inside = history.in_hold(feedback.law)
     for axes in (whole, close):
-        axes.axhspan(*spec.window_degC, color=WINDOW, alpha=WINDOW_ALPHA, lw=0, label="window")
-        axes.axhline(spec.limit, color=INK, lw=0.8, ls=(0, (5, 3)), label="limit")
+        _window(axes, answer.plan)
     running = np.where(history.place < len(feedback.law.planned), 1.0, np.nan)
     whole.plot(history.time, (history.hottest * running)[:, 1:], color=TUBE, lw=0.3, alpha=0.35)
     whole.plot([], [], color=TUBE, label=f"hottest of the curve, {feedback.samples} rigs")
@@ -184,7 +179,7 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     close.plot(history.time, (history.coldest * held)[:, 1:], color=COLD, lw=0.3, alpha=0.35)
     close.plot([], [], color=TUBE, label="hottest of the curve in the hold")
     close.plot([], [], color=COLD, label="coldest")
-    low, high = spec.window_degC
+    low, high = answer.plan.spec.window_degC
     close.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
     times = history.time[inside.any(axis=1)]
     if len(times) > 1:

@@ -15,6 +15,7 @@ from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Path, Snap
 from ...typing import Array
+from .stage import note
 from .style import Axes, Figure, angle_locator, finish, new_figure, styled
 
 Value = Callable[[Equilibrium], float]
@@ -140,13 +141,5 @@ def _name_snaps(axes: Axes, way: Way, quantity: Value) -> None:
         x = snap_angle(snap, way.angles)
         y = (quantity(snap.before) + quantity(snap.after)) / 2
         text = f"{x:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm\n{snap.energy_released * TO_MILLI:.2f} mJ released"
-        axes.annotate(
-            text.replace("-", "\N{MINUS SIGN}"),
-            (x, y),
-            (7 * side, 0),
-            textcoords="offset points",
-            ha="left" if side > 0 else "right",
-            va="center",
-            color=way.colour,
-            zorder=6,
-        )
+        words = text.replace("-", "\N{MINUS SIGN}")
+        note(axes, words, np.array([x, y]), np.array([7.0 * side, 0.0]), colour=way.colour)

@@ -33,14 +33,10 @@ def plot_inverse(
         solutions: one answer, or several of the same target, the best first.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side.
     """
-    found = list(solutions) if isinstance(solutions, Sequence) else [solutions]
-    first, *others = found
-    arms = [each.equilibrium for each in found]
-    seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in arms]))
+    first, *others = solutions if isinstance(solutions, Sequence) else [solutions]
     figure = new_figure(7.0, 5.0)
     headed(figure, caption(first.equilibrium) + _alternatives(others))
-    ghosts = [each.equilibrium for each in others]
-    (scene,) = draw_scenes(figure, [first.equilibrium], [ghosts], (seen.elevation, seen.azimuth))
+    (scene,), seen = draw_scenes(figure, [first.equilibrium], [[each.equilibrium for each in others]], view)
     _draw_target(scene, first, seen)
     return figure
 
@@ -89,11 +85,8 @@ def plot_targets(
     figure = new_figure(9.0, 5.0)
     name = title or arms[-1].robot.name or "robot"
     worst = max(each.position_error for each in solutions)
-    headed(
-        figure,
-        f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least "
-        f"{min(each.margin for each in solutions):.3f}",
-    )
+    least = min(each.margin for each in solutions)
+    headed(figure, f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least {least:.3f}")
     grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
     scene = figure.add_subplot(grid[:, 0])
     _draw_arms(scene, [arms[k] for k in chosen], targets, view)
@@ -128,6 +121,8 @@ def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) 
     translations = np.array([each.translations for each in arms]) * TO_MM
     for i in range(robot.n_tubes):
         rows[0].plot(way, rotations[:, i], color=tube_colour(i), lw=1.2)
+        end = np.array([way[-1], rotations[-1, i]])
+        note(rows[0], f"tube {i + 1}", end, np.array([3.0, 0.0]), colour=tube_colour(i), level=True)
     for tubes in robot.moving_together:
         rows[1].plot(way, translations[:, tubes[0]], color=tube_colour(tubes[0]), lw=1.2)
     rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.2)
@@ -139,13 +134,4 @@ def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) 
         axes.grid()
     for axes in rows[:2]:
         axes.tick_params(labelbottom=False)
-    for i in range(robot.n_tubes):
-        note(
-            rows[0],
-            f"tube {i + 1}",
-            np.array([way[-1], rotations[-1, i]]),
-            np.array([3.0, 0.0]),
-            colour=tube_colour(i),
-            level=True,
-        )
     rows[2].set_xlabel("way of the tip (mm)")

@@ -43,22 +43,19 @@ def plot_payload(
         name = f"{payloads[k] * TO_MILLI:.0f} mN" if first or last else "_"
         side.plot(e.position[:, 1] * TO_MM, e.position[:, 2] * TO_MM, label=name, **look)
     side.set_aspect("equal")
-    side.set_xlabel("y (mm)")
-    side.set_ylabel("z (mm)")
+    side.set(xlabel="y (mm)", ylabel="z (mm)")
     side.legend(loc="best")
     way = [float(np.linalg.norm(e.tip_position - equilibria[0].tip_position)) for e in equilibria]
     linear = np.linalg.norm(_first_order(equilibria[0], equilibria[-1], payloads), axis=1)
-    moved.plot(payloads * TO_MILLI, np.array(way) * TO_MM, color=TUBE_COLOURS[0], lw=1.8)
-    moved.plot(
-        payloads * TO_MILLI, linear * TO_MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start"
-    )
+    weight = payloads * TO_MILLI
+    moved.plot(weight, np.array(way) * TO_MM, color=TUBE_COLOURS[0], lw=1.8)
+    moved.plot(weight, linear * TO_MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start")
     moved.set_ylabel("way of the tip (mm)")
     moved.legend(loc="upper left")
     moved.tick_params(labelbottom=False)
-    margin.plot(payloads * TO_MILLI, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)
+    margin.plot(weight, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)
     margin.set_ylim(min(0.0, *(e.margin for e in equilibria)), 1.05)
-    margin.set_ylabel("stability margin")
-    margin.set_xlabel("payload (mN)")
+    margin.set(ylabel="stability margin", xlabel="payload (mN)")
     for panel in (side, moved, margin):
         panel.grid()
     return finish(headed(figure, title), path)
@@ -129,8 +126,7 @@ def plot_bearing(
     for k, (name, values) in enumerate(certificates.items()):
         axes.plot(forces * TO_MILLI, values, "-o", ms=3, lw=1.6, color=TUBE_COLOURS[k], label=name)
     axes.axhline(0.0, color=INK, lw=0.8)
-    axes.set_xlabel("largest force on the tip (mN)")
-    axes.set_ylabel("certificate")
+    axes.set(xlabel="largest force on the tip (mN)", ylabel="certificate")
     axes.grid()
     axes.legend(loc="best")
     return finish(headed(figure, title), path)
@@ -161,8 +157,7 @@ def plot_force_estimates(
             covariance = found[0].covariance[np.ix_([i, j], [i, j])] * TO_MILLI**2
             _ellipse(panel, true[[i, j]] * TO_MILLI, covariance, colour)
         panel.plot(*(true[[i, j]] * TO_MILLI), "+", ms=9, mew=1.5, color=INK, zorder=5)
-        panel.set_xlabel(f"force along {AXES[i]} (mN)")
-        panel.set_ylabel(f"force along {AXES[j]} (mN)")
+        panel.set(xlabel=f"force along {AXES[i]} (mN)", ylabel=f"force along {AXES[j]} (mN)")
         panel.grid()
     panels[0].legend(loc="best")
     return finish(headed(figure, title), path)

@@ -54,8 +54,7 @@ def draw_plan(side: Axes, mandrel: Mandrel) -> None:
         feed, turn = table[:, 1] * TO_MM, np.degrees(table[:, 2])
         side.plot(turn, feed, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
         side.plot(turn[bend], feed[bend], color=tube_colour(mandrel.number - 1), lw=1.8, label="bend")
-        side.set_xlabel("rotation (deg)")
-        side.set_ylabel("feed from the chuck's end (mm)")
+        side.set(xlabel="rotation (deg)", ylabel="feed from the chuck's end (mm)")
         side.legend(loc="best")
         return
     size = np.array(body.size) * TO_MM
@@ -65,8 +64,7 @@ def draw_plan(side: Axes, mandrel: Mandrel) -> None:
     side.plot(*np.array([(0, 0), (size[0], 0), size[:2], (0, size[1]), (0, 0)]).T, color=INK, lw=0.8)
     side.figure.colorbar(drawn, ax=side, orientation="horizontal", label="centreline below the upper face (mm)")
     side.set_aspect("equal")
-    side.set_xlabel("x (mm)")
-    side.set_ylabel("y (mm)")
+    side.set(xlabel="x (mm)", ylabel="y (mm)")
 
 
 def draw_space(axes: Axes, mandrel: Mandrel) -> None:
@@ -134,10 +132,7 @@ def _numbers(mandrel: Mandrel) -> list[tuple[str, str]]:
         hand, pitch = "left" if body.lead < 0 else "right", 2 * math.pi * abs(body.lead) * TO_MM
         made = [
             ("cylinder, diameter / length", f"{2 * body.radius * TO_MM:.3f} / {body.length * TO_MM:.1f}"),
-            (
-                "helix, radius / pitch",
-                f"{body.helix_radius * TO_MM:.3f} / {pitch:.3f}, {hand}-handed",
-            ),
+            ("helix, radius / pitch", f"{body.helix_radius * TO_MM:.3f} / {pitch:.3f}, {hand}-handed"),
         ]
     else:
         made = [("block", " × ".join(f"{size * TO_MM:.1f}" for size in body.size))]
@@ -149,10 +144,7 @@ def _numbers(mandrel: Mandrel) -> list[tuple[str, str]]:
         ("groove, width, round below", f"{mandrel.width * TO_MM:.3f}"),
         ("least radius, wanted / in the groove", f"{TO_MM / tube.curvature:.2f} / {TO_MM / held.curvature:.3f}"),
         ("cut the tube to", f"{mandrel.stock_length * TO_MM:.1f}"),
-        (
-            "mark: bend begins at / ends at",
-            f"{begins * TO_MM:.1f} / {(begins + held.curved_length) * TO_MM:.1f}",
-        ),
+        ("mark: bend begins at / ends at", f"{begins * TO_MM:.1f} / {(begins + held.curved_length) * TO_MM:.1f}"),
         ("tube from clamp to clamp", f"{mandrel.free_length * TO_MM:.1f}"),
     ]
 

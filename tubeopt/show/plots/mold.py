@@ -40,8 +40,7 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     figure = new_figure(7.5, max(2.6, 7.5 * tall / wide + 0.9))
     axes = figure.add_subplot()
     draw_mold(axes, mold)
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
     radii = ",  ".join(f"tube {groove.number}: {_least(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
     axes.set_title(f"{_named(mold, title)}\nradius of the groove  {radii}", loc="left")
     return figure
@@ -83,9 +82,7 @@ def draw_mold(axes: Axes, mold: Mold) -> None:
         centre = (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
         axes.add_patch(Circle(centre, hole.diameter / 2 * TO_MM, fc=face, ec=INK, lw=0.6, zorder=3))
     low, high = _extent(mold)
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
 def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> None:
@@ -131,11 +128,8 @@ def _line(pieces: Sequence[Piece]) -> Array:
 def _extent(mold: Mold) -> tuple[Array, ...]:
     """Least and greatest coordinates (mm) of plate and clamps, with some room."""
     reach = mold.spec.clamps.grip + mold.spec.clamps.width / 2
-    tips = [
-        np.asarray(clamp.face) + reach * np.asarray(clamp.direction)
-        for groove in mold.grooves
-        for clamp in groove.clamps
-    ]
+    clamps = [clamp for groove in mold.grooves for clamp in groove.clamps]
+    tips = [np.asarray(clamp.face) + reach * np.asarray(clamp.direction) for clamp in clamps]
     points = np.array([(0.0, 0.0), mold.size, *tips]) * TO_MM
     return points.min(axis=0) - 4, points.max(axis=0) + 4
 
@@ -277,8 +271,7 @@ def plot_springback(calibration: Calibration) -> Figure:
             lw=0,
             label="± 2 standard deviations",
         )
-    axes.set_xlabel("curvature of the mold (1/m)")
-    axes.set_ylabel("lost part of the curvature (%)")
+    axes.set(xlabel="curvature of the mold (1/m)", ylabel="lost part of the curvature (%)")
     axes.set_ylim(min(0.0, float((c.lost * 100).min()) * 1.2), max(1.0, float(c.lost.max()) * 135))
     upper = axes.secondary_xaxis("top", functions=(_reciprocal, _reciprocal))
     upper.set_xlabel("radius of the mold (mm)")

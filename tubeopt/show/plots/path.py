@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import SolveError
 from ...files.units import TO_MM
-from ...stability import Path
+from ...stability import Path, Snap
 from ...typing import Array
 from .style import FAINT, INK, Axes, Figure, headed, name_above, new_figure, number, picture
 
@@ -24,6 +26,9 @@ NEAR_A_SNAP = 16
 MOST_NAMES = 12
 """Snaps that are named in the picture; more would cover each other."""
 
+Curve = list[tuple[float, Equilibrium | None]]
+"""Places in a path, in waypoints from 1, and the equilibria there; None where the curve breaks."""
+
 
 @picture
 def plot_path(path: Path) -> Figure:
@@ -32,25 +37,17 @@ def plot_path(path: Path) -> Figure:
     Between waypoints equilibria are solved too, closer where a snap is near, towards which the margin falls like a
     root. At a snap the curves break: an open mark where the robot was, a full one where it lands.
     """
-    waypoint, tip, margin = _curves(path)
+    curve = _curve(path)
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    for k, (name, colour) in enumerate(COORDINATES):
-        above.plot(waypoint, tip[:, k] * TO_MM, color=colour, lw=1.4, label=name)
-        _mark_ends(
-            above,
-            path,
-            [(s.before.tip_position[k] * TO_MM, s.after.tip_position[k] * TO_MM) for s in path.snaps],
-            colour,
-        )
-    below.plot(waypoint, margin, color=INK, lw=1.4)
-    _mark_ends(below, path, [(s.before.margin, s.after.margin) for s in path.snaps], INK)
+    _draw_curves(above, curve, path, lambda e: e.tip_position * TO_MM, COORDINATES)
+    _draw_curves(below, curve, path, lambda e: np.array([e.margin]), (("margin", INK),))
     _mark_snaps(above, below, path)
     below.axhline(0, color=FAINT, lw=0.7)
-    below.set_ylim(min(-0.05, float(np.nanmin(margin)) - 0.05), 1.05)
+    least = float(np.nanmin([here.margin for _, here in curve if here is not None]))
+    below.set_ylim(min(-0.05, least - 0.05), 1.05)
     above.set_ylabel("tip position (mm)")
-    below.set_ylabel("margin")
-    below.set_xlabel("waypoint")
+    below.set(ylabel="margin", xlabel="waypoint")
     last = len(path.equilibria)
     below.set_xlim(1 - 0.02 * last, last + 0.02 * last)
     below.xaxis.get_major_locator().set_params(integer=True)
@@ -61,36 +58,31 @@ def plot_path(path: Path) -> Figure:
     return figure
 
 
-def _curves(path: Path) -> tuple[Array, Array, Array]:
-    """Place in the path in waypoints from 1, tip (m) and margin there; NaN between the two sides of a snap."""
-    gap = np.full(3, np.nan)
-    points: list[tuple[float, Array, float]] = []
+def _curve(path: Path) -> Curve:
+    """Waypoints, points between them, and both sides of each snap, with a gap between these."""
+    points: Curve = []
     for k, here in enumerate(path.equilibria):
-        points.append((k + 1.0, here.tip_position, here.margin))
         at, arrived = k + 1.0, here
+        points.append((at, here))
         for snap in (snap for snap in path.snaps if snap.index == k):
-            place = _place(snap.index, snap.fraction)
+            place = _place(snap)
             points += _between(arrived, snap.before, at, place, to_fold=True)
-            points.append((place, snap.before.tip_position, snap.before.margin))
-            points.append((place, gap, np.nan))
-            points.append((place, snap.after.tip_position, snap.after.margin))
+            points += [(place, snap.before), (place, None), (place, snap.after)]
             at, arrived = place, snap.after
         if k + 1 < len(path.equilibria):
             points += _between(arrived, path.equilibria[k + 1], at, k + 2.0, to_fold=False)
-    return np.array([p[0] for p in points]), np.array([p[1] for p in points]), np.array([p[2] for p in points])
+    return points
 
 
-def _between(
-    start: Equilibrium, end: Equilibrium, first: float, last: float, *, to_fold: bool
-) -> list[tuple[float, Array, float]]:
-    """Equilibria on the straight way between two, each from the one before: place, tip and margin.
+def _between(start: Equilibrium, end: Equilibrium, first: float, last: float, *, to_fold: bool) -> Curve:
+    """Equilibria on the straight way between two, each from the one before.
 
     What is lost, or comes near no fold from the other side, is left out: the curve is then drawn straight.
     """
     count = NEAR_A_SNAP if to_fold else BETWEEN
     share = np.arange(1, count) / count
     share = 1 - (1 - share) ** 2 if to_fold else share  # like a root, the margin falls fastest where it ends
-    found: list[tuple[float, Array, float]] = []
+    found: Curve = []
     guess = start
     for x in share:
         turns = start.rotations + x * (end.rotations - start.rotations)
@@ -99,26 +91,31 @@ def _between(
             guess = forward_kinematics(start.robot, turns, shifts, guess=guess, load=start.load)
         except SolveError:
             break
-        found.append((first + x * (last - first), guess.tip_position, guess.margin))
+        found.append((first + x * (last - first), guess))
     return found
 
 
-def _place(index: int, fraction: float) -> float:
-    return index + 1 + fraction
+def _place(snap: Snap) -> float:
+    return snap.index + 1 + snap.fraction
 
 
-def _mark_ends(axes: Axes, path: Path, ends: list[tuple[float, float]], colour: str) -> None:
-    """An open mark where each snap begins, a full one where it ends."""
-    for snap, (before, after) in zip(path.snaps, ends, strict=True):
-        at = _place(snap.index, snap.fraction)
-        axes.plot([at], [before], "o", ms=4, mfc="white", mec=colour, zorder=4, clip_on=False)
-        axes.plot([at], [after], "o", ms=4, mfc=colour, mec=colour, zorder=4, clip_on=False)
+def _draw_curves(
+    axes: Axes, curve: Curve, path: Path, quantities: Callable[[Equilibrium], Array], looks: Sequence[tuple[str, str]]
+) -> None:
+    """Quantities along the curve, with an open mark where each snap begins, and a full one where it ends."""
+    values = [np.full(len(looks), np.nan) if here is None else quantities(here) for _, here in curve]
+    for k, (name, colour) in enumerate(looks):
+        axes.plot([place for place, _ in curve], np.array(values)[:, k], color=colour, lw=1.4, label=name)
+        for snap in path.snaps:
+            for side, face in ((snap.before, "white"), (snap.after, colour)):
+                value = quantities(side)[k]
+                axes.plot([_place(snap)], [value], "o", ms=4, mfc=face, mec=colour, zorder=4, clip_on=False)
 
 
 def _mark_snaps(above: Axes, below: Axes, path: Path) -> None:
     """A thin line at every snap, numbered on top."""
     for k, snap in enumerate(path.snaps, start=1):
-        at = _place(snap.index, snap.fraction)
+        at = _place(snap)
         for axes in (above, below):
             axes.axvline(at, color=FAINT, lw=0.7, ls=(0, (4, 3)), zorder=0)
         if len(path.snaps) <= MOST_NAMES:

@@ -72,21 +72,10 @@ def _draw_board(axes: Axes, board: PegBoard) -> None:
         at = np.array([x, y]) + (disk + 3.2) * _outwards(board, peg.arc_length, left=peg.left)
         words = f"{peg.hole}, {math.degrees(peg.angle):g}°"
         axes.text(float(at[0]), float(at[1]), words, ha="center", va="center", fontsize=6.5, zorder=5)
-    for name, end in (("proximal", 0), ("distal", -1)):
-        axes.text(
-            float(points[end, 0]) + (1.5 if end else -1.5),
-            float(points[end, 1]),
-            name,
-            fontsize=6.5,
-            color=INK,
-            ha="right" if end == 0 else "left",
-            va="center",
-        )
-    axes.set_aspect("equal")
-    axes.set_xlim(-2, width + 2)
-    axes.set_ylim(-2, height + 2)
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
+    for name, (x, y), beside, side in (("proximal", points[0], -1.5, "right"), ("distal", points[-1], 1.5, "left")):
+        axes.text(x + beside, y, name, fontsize=6.5, color=INK, ha=side, va="center")
+    axes.set(aspect="equal", xlim=(-2, width + 2), ylim=(-2, height + 2))
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
 
 
 def _outwards(board: PegBoard, s: float, *, left: bool) -> Array:

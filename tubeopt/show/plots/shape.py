@@ -70,8 +70,7 @@ def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, flo
     lowest, *others = equilibria
     figure = new_figure(7.0, 5.4)
     headed(figure, f"{caption(lowest)}\n{len(equilibria)} equilibria at these joint values")
-    seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in equilibria]))
-    (scene,) = draw_scenes(figure, [lowest], [others], (seen.elevation, seen.azimuth))
+    (scene,), seen = draw_scenes(figure, [lowest], [others], view)
     handles = []
     for k, each in enumerate(equilibria, start=1):
         way = seen.project(Centreline(each).position(np.linspace(0, each.arc_length[-1], 80)))
@@ -103,7 +102,7 @@ def plot_shapes(
         titles: a heading for each; None is the robot's name.   heading: above all of them.
     """
     figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
-    scenes = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
+    scenes, _ = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
     for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
         scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
     return headed(figure, heading) if heading else figure
@@ -116,8 +115,8 @@ def draw_scenes(
     view: tuple[float, float] | None,
     *,
     close_ups: bool = True,
-) -> list[Axes]:
-    """Fill `figure` with a scene for each equilibrium and its ghosts; return the scenes.
+) -> tuple[list[Axes], View]:
+    """Fill `figure` with a scene for each equilibrium and its ghosts; return the scenes, and how they are seen.
 
     With `close_ups`, a column of close-ups of the last equilibrium stands to the right.
     """
@@ -143,7 +142,7 @@ def draw_scenes(
         _draw_close_up(close_up, scenes[-1], last, bundle, seen)
         if row == len(ends) - 1:
             _draw_scale_bar(close_up)
-    return scenes
+    return scenes, seen
 
 
 def forces(equilibrium: Equilibrium) -> list[tuple[Array, Array, float]]:
@@ -183,21 +182,21 @@ def robot_mesh(
     return mesh_of(robot_parts(equilibrium, detail, window), opacity)
 
 
-def plate_mesh(radius: float) -> Mesh:
+def _plate_mesh(radius: float) -> Mesh:
     """The base plate of a radius, m, cut fine enough to be sorted by depth."""
     return mesh_of([plate_part(radius, rings=6, sides=120)])
 
 
-def _widest(equilibrium: Equilibrium) -> float:
-    """Diameter of the thickest tube, m; of an eccentric robot, inner diameter of its widest sheath."""
-    offset = equilibrium.robot.assembly(equilibrium.translations).offset
-    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + offset
-    return 2 * float(radius.max())
+def draw_plate(axes: Axes, points: Array, view: View) -> None:
+    """A base plate in proportion to points (k, 3), m, and the ruled box around both."""
+    plate = _plate_mesh(0.07 * float(np.abs(points).max()))
+    draw_box(axes, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), view)
+    axes.add_collection(facets(plate, view))
 
 
 def _scene_mesh(equilibrium: Equilibrium, ghosts: Sequence[Equilibrium]) -> Mesh:
     """The robot on its plate, and the ghosts."""
-    parts = [plate_mesh(plate_radius(equilibrium)), robot_mesh(equilibrium)]
+    parts = [_plate_mesh(plate_radius(equilibrium)), robot_mesh(equilibrium)]
     return Mesh.join(parts + [robot_mesh(ghost, opacity=GHOST_OPACITY) for ghost in ghosts])
 
 
@@ -243,9 +242,10 @@ def _beside(line: Centreline, s: float, view: View) -> Array:
 
 
 def close_up_radius(equilibrium: Equilibrium) -> float:
-    """Radius of what a close-up shows, m."""
-    thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
-    return max(1.7 * thickest, 1.1 * _widest(equilibrium))
+    """Radius of what a close-up shows, m: a tube, and all that the widest sheath of an eccentric robot holds."""
+    diameter = np.array([tube.outer_diameter for tube in equilibrium.robot.tubes])
+    across = diameter + 2 * equilibrium.robot.assembly(equilibrium.translations).offset
+    return float(max(1.7 * diameter.max(), 1.1 * across.max()))
 
 
 def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:

@@ -29,21 +29,17 @@ def plot_snap(
         view: elevation and azimuth of the viewer, deg; None looks across the jump of the tip.
     """
     before, after = snap.before, snap.after
-    seen = View(*view) if view is not None else _view_across(snap)
     figure = new_figure(7.0, 4.9)
     headed(figure, _heading(snap, title))
-    angles = (seen.elevation, seen.azimuth)
-    scenes = draw_scenes(figure, [before, after], [(), (before,)], angles, close_ups=False)
+    if view is None:
+        tips = np.array([before.tip_position, after.tip_position])
+        across = widest_view(tips - tips.mean(0))
+        view = across.elevation, across.azimuth
+    scenes, seen = draw_scenes(figure, [before, after], [(), (before,)], view, close_ups=False)
     scenes[0].set_title("before\n" + _state(before, at_fold=True), fontsize=8, loc="left")
     scenes[1].set_title("after\n" + _state(after), fontsize=8, loc="left")
     _draw_jump(scenes[1], snap, seen)
     return figure
-
-
-def _view_across(snap: Snap) -> View:
-    """The view in which the jump of the tip is seen widest."""
-    tips = np.array([snap.before.tip_position, snap.after.tip_position])
-    return widest_view(tips - tips.mean(0))
 
 
 def _heading(snap: Snap, title: str) -> str:

@@ -109,14 +109,13 @@ def draw_box(axes: Axes, box: Box, view: View) -> None:
     lines, outlines = [], []
     for normal in range(3):
         first, second = (axis for axis in range(3) if axis != normal)
-        corner = back.copy()
-        outline = np.tile(corner, (4, 1))
+        outline = np.tile(back, (4, 1))
         outline[:, first] = np.array([box.low, box.low, box.high, box.high])[:, first]
         outline[:, second] = np.array([box.low, box.high, box.high, box.low])[:, second]
         outlines.append(outline)
         for along, across in ((first, second), (second, first)):
             for at in box.rules(across):
-                line = np.tile(corner, (2, 1))
+                line = np.tile(back, (2, 1))
                 line[:, across], line[:, along] = at, [box.low[along], box.high[along]]
                 lines.append(line)
     faces = view.project(np.array(outlines) / TO_MM)[..., :2]

@@ -77,8 +77,7 @@ def plot_trajectory(
     stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
     _draw_scene(scene, stage, arms, t.obstacles, (t.time, t.tip_position))
     _draw_curves(axes, t)
-    signs, names = scene.get_legend_handles_labels()
-    axes[1].legend(signs, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    axes[1].legend(*scene.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     figure.align_ylabels(axes)
     headed(figure, _heading(t, title))
     return figure

@@ -12,7 +12,7 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
-from .stage import round_below
+from .stage import note, round_below
 from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
 
 MEASURED = "#D55E00"
@@ -38,8 +38,7 @@ def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     factor = max(1.0, round_below(LONG_ENOUGH * spread / max(float(np.nanmax(v.errors)), 1e-12)))
     for axes, (i, j) in ((above, (0, 1)), (beside, (0, 2))):
         _draw_arrows(axes, v.predicted[:, [i, j]] * TO_MM, v.residuals[:, [i, j]] * TO_MM, factor)
-        axes.set_xlabel(f"{'xyz'[i]} (mm)")
-        axes.set_ylabel(f"{'xyz'[j]} (mm)")
+        axes.set(xlabel=f"{'xyz'[i]} (mm)", ylabel=f"{'xyz'[j]} (mm)")
     above.set_title("seen along the axis of the base", loc="left")
     beside.set_title("seen from the side", loc="left")
     scale = "to scale" if factor == 1 else f"{factor:g} times their length"
@@ -142,23 +141,21 @@ def _draw_radar(axes: Axes, direction: Array, separation: Array, error: Array) -
 
 def _draw_by_separation(axes: Axes, separation: Array, errors: Array) -> None:
     apart = np.round(np.degrees(separation), 4)
-    for k, value in enumerate(np.unique(apart)):
+    values = np.unique(apart)
+    for k, value in enumerate(values):
         here = errors[apart == value]
         spread = np.linspace(-0.25, 0.25, len(here)) if len(here) > 1 else np.zeros(1)
         axes.plot(k + spread, here, "o", ms=3, mfc="none", mec=tube_colour(k), mew=0.9)
         axes.plot([k - 0.28, k + 0.28], [here.mean()] * 2, color=INK, lw=1.4)
         axes.annotate(f"{here.mean():.2f}", (k + 0.3, here.mean()), va="center", fontsize=6.5)
-    axes.set_xticks(range(len(np.unique(apart))), [f"{value:g}" for value in np.unique(apart)])
-    axes.set_xlabel("separation (deg), line: mean")
-    axes.set_ylabel("tip error (mm)")
-    axes.set_ylim(0, None)
-    axes.set_xlim(-0.5, len(np.unique(apart)) - 0.2)
+    axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
+    axes.set(xlabel="separation (deg), line: mean", ylabel="tip error (mm)")
+    axes.set(ylim=(0, None), xlim=(-0.5, len(values) - 0.2))
 
 
 def _draw_by_row(axes: Axes, errors: Array) -> None:
     axes.plot(np.arange(1, len(errors) + 1), errors, "o", ms=3, mfc="none", mec=PREDICTED, mew=0.9)
-    axes.set_xlabel("row of the measurements")
-    axes.set_ylabel("tip error (mm)")
+    axes.set(xlabel="row of the measurements", ylabel="tip error (mm)")
     axes.set_ylim(0, None)
 
 
@@ -179,8 +176,7 @@ def _draw_histogram(axes: Axes, v: Validation) -> None:
             fontsize=7,
             bbox={"fc": "white", "ec": "none", "pad": 0.8},
         )
-    axes.set_xlabel(f"tip error (mm)\n1 mm is {0.1 / v.length:.2f} % of the length")
-    axes.set_ylabel("configurations")
+    axes.set(xlabel=f"tip error (mm)\n1 mm is {0.1 / v.length:.2f} % of the length", ylabel="configurations")
     axes.set_xlim(0, 1.12 * float(errors.max()) or 1.0)
 
 
@@ -192,25 +188,16 @@ def plot_error_table(table: ErrorTable, *, title: str = "") -> Figure:
     _draw_radar(axes, table.direction, table.separation, table.error * TO_MM)
     row, column = np.unravel_index(int(table.error.argmax()), table.error.shape)
     worst = float(table.error[row, column]) * TO_MM
-    axes.annotate(
-        f"{worst:.1f} mm",
-        (float(table.direction[column]), worst),
-        xytext=(-9, -1),
-        textcoords="offset points",
-        fontsize=8,
-        ha="right",
-    )
+    note(axes, f"{worst:.1f} mm", np.array([table.direction[column], worst]), np.array([-9.0, -1.0]))
     axes.set_title(title or f"tip error (mm) over direction, mean {table.summary.mean * TO_MM:.1f} mm", pad=16)
     return figure
 
 
 def _closed(direction: Array, points: Array) -> Array:
     """(361, 2) points of the smooth closed line through `points` (D, 2) at directions (D,), rad."""
-    start = direction[0]
-    knots, values = np.append(direction, start + 2 * np.pi), np.vstack([points, points[:1]])
-    return np.asarray(
-        scipy.interpolate.CubicSpline(knots, values, bc_type="periodic")(start + np.linspace(0, 2 * np.pi, 361))
-    )
+    knots = np.append(direction, direction[0] + 2 * np.pi)
+    line = scipy.interpolate.CubicSpline(knots, np.vstack([points, points[:1]]), bc_type="periodic")
+    return np.asarray(line(np.linspace(knots[0], knots[-1], 361)))
 
 
 @styled
@@ -246,12 +233,9 @@ def plot_simulated_circles(
     reach = (
         1.16 * TO_MM * max(np.abs(tips[:, :2]).max() + e.max() for tips, e in zip(circles, table.error, strict=True))
     )
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(-reach, reach)
-    axes.set_aspect("equal")
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     axes.grid()
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
     figure.legend(title="simulated tips; separation", loc="outside lower center", ncols=2)
     axes.set_title(title, loc="left")
     return finish(figure, path)

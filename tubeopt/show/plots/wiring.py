@@ -60,8 +60,7 @@ def plot_wiring(answer: LedHeating, *, title: str = "") -> Figure:
     axes, text = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     for part in (axes, text):
         part.set_axis_off()
-    axes.set_xlim(0, 1)
-    axes.set_ylim(-0.09, 0.95)
+    axes.set(xlim=(0, 1), ylim=(-0.09, 0.95))
     _draw_parts(axes, answer.wiring.known.title)
     _draw_wires(axes, answer.wiring)
     _draw_diode(axes)

@@ -11,8 +11,8 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
 from ...workspaces.voxels import Keys
-from .shape import plate_mesh
-from .stage import Box, View, draw_box, facets
+from .shape import draw_plate
+from .stage import View
 from .style import Axes, Figure, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ def plot_workspace(
     scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
     tips = _draw_tips(scene, workspace, View(*view))
     _bar(figure, tips, scene, "stability margin")
-    share = _draw_section(sides, found, found.dexterity, None)
+    share = _draw_section(sides, found, found.dexterity, float(found.dexterity.max()))
     _bar(figure, share, sides, "share of directions")
-    best = _draw_section(margins, found, found.margin, (0.0, 1.0))
+    best = _draw_section(margins, found, found.margin, 1.0)
     _bar(figure, best, margins, "largest margin")
     if loss is not None:
         _draw_lost(margins, loss)
@@ -76,10 +76,7 @@ def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
     table = workspace.some(MOST_TIPS)
     table = table[np.isfinite(table[:, -1])]
     points, margin = table[:, -7:-4], table[:, -1]
-    radius = 0.07 * float(np.abs(points).max())
-    plate = plate_mesh(radius)
-    draw_box(axes, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), view)
-    axes.add_collection(facets(plate, view))
+    draw_plate(axes, points, view)
     seen = view.project(points)
     order = np.argsort(seen[:, 2], kind="stable")
     style: dict[str, Any] = {"s": 3, "linewidths": 0, "rasterized": True, "zorder": 4}
@@ -92,16 +89,15 @@ def _fold(centres: Array, size: float) -> Keys:
     return np.floor(np.column_stack([distance, centres[:, 2]]) / size).astype(np.int64)
 
 
-def _draw_section(axes: Axes, found: Voxels, values: Array, ends: tuple[float, float] | None) -> Collection:
-    """Voxels folded into the meridian, the largest value of each cell."""
+def _draw_section(axes: Axes, found: Voxels, values: Array, most: float) -> Collection:
+    """Voxels folded into the meridian, the largest value of each cell, in colours from 0 to `most`."""
     cells = _fold(found.centres, found.size)
     low, high = cells.min(0), cells.max(0)
     grid = np.full(high - low + 1, -np.inf)
     np.maximum.at(grid, tuple((cells - low).T), values)
     edges = [np.arange(low[k], high[k] + 2) * found.size * TO_MM for k in range(2)]
     shown = np.ma.masked_invalid(grid.T)
-    span = ends or (0.0, float(values.max()))
-    drawn = axes.pcolormesh(*edges, shown, cmap=MAP, vmin=span[0], vmax=span[1], rasterized=True)
+    drawn = axes.pcolormesh(*edges, shown, cmap=MAP, vmin=0, vmax=most, rasterized=True)
     axes.set(xlabel="from the axis (mm)", ylabel="z (mm)")
     axes.set_aspect("equal")
     return drawn
