@@ -161,7 +161,8 @@ class CalibrationEntry(Part):
 
 
 if TYPE_CHECKING:
-    FrictionEntry = LimitsEntry = Part
+    FrictionEntry = Part
+    LimitsEntry = Part
 else:
     FrictionEntry, LimitsEntry = entry_of(Friction), entry_of(JointLimits)
 
