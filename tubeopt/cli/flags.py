@@ -15,7 +15,7 @@ from __future__ import annotations
 import inspect
 import re
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
@@ -26,6 +26,7 @@ from pydantic.fields import FieldInfo
 
 from ..errors import InputError, SolveError
 from ..files.checked import Entry, check, check_kind
+from ..files.plausible import marks_in
 from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
 from ..robots.fit import fit_warnings
@@ -352,12 +353,4 @@ def _plain(annotation: Any) -> Any:
 
 def _is_file(field: FieldInfo) -> bool:
     """Whether a key is the path of a file."""
-    return any(isinstance(mark, PlainValidator) for mark in (*field.metadata, *_marks(field.annotation)))
-
-
-def _marks(annotation: Any) -> Iterator[Any]:
-    if get_origin(annotation) is Annotated:
-        yield from get_args(annotation)[1:]
-    if get_origin(annotation) in (Union, types.UnionType, Annotated):
-        for part in get_args(annotation):
-            yield from _marks(part)
+    return any(isinstance(mark, PlainValidator) for mark in (*field.metadata, *marks_in(field.annotation)))
