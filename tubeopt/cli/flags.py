@@ -15,7 +15,7 @@ from __future__ import annotations
 import inspect
 import re
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
@@ -26,6 +26,7 @@ from pydantic.fields import FieldInfo
 
 from ..errors import InputError, SolveError
 from ..files.checked import Entry, check, check_kind
+from ..files.plausible import marks_in
 from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
 from ..robots.fit import fit_warnings
@@ -128,9 +129,9 @@ def asks(
     constant = {"kind": _kind_of(study)} if "kind" in study.model_fields else {}
 
     def command_of(function: Callable[..., None]) -> Made:
-        keyed = [_argument(key, *placed[key], fields[key]) for key in placed]
+        keyed = [_argument(key, *placed[key], required=fields[key].is_required()) for key in placed]
         keyed += [
-            _option(key, field, called[key], (defaults or {}).get(key))
+            _option(key, field, called[key], (defaults or {}).get(key, _usual(field)))
             for key, field in fields.items()
             if key not in placed
         ]
@@ -170,11 +171,10 @@ def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Call
     fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
     called = {key: f"--{key.replace('_', '-')}" for key in fields}
     names = _names(fields, called, ())
-    shown = Annotated[str, typer.Argument(metavar="STUDY.yaml", help=f"Study of kind {kind}.", show_default=False)]
-    file = inspect.Parameter("study", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=shown)
+    file = _argument("study", "STUDY.yaml", f"Study of kind {kind}.", required=True)
 
     def command_of(function: Callable[[F, Output], None]) -> Made:
-        keyed = [_override(key, field, called[key]) for key, field in fields.items()]
+        keyed = [_option(key, field, called[key], None) for key, field in fields.items()]
 
         def run(output: Output, **typed: Any) -> None:
             path = typed.pop("study")
@@ -236,7 +236,7 @@ def _kind_of(study: type[Entry]) -> str:
 def _names(fields: Mapping[str, FieldInfo], called: Mapping[str, str], placed: Sequence[str]) -> dict[str, str]:
     """What messages call a key: nothing where what is said begins with the name of a file; else its flag."""
     return {
-        key: "" if key in placed or _is_file(field) else called[key].split(",")[0].split("/")[0]
+        key: "" if key in placed or _is_file(field) else re.split("[,/]", called[key])[0]
         for key, field in fields.items()
     }
 
@@ -252,40 +252,35 @@ def numbers(text: str) -> list[Decimal | str]:
     return [parse_number(part) for part in text.split(",")]
 
 
-def _argument(key: str, metavar: str, words: str, field: FieldInfo) -> inspect.Parameter:
+def _parameter(key: str, kind: Any, option: Any, default: Any = inspect.Parameter.empty) -> inspect.Parameter:
+    return inspect.Parameter(
+        key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=Annotated[kind, option]
+    )
+
+
+def _argument(key: str, metavar: str, words: str, *, required: bool) -> inspect.Parameter:
     option = typer.Argument(metavar=metavar, help=words, show_default=False)
-    if field.is_required():
-        shown: Any = Annotated[str, option]
-        return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=shown)
-    shown = Annotated[str | None, option]
-    return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=shown)
+    return _parameter(key, str, option) if required else _parameter(key, str | None, option, None)
 
 
-def _option(key: str, field: FieldInfo, flag: str, default: str | None) -> inspect.Parameter:
-    sentence = _sentence(field)
-    kind = _plain(field.annotation)
-    if kind is bool:
-        flag = f"{flag}/--no-{flag.removeprefix('--')}" if field.default else flag
-        option: Any = typer.Option(flag, help=sentence)
-        return inspect.Parameter(
-            key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=field.default, annotation=Annotated[bool, option]
-        )
+def _option(key: str, field: FieldInfo, flag: str, default: str | bool | None) -> inspect.Parameter:
+    """A flag; one without a default says nothing where it is not typed."""
+    kind: Any = bool if _plain(field.annotation) is bool else str
+    if kind is bool and default is not False:
+        flag = f"{flag}/--no-{flag.removeprefix('--')}"
+    option = typer.Option(
+        *flag.split(","),
+        metavar=None if kind is bool else _metavar(key, field),
+        help=_sentence(field),
+        show_default=default is not None,
+    )
+    return _parameter(key, kind | None if default is None else kind, option, default)
+
+
+def _usual(field: FieldInfo) -> str | bool | None:
+    """What stands for a key whose flag is not typed, as it would be typed."""
     own = None if field.is_required() else field.get_default(call_default_factory=True)
-    shown = default if default is not None else _typed(own)
-    option = typer.Option(*flag.split(","), metavar=_metavar(key, field), help=sentence)
-    annotation: Any = Annotated[str, option] if shown is not None else Annotated[str | None, option]
-    return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=shown, annotation=annotation)
-
-
-def _override(key: str, field: FieldInfo, flag: str) -> inspect.Parameter:
-    """A flag that, where it is typed, takes the place of a key of a file."""
-    if _plain(field.annotation) is bool:
-        option: Any = typer.Option(f"{flag}/--no-{flag.removeprefix('--')}", help=_sentence(field), show_default=False)
-        shown: Any = Annotated[bool | None, option]
-    else:
-        option = typer.Option(*flag.split(","), metavar=_metavar(key, field), help=_sentence(field))
-        shown = Annotated[str | None, option]
-    return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=shown)
+    return own if isinstance(own, bool) else _typed(own)
 
 
 def _sentence(field: FieldInfo) -> str:
@@ -358,12 +353,4 @@ def _plain(annotation: Any) -> Any:
 
 def _is_file(field: FieldInfo) -> bool:
     """Whether a key is the path of a file."""
-    return any(isinstance(mark, PlainValidator) for mark in (*field.metadata, *_marks(field.annotation)))
-
-
-def _marks(annotation: Any) -> Iterator[Any]:
-    if get_origin(annotation) is Annotated:
-        yield from get_args(annotation)[1:]
-    if get_origin(annotation) in (Union, types.UnionType, Annotated):
-        for part in get_args(annotation):
-            yield from _marks(part)
+    return any(isinstance(mark, PlainValidator) for mark in (*field.metadata, *marks_in(field.annotation)))

@@ -34,7 +34,7 @@ def _looked_at(model: type[BaseModel]) -> tuple[tuple[str, Usual | None], ...]:
     """Keys whose numbers have a usual range, and keys that may hold entries of their own, for which it is None."""
     found = []
     for key, field in model.model_fields.items():
-        marks = (*field.metadata, *_marks(field.annotation))
+        marks = (*field.metadata, *marks_in(field.annotation))
         usual = next((mark for mark in marks if isinstance(mark, Usual)), None)
         if usual is not None or any(True for _ in models(field.annotation)):
             found.append((key, usual))
@@ -49,11 +49,11 @@ def models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from models(part)
 
 
-def _marks(annotation: Any) -> Iterator[Any]:
+def marks_in(annotation: Any) -> Iterator[Any]:
     """What is said beside the types in an annotation."""
     yield from getattr(annotation, "__metadata__", ())
     for part in get_args(annotation):
-        yield from _marks(part)
+        yield from marks_in(part)
 
 
 def _parts(value: Any) -> Iterator[tuple[str, BaseModel]]:

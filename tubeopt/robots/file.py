@@ -20,7 +20,7 @@ from ..files.fields import Part, asking, entry_of, to_data, values
 from ..files.marks import Usual
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
-from .calibration_file import CalibrationEntry, calibration_to_dict
+from .calibration import TABLES, Calibration
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
 from .friction import Friction
@@ -149,13 +149,22 @@ Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 """Least and greatest value."""
 
 
-@asking(JointLimits)
-class LimitsEntry(Part):
-    """Least and greatest value of every joint, one pair per tube."""
+@asking(Calibration)
+class CalibrationEntry(Part):
+    """How joint readings become joint values of the model: gain times reading plus offset, one number per tube."""
 
-    def build(self) -> JointLimits:
-        """The limits in SI."""
-        return JointLimits(**values(JointLimits, self))
+    def build(self) -> Calibration:
+        """The calibration in SI; tables that are left out are those of drives that read true."""
+        given = values(Calibration, self)
+        none = Calibration.none(max((len(given[name]) for name in TABLES if name in given), default=0))
+        return Calibration(**{name: getattr(none, name) for name in TABLES} | given)
+
+
+if TYPE_CHECKING:
+    FrictionEntry = Part
+    LimitsEntry = Part
+else:
+    FrictionEntry, LimitsEntry = entry_of(Friction), entry_of(JointLimits)
 
 
 class RobotEntry(Part):
@@ -173,12 +182,6 @@ class RobotEntry(Part):
             "joint_limits": self.limits.build() if self.limits else None,
             "calibration": self.calibration.build() if self.calibration else None,
         }
-
-
-if TYPE_CHECKING:
-    FrictionEntry = Part
-else:
-    FrictionEntry = entry_of(Friction)
 
 
 class ConcentricEntry(RobotEntry):
@@ -319,3 +322,10 @@ def tube_to_dict(tube: Tube) -> dict[str, Any]:
         data = to_data(tube, derived)
     data["material"] = NITINOL.name if tube.material == NITINOL else to_data(tube.material)
     return data
+
+
+def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
+    """A calibration with the keys and units of a robot file; what reads true is left out."""
+    none, data = to_data(Calibration.none(calibration.n_tubes)), to_data(calibration)
+    # One table stays, to tell how many tubes there are.
+    return {key: value for key, value in data.items() if value != none[key] or key == "rotation_offsets_deg"}

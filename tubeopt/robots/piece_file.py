@@ -19,7 +19,7 @@ from ..files.plausible import unusual
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, to_si
 from ..typing import Array
 from .pieces import Piece, Slots, check_table
-from .series import Quantity, Series, extremes, spline, turned
+from .series import Quantity, Series, extremes, turned
 from .tubes import Tube
 
 DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
@@ -186,14 +186,11 @@ class PieceEntry(Entry):
         if self.twist_deg_per_mm is not None and given and given[0] in ("helix", "table"):
             raise InputError(f"twist_deg_per_mm and {given[0]} are both given; a {given[0]} has a twist of its own")
         if self.helix is not None:
-            helix = self.helix
-            made = Piece.helix(
-                1.0, to_si(helix.radius_mm, MM), to_si(helix.pitch_mm, MM), left=helix.handed == "left"
-            ).precurvature
-            return made[0], made[1], made[2]
+            radius, pitch = to_si(self.helix.radius_mm, MM), to_si(self.helix.pitch_mm, MM)
+            x, y, z = Piece.helix(1.0, radius, pitch, left=self.helix.handed == "left").precurvature
+            return x, y, z
         if self.table is not None:
-            s, u = self.table
-            x, y, z = (float(c[0]) if (c == c[0]).all() else spline(s, c) for c in u.T)
+            x, y, z = Piece.table(*self.table).precurvature
             return x, y, z
         twist = _quantity(self.twist_deg_per_mm, DEG_PER_MM) if self.twist_deg_per_mm is not None else 0.0
         if self.radius_mm is not None:

@@ -98,7 +98,7 @@ class Piece(Displayed):
         """
         s, u = np.asarray(arc_length, dtype=float), np.asarray(precurvature, dtype=float)
         check_table(s, u, "arc_length", 1.0)
-        parts = tuple(_constant_or(spline(s, column), column) for column in u.T)
+        parts = tuple(float(c[0]) if (c == c[0]).all() else spline(s, c) for c in u.T)
         return cls(float(s[-1]), parts, **stiffness)
 
     @property
@@ -174,10 +174,6 @@ def check_table(s: Array, u: Array, name: str, unit: float) -> None:
             f"{name} of a table is {s[k + 1] / unit:g} in row {k + 2}, after {s[k] / unit:g}; it must rise from row to "
             "row"
         )
-
-
-def _constant_or(series: Series, values: Array) -> Quantity:
-    return float(values[0]) if (values == values[0]).all() else series
 
 
 def _precurvature(given: Any, length: float) -> tuple[Quantity, Quantity, Quantity]:

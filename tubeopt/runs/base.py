@@ -78,6 +78,19 @@ class Kinds(Mapping[str, type[Entry]]):
         return len(self._where)
 
 
+class Started(Entry):
+    """A robot, and from where it begins."""
+
+    robot: RobotPath
+    start_deg: OnePerTube | None = Field(None, description="rotations at the start; all 0 where not given")
+    start_mm: OnePerTube | None = Field(None, description="translations at the start; home where not given")
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Joint values with which it begins."""
+        return joints_of(self.robot, self.start_deg, self.start_mm)
+
+
 class Study(Entry):
     """What all kinds of study have in common."""
 

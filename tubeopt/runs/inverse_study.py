@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
@@ -19,10 +18,9 @@ from ..inverse.clock import Clock
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
-from .anatomy_file import AnatomyKey
 from .base import OnePerTube, Progress, RobotPath, joints_of
 from .load_file import LoadedStudy
-from .obstacle_file import Bodies, Place, point
+from .obstacle_file import Place, Surrounded, point
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -73,7 +71,7 @@ class TargetTable(Displayed):
     """Whether each was looked for near the one before."""
 
 
-class InverseStudy(LoadedStudy):
+class InverseStudy(Surrounded, LoadedStudy):
     """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
 
     doing = "solving targets"
@@ -102,14 +100,6 @@ class InverseStudy(LoadedStudy):
     )
     direction_weight: Positive | None = Field(
         None, description="make the direction a cost of this weight", examples=["W"]
-    )
-    obstacles: Bodies | None = Field(
-        None,
-        description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
-        examples=["OBSTACLES.yaml"],
-    )
-    anatomy: AnatomyKey | None = Field(
-        None, description="images, meshes and clouds of a patient: a YAML file", examples=["ANATOMY.yaml"]
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     method: Literal["auto", "gauss_newton", "nlp"] = Field(
@@ -142,11 +132,6 @@ class InverseStudy(LoadedStudy):
         if self.pushing() is not None and (self.all or self.follow or self.closest):
             raise ValueError("all, follow and closest are for a robot without load")
         return self
-
-    @property
-    def bodies(self) -> tuple[Obstacle, ...]:
-        """Obstacles, and those of the anatomy."""
-        return (self.obstacles or ()) + (() if self.anatomy is None else self.anatomy.bodies)
 
     def _reference(self) -> tuple[Array, Array] | None:
         if self.reference_deg is None and self.reference_mm is None:

@@ -55,6 +55,14 @@ class Columns:
         """(rows, M) numbers in SI; with `missing`, NaN where a cell is empty or NaN."""
         return np.array([[self._number(k, m, missing) for m in meanings] for k in range(len(self.table.rows))])
 
+    def translations(self, home: Array) -> Array:
+        """(rows, n) m; those of `home` (n,) where there is no column."""
+        found = np.tile(home, (len(self.table.rows), 1))
+        for i in range(len(home)):
+            if self.has(f"translation_{i + 1}"):
+                found[:, i] = self.numbers([f"translation_{i + 1}"])[:, 0]
+        return found
+
     def _number(self, row: int, meaning: str, missing: bool) -> float:
         column, unit = self.known[meaning]
         text = self.table.cell(row, column)

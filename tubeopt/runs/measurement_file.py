@@ -22,7 +22,7 @@ from ..validation.errors import ErrorTable
 from ..validation.measurements import Measurements
 from .measurement_checks import unwrapped
 from .measurement_columns import Columns, columns_of
-from .measurement_map import finished, load_mapped
+from .measurement_map import finished, load_mapped, seen_rows
 from .tracker_file import QUATERNION
 
 MIRROR = ("direction_deg", "separation_deg")
@@ -48,7 +48,6 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
         return load_mapped(path, robot)
     table = read_csv(path)
     columns, mirrored = _columns(path, table, robot)
-    count = len(table.rows)
     words: list[str] = []
     time = columns.numbers(["time"])[:, 0] if columns.has("time") else None
     labels = [columns.table.numbers([c], DEG)[:, 0] if c in table.columns else None for c in MIRROR]
@@ -57,19 +56,12 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
         alpha = _mirrored(table, direction, separation)
     else:
         alpha = columns.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)])
-    shift = np.tile(robot.home_translations, (count, 1))
-    for i in range(robot.n_tubes):
-        if columns.has(f"translation_{i + 1}"):
-            shift[:, i] = columns.numbers([f"translation_{i + 1}"])[:, 0]
+    shift = columns.translations(robot.home_translations)
     tips, frames = columns.positions(), columns.orientation(columns.sensors()[0])
     table.check()
     if time is not None:
         alpha = unwrapped(time, alpha, words)
-    seen = np.asarray(np.isfinite(tips[..., 0]).any(1))
-    if not seen.any():
-        raise InputError(f"{path}: no row has a measured position")
-    if not seen.all():
-        words.append(f"{int((~seen).sum())} of {count} rows have no measured position and were left out")
+    seen = seen_rows(tips, path, words)
     optional = {"direction": direction, "separation": separation, "time": time, "orientation": frames}
     picked = {name: None if value is None else value[seen] for name, value in optional.items()}
     found = Measurements(alpha[seen], shift[seen], tips[seen], source=Path(path).name, **picked)  # type: ignore[arg-type]

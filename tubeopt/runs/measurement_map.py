@@ -65,7 +65,8 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     _complete(path, entry, tips, joints, robot)
     positions = tips.positions()
     time = tips.numbers(["time"])[:, 0] if tips.has("time") else None
-    rotations, translations = _joints(joints, robot)
+    rotations = joints.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)])
+    translations = joints.translations(robot.home_translations)
     stamps = joints.numbers(["time"])[:, 0] if joints is not tips else None
     frames = tips.orientation(_foremost(tips, entry))
     for columns in (tips, joints):
@@ -87,15 +88,6 @@ def _complete(path: str | PathLike[str], entry: MeasurementMap, tips: Columns, j
         raise InputError(f"{path}: behind_mm has {len(entry.behind_mm)} numbers; there are {len(sensors)} sensors")
 
 
-def _joints(columns: Columns, robot: Robot) -> tuple[Array, Array]:
-    rotations = columns.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)])
-    translations = np.tile(robot.home_translations, (len(rotations), 1))
-    for i in range(robot.n_tubes):
-        if columns.has(f"translation_{i + 1}"):
-            translations[:, i] = columns.numbers([f"translation_{i + 1}"])[:, 0]
-    return rotations, translations
-
-
 def _foremost(tips: Columns, entry: MeasurementMap) -> int:
     sensors = tips.sensors()
     behind = entry.behind_mm or [Decimal(0)] * len(sensors)
@@ -112,9 +104,7 @@ def _assemble(
     frames: Array | None,
 ) -> Measurements:
     words: list[str] = []
-    seen = np.asarray(np.isfinite(positions[..., 0]).any(1))
-    if not seen.any():
-        raise InputError(f"{entry.tips}: no row has a measured position")
+    kept = seen_rows(positions, entry.tips, words)
     rotations, translations = joints
     turning = stamps if stamps is not None else time
     if turning is not None:
@@ -123,18 +113,14 @@ def _assemble(
     if stamps is not None and time is not None:
         log = JointLog(stamps, rotations, translations)
         covered = (time >= stamps[0]) & (time <= stamps[-1])
-        _count(words, seen & ~covered, "lie before or after all joint readings and were left out")
-        _count(words, ~seen, "have no measured position and were left out")
-        kept = seen & covered
+        _count(words, kept & ~covered, "lie before or after all joint readings and were left out")
+        kept &= covered
         if not kept.any():
             raise InputError(
                 f"{entry.tips} and {entry.joints} have no time in common: tips from {time[0]:g} to {time[-1]:g} s, "
                 f"joints from {stamps[0]:g} to {stamps[-1]:g} s; both must be of one clock"
             )
         rotations = translations = np.zeros((len(time), robot.n_tubes))
-    else:
-        _count(words, ~seen, "have no measured position and were left out")
-        kept = seen
     found = Measurements(
         rotations[kept],
         translations[kept],
@@ -147,6 +133,15 @@ def _assemble(
         log=log,
     )
     return finished(found, robot, words)
+
+
+def seen_rows(positions: Array, where: str | PathLike[str], words: list[str]) -> Mask:
+    """(rows,) whether any of the sensors (rows, S, 3) was seen; `words` tell how many rows are left out."""
+    seen = np.asarray(np.isfinite(positions[..., 0]).any(1))
+    if not seen.any():
+        raise InputError(f"{where}: no row has a measured position")
+    _count(words, ~seen, "have no measured position and were left out")
+    return seen
 
 
 def finished(found: Measurements, robot: Robot, words: list[str]) -> Measurements:

@@ -7,7 +7,7 @@ from decimal import Decimal
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from ..bodies.anatomy import Anatomy
 from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
@@ -18,7 +18,7 @@ from ..files.fields import Part, entry_of
 from ..files.marks import Usual
 from ..files.units import MM, shown, to_si
 from ..files.yaml_file import load_yaml
-from .anatomy_file import load_anatomy
+from .anatomy_file import AnatomyKey, load_anatomy
 
 Place = Annotated[Triple, Usual(1e-3, 10.0)]
 """A position that is reached by a robot as long as a hand or an arm."""
@@ -131,3 +131,28 @@ else:
         Discriminator(lambda value: "<bodies>" if isinstance(value, list) else "<file>"),
     ]
 """Bodies in whatever file: a list of them, or the path of a file with the key `obstacles`. Read as obstacles in SI."""
+
+
+class Surrounded(Entry):
+    """What has bodies and a patient around it."""
+
+    obstacles: Bodies = Field(
+        (),
+        description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
+        examples=["OBSTACLES.yaml"],
+    )
+    anatomy: AnatomyKey | None = Field(
+        None,
+        description="images, meshes and clouds of a patient: what they are made of, or a YAML file",
+        examples=["ANATOMY.yaml"],
+    )
+
+    @property
+    def around(self) -> Anatomy:
+        """The anatomy, an empty one where none is given."""
+        return Anatomy() if self.anatomy is None else self.anatomy
+
+    @property
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """Obstacles, and those of the anatomy."""
+        return self.obstacles + self.around.bodies

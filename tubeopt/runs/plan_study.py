@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
-from ..bodies.obstacles import Obstacle
 from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
 from ..files.fields import Part, entry_of
@@ -20,10 +19,9 @@ from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
-from .anatomy_file import AnatomyKey
-from .base import OnePerTube, Progress, RobotPath, joints_of
+from .base import OnePerTube, Progress, Started, joints_of
 from .load_file import LoadedStudy
-from .obstacle_file import Bodies, Place, point
+from .obstacle_file import Place, Surrounded, point
 
 if TYPE_CHECKING:  # to which an entry is whatever can be built
     RatesEntry = Part
@@ -43,9 +41,8 @@ class EntryPart(Entry):
     cone_deg: NotNegative = Field(Decimal(0), lt=90, description="half angle of the cone of directions")
     places: Annotated[Whole, Field(ge=1, le=16384)] = Field(64, description="of the plate that are looked at")
 
-    def region(self, anatomy: Anatomy | None) -> EntryRegion:
+    def region(self, around: Anatomy) -> EntryRegion:
         """The region in SI; raises InputError for several, none, or landmarks that there are not."""
-        around = Anatomy() if anatomy is None else anatomy
         return EntryRegion(
             0.0 if self.radius_mm is None else to_si(self.radius_mm, MM),
             (0.0, 0.0, 0.0) if self.box_mm is None else point(self.box_mm),
@@ -70,16 +67,41 @@ class CutPart(Entry):
             raise ValueError("must give at_mm and normal, or through")
         return self
 
-    def plane(self, anatomy: Anatomy | None) -> Plane:
+    def plane(self, around: Anatomy) -> Plane:
         """In the frame of the plate; raises InputError for landmarks that there are not, or that tell no plane."""
         if self.at_mm is not None and self.normal is not None:
             return Plane(np.array(point(self.at_mm)), np.array([float(x) for x in self.normal]))
-        around = Anatomy() if anatomy is None else anatomy
         a, b, *more = (around.landmark(name) for name in self.through or ())
         return Plane.through(a, b, *(more or [np.zeros(3)]))
 
 
-class PlanStudy(LoadedStudy):
+class Aimed(Started):
+    """A robot, from where it begins, and its goal: joint values, or where its tip shall be."""
+
+    goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; those of the start where not given")
+    goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
+    tip_mm: Place | None = Field(None, description="goal as a position of the tip")
+    tip_at: str | None = Field(None, description="goal of the tip: a landmark of the anatomy, or its target")
+    tip_direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
+
+    @model_validator(mode="after")
+    def _points_at_something(self) -> Self:
+        if self.tip_direction is not None and self.tip_mm is None and self.tip_at is None:
+            raise ValueError("tip_direction is given without tip_mm or tip_at")
+        return self
+
+    def goal(self, around: Anatomy) -> tuple[Array, Array] | TipGoal:
+        """Joint values, or the tip's place; raises InputError for a landmark that there is not."""
+        if self.tip_mm is not None:
+            place = np.array(point(self.tip_mm))
+        elif self.tip_at is not None:
+            place = around.place(self.tip_at)
+        else:
+            return joints_of(self.robot, self.goal_deg or self.start_deg, self.goal_mm or self.start_mm)
+        return TipGoal(place, None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction]))
+
+
+class PlanStudy(Aimed, Surrounded, LoadedStudy):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
     doing = "planning"
@@ -91,15 +113,7 @@ class PlanStudy(LoadedStudy):
     )
 
     kind: Literal["plan"]
-    robot: RobotPath
-    start_deg: OnePerTube | None = Field(None, description="rotations at the start; all 0 where not given")
-    start_mm: OnePerTube | None = Field(None, description="translations at the start; home where not given")
-    goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; those of the start where not given")
-    goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
     modulo_turns: bool = Field(False, description="goal rotations may be reached with any number of whole turns")
-    tip_mm: Place | None = Field(None, description="goal as a position of the tip")
-    tip_at: str | None = Field(None, description="goal of the tip: a landmark of the anatomy, or its target")
-    tip_direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
     tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
         None, description="a curve for the tip; it begins where inverse kinematics puts the robot"
     )
@@ -107,12 +121,6 @@ class PlanStudy(LoadedStudy):
     tolerance_mm: Positive = Field(Decimal("0.5"), description="largest distance of the tip from the curve")
     leader: bool = Field(False, description="deploy to the goal so that the arm stays close to the path of its tip")
     begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
-    obstacles: Bodies = Field(
-        (), description="bodies that the whole arm keeps away from: a list of them, or a YAML file"
-    )
-    anatomy: AnatomyKey | None = Field(
-        None, description="images, meshes and clouds of a patient: what they are made of, or a YAML file"
-    )
     entry: EntryPart | None = Field(None, description="where else the plate may stand, and how it may point")
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     max_tip_force_mN: NotNegative = Field(
@@ -138,8 +146,6 @@ class PlanStudy(LoadedStudy):
         tips = [each for each in (self.tip_mm, self.tip_at, self.tip_path_mm) if each is not None]
         if joints + len(tips) != 1:
             raise ValueError("one goal must be given: goal_deg and goal_mm, tip_mm, tip_at, or tip_path_mm")
-        if self.tip_direction is not None and self.tip_mm is None and self.tip_at is None:
-            raise ValueError("tip_direction is given without tip_mm or tip_at")
         if self.tip_at is not None:
             if self.anatomy is None:
                 raise ValueError("tip_at is given without an anatomy, whose landmarks it names")
@@ -149,9 +155,9 @@ class PlanStudy(LoadedStudy):
         if self.pushing() is not None and (self.leader or self.tip_path_mm is not None):
             raise ValueError("a load is given with leader or tip_path_mm; under a load there are plans to a goal only")
         if self.cut is not None:
-            self.cut.plane(self.anatomy)
+            self.cut.plane(self.around)
         if self.entry is not None:
-            self.entry.region(self.anatomy)
+            self.entry.region(self.around)
             if self.leader or self.tip_path_mm is not None or self.pushing() is not None:
                 raise ValueError(
                     "entry is given with leader, tip_path_mm or a load; it is for plans to a goal without one"
@@ -160,20 +166,6 @@ class PlanStudy(LoadedStudy):
             raise ValueError("max_tip_force_mN is given beside a load; a plan holds under one load, or under any force")
         return self
 
-    @property
-    def bodies(self) -> tuple[Obstacle, ...]:
-        """Obstacles, and those of the anatomy."""
-        return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
-
-    def _ends(self) -> tuple[tuple[Array, Array], Any]:
-        start = joints_of(self.robot, self.start_deg, self.start_mm)
-        towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
-        if self.tip_mm is not None:
-            return start, TipGoal(np.array(point(self.tip_mm)), towards)
-        if self.tip_at is not None and self.anatomy is not None:
-            return start, TipGoal(self.anatomy.place(self.tip_at), towards)
-        return start, joints_of(self.robot, self.goal_deg or self.start_deg, self.goal_mm or self.start_mm)
-
     def run(self, progress: Progress | None = None) -> Trajectory:
         """The trajectory; raises SolveError where there is none, or none was found in time."""
         if progress is not None:
@@ -181,7 +173,7 @@ class PlanStudy(LoadedStudy):
         plan = self._found(progress)
         if self.cut is None:
             return plan
-        plane = self.cut.plane(self.anatomy)
+        plane = self.cut.plane(self.around)
         return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
 
     def _found(self, progress: Progress | None) -> Trajectory:
@@ -200,8 +192,7 @@ class PlanStudy(LoadedStudy):
             "rate_limits": self.rates.build(),
             "options": options,
         }
-        start, goal = self._ends()
-        robot = self.robot
+        robot, start, goal = self.robot, self.start, self.goal(self.around)
         if self.tip_path_mm is not None:
             given = start if self.start_deg is not None or self.start_mm is not None else None
             path = [point(row) for row in self.tip_path_mm]
@@ -210,7 +201,7 @@ class PlanStudy(LoadedStudy):
         if self.leader:
             return follow_the_leader(robot, goal, begin=float(self.begin_percent) / 100, **common)
         if self.entry is not None:
-            region, count = self.entry.region(self.anatomy), self.entry.places
+            region, count = self.entry.region(self.around), self.entry.places
             plan = plan_from_region(robot, start, goal, region, count=count, progress=progress, **common)
             return plan if self.anatomy is None else standing(plan, self.anatomy.base)
         return plan_trajectory(robot, start, goal, load=self.pushing(), **common)

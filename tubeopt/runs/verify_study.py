@@ -17,10 +17,9 @@ from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
 from ..robots.robot import Robot
-from .anatomy_file import AnatomyKey
 from .base import Progress, RobotPath
 from .load_file import LoadedStudy
-from .obstacle_file import Bodies
+from .obstacle_file import Surrounded
 from .plan_study import PlanStudy, RatesEntry
 
 
@@ -46,7 +45,7 @@ def _plan_study(path: str | PathLike[str]) -> PlanStudy:
     return check_kind({"plan": PlanStudy}, load_yaml(path), path)
 
 
-class VerifyStudy(LoadedStudy):
+class VerifyStudy(Surrounded, LoadedStudy):
     """Whether a trajectory of whatever origin snaps, collides or is too fast."""
 
     doing = "following the trajectory"
@@ -62,14 +61,6 @@ class VerifyStudy(LoadedStudy):
     min_margin: NotNegative | None = Field(
         None, lt=1, description="least stability margin, below 1; by default 0", examples=["MU"]
     )
-    obstacles: Bodies = Field(
-        (),
-        description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
-        examples=["OBSTACLES.yaml"],
-    )
-    anatomy: AnatomyKey | None = Field(
-        None, description="images, meshes and clouds of a patient: a YAML file", examples=["ANATOMY.yaml"]
-    )
     clearance_mm: NotNegative | None = Field(None, description="least distance of the arm from obstacles; by default 0")
     max_tip_force_mN: NotNegative | None = Field(
         None,
@@ -82,11 +73,6 @@ class VerifyStudy(LoadedStudy):
         description="margin, obstacles, clearance, force, load and rates of this plan study, where none are given here",
         examples=["STUDY.yaml"],
     )
-
-    @property
-    def bodies(self) -> tuple[Obstacle, ...]:
-        """Obstacles, and those of the anatomy."""
-        return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
 
     def _asked(self) -> VerifyStudy | PlanStudy:
         """What is asked: of the plan study where there is one, but for the keys that are given beside it."""

@@ -11,8 +11,7 @@ from rich.console import Group, RenderableType
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import SIGNS, TO_MM
-from ..robots.calibration_file import calibration_to_dict
-from ..robots.file import save_robot
+from ..robots.file import calibration_to_dict, save_robot
 from ..typing import Array
 from ..validation import Comparison, ErrorGroup, ErrorSummary, Estimate, Fit, Parity, Registration, Step, Validation
 from . import quantities
