@@ -28,12 +28,7 @@ from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
-from .continuation import (
-    JointPath,
-    Point,
-    follow_to,
-    largest_twist,
-)
+from .continuation import JointPath, Point, follow_to, largest_twist, small_motion
 from .load_problem import check_load
 from .loaded import loaded_kinematics, solved_by_ipopt
 from .method import NAMED, Method, method_of, only_plain
@@ -205,7 +200,7 @@ def _compiled(
     start, translations = None, np.array(shift)
     if guess is not None:
         turn = rotations - guess.rotations
-        if guess.margin <= 0 or not _small(turn, translations - guess.translations, float(guess.arc_length[-1])):
+        if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, float(guess.arc_length[-1])):
             return None
         arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
         start = Start(*arm, turn, guess.translations)
@@ -235,13 +230,6 @@ def _tied(robot: Robot) -> bool:
 def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
     """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
     robot.assembly(np.array(shift))
-
-
-def _small(turn: Array, shift: Array, length: float) -> bool:
-    """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
-    farthest = CONTINUATION.largest_shift * max(length, 1e-300)
-    turned, moved = turn.tolist(), shift.tolist()
-    return all(abs(by) <= CONTINUATION.largest_turn for by in turned) and all(abs(by) <= farthest for by in moved)
 
 
 @small
@@ -358,7 +346,7 @@ def _near(
     method is not at ease, or the motion is not small."""
     problem = reduced_problem(robot, shift, discretisation)
     turn = rotations - guess.rotations
-    if not _small(turn, shift - guess.translations, problem.assembly.total_length):
+    if not small_motion(turn, shift - guess.translations, problem.assembly.total_length):
         return None
     theta = sample_rotation(guess, problem.arc_length) + turn
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)

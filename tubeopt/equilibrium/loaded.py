@@ -21,7 +21,7 @@ from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
-from .continuation import JointPath, largest_twist
+from .continuation import JointPath, largest_twist, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
 from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
@@ -196,7 +196,7 @@ def compiled(
         if turn.any() or not np.array_equal(start.translations, shift):
             return None
         given, word = (sample_rotation(start, problem.torsion.arc_length), None), "the load before, from none"
-    elif _small(start, turn, shift):
+    elif small_motion(turn, shift - start.translations, float(start.arc_length[-1])):
         given, word = _at_points(start, problem), "guess"
     else:
         return None
@@ -250,14 +250,6 @@ def grow_many(
 def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float, settings: Newton) -> bool:
     theta, tip, margin = found.errors
     return margin > settings.margin_tolerance or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
-
-
-def _small(start: Equilibrium, turn: Array, shift: tuple[float, ...]) -> bool:
-    """Whether joints are little apart."""
-    moved = np.abs(np.array(shift) - start.translations).max()
-    return bool(
-        np.abs(turn).max() <= CONTINUATION.largest_turn and moved <= CONTINUATION.largest_shift * start.arc_length[-1]
-    )
 
 
 def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
@@ -324,7 +316,7 @@ def _close(
     assert guess.load is not None
     turn = rotations - guess.rotations
     same = len(guess.point) == len(problem.softness) and np.isnan(guess.margin) != problem.load.has_energy
-    if not same or not _small(guess, turn, shift):
+    if not same or not small_motion(turn, shift - guess.translations, float(guess.arc_length[-1])):
         return None
     before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
     if len(before.softness) != len(problem.softness):
