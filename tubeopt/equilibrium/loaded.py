@@ -85,16 +85,11 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
         return unloaded_point(loaded_problem(equilibrium.robot, shift, Load()), equilibrium)
     problem = loaded_problem(equilibrium.robot, shift, equilibrium.load, discretisation_of(equilibrium))
     rotations = equilibrium.rotations
-    x = unknowns(problem, rotations, _elastic(problem, equilibrium), equilibrium.point_curvature)
+    x = unknowns(problem, rotations, sample_rotation(equilibrium, equilibrium.point), equilibrium.point_curvature)
     result = loaded_newton(problem, rotations, x)
     if not result.converged:
         raise SolveError("the loaded equilibrium is a fold (margin 0): Newton does not stay there")
     return solved(Member(problem, rotations, shift), result)
-
-
-def _elastic(problem: LoadedProblem, equilibrium: Equilibrium) -> Array:
-    """(N, n) rotations at the points without the natural turn of tubes made of pieces."""
-    return equilibrium.point_rotation - problem.torsion.assembly.wound(problem.torsion.arc_length)
 
 
 def to_tolerance(
@@ -255,7 +250,7 @@ def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float, s
 def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
     """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
     problem."""
-    theta, n = start.point_rotation - start.robot.assembly(start.translations).wound(start.point), len(start.rotations)
+    theta, n = sample_rotation(start, start.point), len(start.rotations)
     s = problem.torsion.arc_length
     if (
         len(s) == len(start.point)
@@ -321,7 +316,7 @@ def _close(
     before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
     if len(before.softness) != len(problem.softness):
         return None
-    theta = _elastic(before, guess)
+    theta = sample_rotation(guess, guess.point)
     bent = unknowns(before, guess.rotations, theta, guess.point_curvature)[before.torsion.size :]
     x = unknowns(problem, rotations, theta + turn)
     x[problem.torsion.size :] = bent * np.repeat(before.softness / problem.softness, 2)
