@@ -322,9 +322,7 @@ def _refine(
     return solution if method.name == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
 
 
-def one_step(
-    robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...], *, tolerance: float = 1e-8
-) -> Equilibrium | None:
+def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
     """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
     began = time.perf_counter()
@@ -334,9 +332,9 @@ def one_step(
         if solution is None:
             return None
         quick = to_equilibrium(robot, solution, translations, ("newton", "guess", time.perf_counter() - began))
-    if _error(quick) <= tolerance:
+    if _error(quick) <= TOLERANCE:
         return quick
-    return forward_kinematics(robot, rotations, translations, guess=quick, tolerance=tolerance)
+    return forward_kinematics(robot, rotations, translations, guess=quick)
 
 
 def _near(
