@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -274,7 +275,9 @@ def estimate_force(  # noqa: PLR0913
         if moved > solver.longest_move * length:
             damping *= 4
             continue
-        there = _try(trial, base, trial.force + step, measured)
+        there: _Trial | None = None
+        with suppress(SolveError):
+            there = _trial(trial.equilibrium, base, trial.force + step, measured)
         settled = float(np.linalg.norm(trial.jacobian @ step)) <= solver.settled
         if there is not None and (there.residual @ there.residual <= trial.residual @ trial.residual or settled):
             trial, damping = there, damping / 10
@@ -312,13 +315,6 @@ def _measured(
     if not places:
         raise InputError("neither tip_position nor points are given; the force is estimated from where the arm is")
     return _Measured(np.array(places), np.array(positions), noise)
-
-
-def _try(trial: _Trial, base: Load, force: Array, measured: _Measured) -> _Trial | None:
-    try:
-        return _trial(trial.equilibrium, base, force, measured)
-    except SolveError:
-        return None
 
 
 def _trial(near: Equilibrium, base: Load, force: Array, measured: _Measured) -> _Trial:
