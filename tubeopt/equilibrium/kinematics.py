@@ -154,11 +154,8 @@ def _to_tolerance(
     tolerance: float,
     how: tuple[Method, str, float],
 ) -> Equilibrium:
-    """The equilibrium on the first mesh whose estimated error is small enough; `how` is method, start, and when begun.
-
-    Raises:
-        SolveError: no mesh is fine enough, or finer ones no longer help.
-    """
+    """The equilibrium on the first mesh whose estimated error is small enough, as far as finer ones help; `how` is
+    method, start, and when begun."""
     method, start, began = how
     before, finest = np.inf, max(method.newton.refinements, discretisation.refinement)
     for level in range(discretisation.refinement, finest + 1):
@@ -359,11 +356,8 @@ def _near(
 def follow_branch(
     robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
 ) -> Solution:
-    """Follow the branch of `guess`, stable or not, along the straight path of joint values.
-
-    Raises:
-        SolveError: the branch ends on the way.
-    """
+    """Follow the branch of `guess`, stable or not, along the straight path of joint values; raises SolveError where it
+    ends on the way."""
     near = _near(robot, guess, rotations, shift, discretisation)
     if near is not None:
         return near

@@ -101,11 +101,7 @@ def to_tolerance(
     how: tuple[str, float],
     settings: Newton = NEWTON,
 ) -> Equilibrium:
-    """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun.
-
-    Raises:
-        SolveError: no mesh is fine enough.
-    """
+    """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun."""
     d, finest = discretisation, settings.loaded_refinements
     for level in range(d.refinement, max(finest, d.refinement) + 1):
         errors = mesh_errors(robot, point, d)
@@ -133,13 +129,9 @@ def loaded_kinematics(
     began: float,
     settings: Newton = NEWTON,
 ) -> Equilibrium:
-    """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load.
-
-    Raises:
-        SolveError: the branch ends, or turns unstable, on the way; or no mesh is fine enough.
-    """
-    rotations, shift = joints
-    d = LOADED_DISCRETISATION
+    """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load;
+    raises SolveError as `forward_kinematics`."""
+    (rotations, shift), d = joints, LOADED_DISCRETISATION
     quick = compiled(robot, start, joints, load, tolerance, began, settings)
     if quick is not None:
         return quick

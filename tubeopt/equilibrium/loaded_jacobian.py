@@ -39,13 +39,7 @@ APART = 1e-7
 
 def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> tuple[Array, Array, Array, Array, Array]:
     """Derivatives as `Jacobian` has them: tip position (3, Q), turn (3, Q), tip rotations (n, Q), margin (Q,), energy
-    (Q,); the margin is NaN for loads without one.
-
-    Raises:
-        InputError: a name that is not among PARAMETERS, or a dimension of tubes made of pieces; a side that is not 1
-            or -1.
-        SolveError: a fold, where derivatives are infinite.
-    """
+    (Q,); the margin is NaN for loads without one."""
     for name in wrt:
         if name not in PARAMETERS:
             raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")

@@ -165,11 +165,7 @@ def _asked(
 def _reachable(
     choose: Callable[[Mask], list[int]], robot: Robot, joints: tuple[Array, Array], tips: Array
 ) -> list[int]:
-    """The best of those configurations that are reached from home without a snap.
-
-    Raises:
-        SolveError: too few are.
-    """
+    """The best of those configurations that are reached from home without a snap; raises SolveError if too few are."""
     (alpha, shift), usable = joints, np.ones(len(joints[0]), dtype=bool)
     while True:
         best = choose(usable)

@@ -115,11 +115,7 @@ class Setup:
         return None if found.trivial else found
 
     def robot(self, given: Robot, found_by: str = "") -> CommonRobot:
-        """The robot with these numbers.
-
-        Raises:
-            InputError: there is no such robot.
-        """
+        """The robot with these numbers; raises InputError where there is none."""
         first = Setup.of(given)
         if self.same_tubes(first):
             tubes = members(given)
