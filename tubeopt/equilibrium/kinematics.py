@@ -250,15 +250,15 @@ def _cold(problem: ReducedProblem, rotations: Array, method: Method) -> tuple[So
 
 def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
     pieces, n = len(problem.mesh.length), problem.assembly.n_tubes
-    extra = np.zeros((pieces, problem.mesh.tableau.degree, n)) if problem.assembly.eccentric else None
     still = np.zeros((pieces, problem.mesh.tableau.degree, n))
+    extra = still if problem.assembly.eccentric else None
     return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
 
 
 def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, method: Method) -> Solution:
     """Solve from a guess by a method; raises SolveError where it does not converge."""
     if method.name == "newton":
-        z = _unknowns(problem, rotations, guess)
+        z = to_unknowns(problem, rotations, arms.interpolate(problem, guess, problem.arc_length))
         solve = _by_centreline if problem.assembly.eccentric else descend
         result = solve(problem, rotations, z, settings=method.newton)
     elif method.name == "energy" and problem.assembly.eccentric:
@@ -279,12 +279,6 @@ def _by_centreline(
     theta = evaluate(problem, rotations, z).theta
     start = descend(concentric, rotations, to_unknowns(concentric, rotations, theta), settings=settings)
     return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta), settings=settings)
-
-
-def _unknowns(problem: ReducedProblem, rotations: Array, guess: arms.Profile) -> Array:
-    nodes = tuple(problem.mesh.tableau.nodes.tolist())
-    theta = arms.rotations_at(problem, guess, nodes)[problem.mesh.collocated]
-    return to_unknowns(problem, rotations, theta.reshape(-1, len(rotations)))
 
 
 def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
