@@ -70,7 +70,7 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
                 (one - other) / (2 * step) for one, other in zip(ahead, back, strict=True)
             )
             margin = float("nan") if soft is None else float(soft @ stiffness @ soft)
-            columns.append((position, _axis(frame @ equilibrium.tip_rotation.T), tips, margin, energy))
+            columns.append((position, _axis(frame @ equilibrium.tip_rotation.T), tips, margin, float(energy)))
     return tuple(np.stack(part, axis=-1) for part in zip(*columns, strict=True))  # type: ignore[return-value]
 
 
@@ -130,13 +130,14 @@ def _softest(hessian: Array) -> Array | None:
     return None if values[1] - values[0] < APART or values[0] > 1 - APART else vectors[:, 0]
 
 
-def _outcome(problem: LoadedProblem, rotations: Array, x: Array) -> tuple[Array, Array, Array, Array, float]:
+def _outcome(problem: LoadedProblem, rotations: Array, x: Array) -> tuple[Array, ...]:
     """Tip position (3,), frame (3, 3), tip rotations (n,), second variation, and energy."""
     state = evaluate(problem, rotations, x)
     arm = loaded_arm(problem, rotations, state)
     ends = np.searchsorted(arm.arc_length, np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
     tips = arm.rotation[np.arange(len(rotations)), ends]
-    return tip_position(problem, state), tip_frame(state.orientation), tips, state.hessian, state.energy
+    energy = np.array(state.energy)
+    return tip_position(problem, state), tip_frame(state.orientation), tips, state.hessian, energy
 
 
 def _axis(turn: Array) -> Array:
