@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
@@ -17,7 +17,7 @@ from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
-from ..typing import Array, Mask, Sentence
+from ..typing import Array, Index, Mask, Sentence
 from .kinematics import forward_kinematics, measure
 from .loaded import grow_many
 from .result import Equilibrium
@@ -145,9 +145,19 @@ def forward_kinematics_batch(
 
     def run(rows: slice) -> int:
         if load is None:
-            failures.extend(_solve_rows(robot, alpha, shift, rows, table, tolerance))
+            left = _solve_rows(robot, alpha, shift, rows, table, tolerance)
         else:
-            failures.extend(_solve_loaded(robot, (alpha, shift, load), rows, (table, compliance), tolerance))
+            left = _grow_rows(robot, (alpha, shift, load), rows, (table, compliance), tolerance)
+        for row in left.tolist():
+            try:
+                e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
+            except SolveError as error:
+                table[row], compliance[row : row + 1] = np.nan, np.nan  # without a load there is no such row
+                failures.append((row, str(error)))
+                continue
+            table[row] = _row(e)
+            if load is not None:
+                compliance[row] = e.compliance
         return len(alpha[rows])
 
     done = 0
@@ -219,62 +229,38 @@ def _shared_out(run: Callable[[slice], int], count: int, workers: int) -> Iterat
         yield from pool.map(run, chunks)
 
 
-def _solve_rows(
-    robot: Robot, alpha: Array, shift: Array, rows: slice, table: Array, tolerance: float
-) -> list[tuple[int, str]]:
-    """Solve some rows into `table`; returns those without a stable equilibrium, with the reason."""
-    left: NDArray[np.intp] = np.arange(rows.start, rows.stop)
+def _solve_rows(robot: Robot, alpha: Array, shift: Array, rows: slice, table: Array, tolerance: float) -> Index:
+    """Solve some rows into `table` by the compiled kernel; returns those that are left over."""
+    left: Index = np.arange(rows.start, rows.stop)
     for refinement in range(1 + is_general(robot)):
         solved = solve_many_compiled(robot, alpha[left], shift[left], None, refinement) if len(left) else None
         if solved is None:
             break
         table[left] = solved[0]
         left = left[solved[1] | ~_fine(robot, shift[left], solved[0], tolerance)]
-    failures = []
-    for row in left.tolist():
-        try:
-            table[row] = _row(forward_kinematics(robot, alpha[row], shift[row], tolerance=tolerance))
-        except SolveError as error:
-            table[row] = np.nan
-            failures.append((row, str(error)))
-    return failures
+    return left
 
 
 def _fine(robot: Robot, shift: Array, found: Array, tolerance: float) -> Mask:
     """(N,) which rows of the kernel hold the tolerance, as `forward_kinematics` asks for it."""
-    length, n = measure(robot, _lengths(robot, shift)), robot.n_tubes
+    straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
+    length, n = measure(robot, (np.minimum(shift, straight) + curved).max(1)), robot.n_tubes
     return np.asarray(np.maximum(found[:, n + 14], found[:, n + 15] / length) <= tolerance)
 
 
-def _solve_loaded(
+def _grow_rows(
     robot: Robot, given: tuple[Array, Array, Load], rows: slice, out: tuple[Array, Array], tolerance: float
-) -> list[tuple[int, str]]:
-    """Solve some rows under load into a table and compliances; returns those without an answer, with the reason."""
-    (alpha, shift, load), (table, compliance), failures = given, out, []
+) -> Index:
+    """Solve some rows under load into a table and compliances by the compiled kernels; returns those left over."""
+    (alpha, shift, load), (table, compliance), left = given, out, [np.arange(0)]
     places, group = np.unique(shift[rows], axis=0, return_inverse=True)
     for k, place in enumerate(places):
         chosen = rows.start + np.flatnonzero(group.ravel() == k)
-        left = chosen
         if len(chosen) > 1 and (solved := grow_many(robot, alpha[chosen], place, load, tolerance)) is not None:
-            found, soft, fine = solved
-            table[chosen], compliance[chosen] = found, soft
-            left = chosen[~fine]
-        for row in left.tolist():
-            try:
-                e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
-            except SolveError as error:
-                table[row], compliance[row] = np.nan, np.nan
-                failures.append((row, str(error)))
-                continue
-            table[row], compliance[row] = _row(e), e.compliance
-    return failures
-
-
-def _lengths(robot: Robot, shift: Array) -> Array:
-    """(N,) length of the arm, m."""
-    curved = np.array([tube.curved_length for tube in robot.tubes])
-    straight = np.array([tube.straight_length for tube in robot.tubes])
-    return np.asarray(np.maximum((np.minimum(shift, straight) + curved).max(1), 1e-300))
+            table[chosen], compliance[chosen], fine = solved
+            chosen = chosen[~fine]
+        left.append(chosen)
+    return np.concatenate(left)
 
 
 def _row(e: Equilibrium) -> Array:

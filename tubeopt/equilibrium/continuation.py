@@ -26,6 +26,13 @@ def largest_twist(margin: float) -> float:
     return min(max(2 * abs(margin) * CONTINUATION.largest_twist, CONTINUATION.soft_twist), CONTINUATION.largest_twist)
 
 
+def small_motion(turn: Array, shift: Array, length: float) -> bool:
+    """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
+    farthest = CONTINUATION.largest_shift * max(length, 1e-300)
+    turned, moved = turn.tolist(), shift.tolist()
+    return all(abs(by) <= CONTINUATION.largest_turn for by in turned) and all(abs(by) <= farthest for by in moved)
+
+
 @dataclass(frozen=True, eq=False)
 class JointPath:
     """The straight path from `start` to `end`, (2n,) rotations then translations, for fractions t in [0, 1]."""

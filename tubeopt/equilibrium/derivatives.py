@@ -102,6 +102,11 @@ class Derivatives(ArmChange):
         """Frames (P, K, 3, 3) and positions (P, K, 3) at the points."""
         return poses_inside(self.arm)
 
+    @property
+    def _turning(self) -> Array:
+        """(P, K, 3, Q) change of the turn at the points, per piece."""
+        return np.asarray(self.arm.length[:, None, None, None] * (self._poses[0][..., :2] @ self.bent))
+
     @cached_property
     def _turns(self) -> Array:
         """(J, 3) turns of all that lies beyond the jumps."""
@@ -146,10 +151,8 @@ class Derivatives(ArmChange):
     @cached_property
     def position(self) -> Array:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
-        frame, place = self._poses
-        rate = frame[..., :2] @ self.bent
-        turn = cumulate(self.arm, rate)
-        out = cross(turn, self.arm.position) - cumulate(self.arm, cross(rate, place))
+        t, rate = self.arm.tableau, self._turning
+        out = cross(cumulate(t, rate), self.arm.position) - cumulate(t, cross(rate, self._poses[1]))
         for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
             k = index * (len(ENDS) - 1)
             out[k:, :, column] += cross(gain[:, None], self.arm.position[k:] - self.arm.position[k])[..., 0]
@@ -160,7 +163,7 @@ class Derivatives(ArmChange):
     def turn_ahead(self) -> Array:
         """(m, 3, Q) turn vector of the frames at the shape points at fixed arc lengths, by carriages, ahead of what a
         breakpoint there adds."""
-        out = cumulate(self.arm, self._poses[0][..., :2] @ self.bent)
+        out = cumulate(self.arm.tableau, self._turning)
         for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
             out[index * (len(ENDS) - 1) + 1 :, :, column] += gain
         return out

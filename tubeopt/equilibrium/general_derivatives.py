@@ -40,12 +40,8 @@ WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "cu
 def general_columns(
     equilibrium: Equilibrium, wrt: Sequence[str], side: int
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Derivatives of tip position (3, Q), tip rotation (3, Q), tip rotations (n, Q), margin and energy (Q,).
-
-    Raises:
-        InputError: an unknown name, or a side that is neither 1 nor -1.
-        SolveError: the equilibrium is a fold.
-    """
+    """Derivatives of tip position (3, Q), tip rotation (3, Q), tip rotations (n, Q), margin and energy (Q,), for
+    `jacobian`."""
     if side not in (1, -1):
         raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
     for name in wrt:

@@ -11,6 +11,7 @@ from operator import itemgetter
 import numpy as np
 
 from ..block.transcription.collocated import ENDS
+from ..block.transcription.linear import cumulate
 from ..typing import Array
 from .general_change import Answer, Change, together
 from .general_derivatives import Linearised, changes_of, columns_of
@@ -117,12 +118,10 @@ class GeneralMotion:
 
     def _moved(self, at: Linearised, change: Change, answer: Answer) -> tuple[Array, Array, Array]:
         """(m, 3) of the shape points with one joint, the turn vectors, and (m, 1) of their arc lengths."""
-        turn, length = answer.turn[0], change.length[0][:, None, None]
-        up_to = at.t.lagrange(ENDS, integrals=1)
-        turned, lever = (_cumulate(up_to, part) for part in (turn, np.cross(turn, at.position)))
-        stretch = _cumulate(up_to, at.frame[..., 2] * length)
-        ahead = _cumulate(np.asarray(ENDS)[:, None], length)
-        out = np.cross(turned, at.arm.position) - lever + stretch
+        turn, length = answer.turn[0], np.repeat(change.length[0][:, None, None], at.t.degree, axis=1)
+        turned, ahead = (cumulate(at.t, part) for part in (turn, length))
+        shifted = at.frame[..., 2] * length - np.cross(turn, at.position)
+        out = np.cross(turned, at.arm.position) + cumulate(at.t, shifted)
         if at is self.here:
             return np.asarray(out), turned, ahead
         bend = (at.arm.frame[..., :2] @ at.arm.curvature[..., None])[..., 0]
@@ -150,11 +149,3 @@ class GeneralMotion:
             grown = change.length[0][:, None] * (at.u**2).sum(2) + 2 * at.length[:, None] * (at.u * bent).sum(2)
             out.append(float((weights * grown).sum()))
         return np.array(out)
-
-
-def _cumulate(up_to: Array, values: Array) -> Array:
-    """(m, c) integrals from the plate to the shape points, of values (P, K, c) per piece at the points."""
-    inner = np.einsum("jk,pkc->pjc", up_to, np.broadcast_to(values, (len(values), up_to.shape[1], values.shape[2])))
-    before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
-    table = before[:, None] + inner
-    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, table.shape[2])])

@@ -28,12 +28,7 @@ from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
-from .continuation import (
-    JointPath,
-    Point,
-    follow_to,
-    largest_twist,
-)
+from .continuation import JointPath, Point, follow_to, largest_twist, small_motion
 from .load_problem import check_load
 from .loaded import loaded_kinematics, solved_by_ipopt
 from .method import NAMED, Method, method_of, only_plain
@@ -159,11 +154,8 @@ def _to_tolerance(
     tolerance: float,
     how: tuple[Method, str, float],
 ) -> Equilibrium:
-    """The equilibrium on the first mesh whose estimated error is small enough; `how` is method, start, and when begun.
-
-    Raises:
-        SolveError: no mesh is fine enough, or finer ones no longer help.
-    """
+    """The equilibrium on the first mesh whose estimated error is small enough, as far as finer ones help; `how` is
+    method, start, and when begun."""
     method, start, began = how
     before, finest = np.inf, max(method.newton.refinements, discretisation.refinement)
     for level in range(discretisation.refinement, finest + 1):
@@ -205,7 +197,7 @@ def _compiled(
     start, translations = None, np.array(shift)
     if guess is not None:
         turn = rotations - guess.rotations
-        if guess.margin <= 0 or not _small(turn, translations - guess.translations, float(guess.arc_length[-1])):
+        if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, float(guess.arc_length[-1])):
             return None
         arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
         start = Start(*arm, turn, guess.translations)
@@ -237,13 +229,6 @@ def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
     robot.assembly(np.array(shift))
 
 
-def _small(turn: Array, shift: Array, length: float) -> bool:
-    """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
-    farthest = CONTINUATION.largest_shift * max(length, 1e-300)
-    turned, moved = turn.tolist(), shift.tolist()
-    return all(abs(by) <= CONTINUATION.largest_turn for by in turned) and all(abs(by) <= farthest for by in moved)
-
-
 @small
 def _cold(problem: ReducedProblem, rotations: Array, method: Method) -> tuple[Solution, str]:
     """A stable equilibrium from tubes without torsion, else by way of home."""
@@ -265,15 +250,15 @@ def _cold(problem: ReducedProblem, rotations: Array, method: Method) -> tuple[So
 
 def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
     pieces, n = len(problem.mesh.length), problem.assembly.n_tubes
-    extra = np.zeros((pieces, problem.mesh.tableau.degree, n)) if problem.assembly.eccentric else None
     still = np.zeros((pieces, problem.mesh.tableau.degree, n))
+    extra = still if problem.assembly.eccentric else None
     return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
 
 
 def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, method: Method) -> Solution:
     """Solve from a guess by a method; raises SolveError where it does not converge."""
     if method.name == "newton":
-        z = _unknowns(problem, rotations, guess)
+        z = to_unknowns(problem, rotations, arms.interpolate(problem, guess, problem.arc_length))
         solve = _by_centreline if problem.assembly.eccentric else descend
         result = solve(problem, rotations, z, settings=method.newton)
     elif method.name == "energy" and problem.assembly.eccentric:
@@ -294,12 +279,6 @@ def _by_centreline(
     theta = evaluate(problem, rotations, z).theta
     start = descend(concentric, rotations, to_unknowns(concentric, rotations, theta), settings=settings)
     return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta), settings=settings)
-
-
-def _unknowns(problem: ReducedProblem, rotations: Array, guess: arms.Profile) -> Array:
-    nodes = tuple(problem.mesh.tableau.nodes.tolist())
-    theta = arms.rotations_at(problem, guess, nodes)[problem.mesh.collocated]
-    return to_unknowns(problem, rotations, theta.reshape(-1, len(rotations)))
 
 
 def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
@@ -334,9 +313,7 @@ def _refine(
     return solution if method.name == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
 
 
-def one_step(
-    robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...], *, tolerance: float = 1e-8
-) -> Equilibrium | None:
+def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
     """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
     began = time.perf_counter()
@@ -346,9 +323,9 @@ def one_step(
         if solution is None:
             return None
         quick = to_equilibrium(robot, solution, translations, ("newton", "guess", time.perf_counter() - began))
-    if _error(quick) <= tolerance:
+    if _error(quick) <= TOLERANCE:
         return quick
-    return forward_kinematics(robot, rotations, translations, guess=quick, tolerance=tolerance)
+    return forward_kinematics(robot, rotations, translations, guess=quick)
 
 
 def _near(
@@ -358,7 +335,7 @@ def _near(
     method is not at ease, or the motion is not small."""
     problem = reduced_problem(robot, shift, discretisation)
     turn = rotations - guess.rotations
-    if not _small(turn, shift - guess.translations, problem.assembly.total_length):
+    if not small_motion(turn, shift - guess.translations, problem.assembly.total_length):
         return None
     theta = sample_rotation(guess, problem.arc_length) + turn
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
@@ -373,11 +350,8 @@ def _near(
 def follow_branch(
     robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
 ) -> Solution:
-    """Follow the branch of `guess`, stable or not, along the straight path of joint values.
-
-    Raises:
-        SolveError: the branch ends on the way.
-    """
+    """Follow the branch of `guess`, stable or not, along the straight path of joint values; raises SolveError where it
+    ends on the way."""
     near = _near(robot, guess, rotations, shift, discretisation)
     if near is not None:
         return near

@@ -21,7 +21,7 @@ from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
-from .continuation import JointPath, largest_twist
+from .continuation import JointPath, largest_twist, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
 from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
@@ -85,16 +85,11 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
         return unloaded_point(loaded_problem(equilibrium.robot, shift, Load()), equilibrium)
     problem = loaded_problem(equilibrium.robot, shift, equilibrium.load, discretisation_of(equilibrium))
     rotations = equilibrium.rotations
-    x = unknowns(problem, rotations, _elastic(problem, equilibrium), equilibrium.point_curvature)
+    x = unknowns(problem, rotations, sample_rotation(equilibrium, equilibrium.point), equilibrium.point_curvature)
     result = loaded_newton(problem, rotations, x)
     if not result.converged:
         raise SolveError("the loaded equilibrium is a fold (margin 0): Newton does not stay there")
     return solved(Member(problem, rotations, shift), result)
-
-
-def _elastic(problem: LoadedProblem, equilibrium: Equilibrium) -> Array:
-    """(N, n) rotations at the points without the natural turn of tubes made of pieces."""
-    return equilibrium.point_rotation - problem.torsion.assembly.wound(problem.torsion.arc_length)
 
 
 def to_tolerance(
@@ -106,11 +101,7 @@ def to_tolerance(
     how: tuple[str, float],
     settings: Newton = NEWTON,
 ) -> Equilibrium:
-    """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun.
-
-    Raises:
-        SolveError: no mesh is fine enough.
-    """
+    """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun."""
     d, finest = discretisation, settings.loaded_refinements
     for level in range(d.refinement, max(finest, d.refinement) + 1):
         errors = mesh_errors(robot, point, d)
@@ -138,13 +129,9 @@ def loaded_kinematics(
     began: float,
     settings: Newton = NEWTON,
 ) -> Equilibrium:
-    """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load.
-
-    Raises:
-        SolveError: the branch ends, or turns unstable, on the way; or no mesh is fine enough.
-    """
-    rotations, shift = joints
-    d = LOADED_DISCRETISATION
+    """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load;
+    raises SolveError as `forward_kinematics`."""
+    (rotations, shift), d = joints, LOADED_DISCRETISATION
     quick = compiled(robot, start, joints, load, tolerance, began, settings)
     if quick is not None:
         return quick
@@ -196,7 +183,7 @@ def compiled(
         if turn.any() or not np.array_equal(start.translations, shift):
             return None
         given, word = (sample_rotation(start, problem.torsion.arc_length), None), "the load before, from none"
-    elif _small(start, turn, shift):
+    elif small_motion(turn, shift - start.translations, float(start.arc_length[-1])):
         given, word = _at_points(start, problem), "guess"
     else:
         return None
@@ -252,18 +239,10 @@ def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float, s
     return margin > settings.margin_tolerance or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
 
 
-def _small(start: Equilibrium, turn: Array, shift: tuple[float, ...]) -> bool:
-    """Whether joints are little apart."""
-    moved = np.abs(np.array(shift) - start.translations).max()
-    return bool(
-        np.abs(turn).max() <= CONTINUATION.largest_turn and moved <= CONTINUATION.largest_shift * start.arc_length[-1]
-    )
-
-
 def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
     """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
     problem."""
-    theta, n = start.point_rotation - start.robot.assembly(start.translations).wound(start.point), len(start.rotations)
+    theta, n = sample_rotation(start, start.point), len(start.rotations)
     s = problem.torsion.arc_length
     if (
         len(s) == len(start.point)
@@ -324,12 +303,12 @@ def _close(
     assert guess.load is not None
     turn = rotations - guess.rotations
     same = len(guess.point) == len(problem.softness) and np.isnan(guess.margin) != problem.load.has_energy
-    if not same or not _small(guess, turn, shift):
+    if not same or not small_motion(turn, shift - guess.translations, float(guess.arc_length[-1])):
         return None
     before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
     if len(before.softness) != len(problem.softness):
         return None
-    theta = _elastic(before, guess)
+    theta = sample_rotation(guess, guess.point)
     bent = unknowns(before, guess.rotations, theta, guess.point_curvature)[before.torsion.size :]
     x = unknowns(problem, rotations, theta + turn)
     x[problem.torsion.size :] = bent * np.repeat(before.softness / problem.softness, 2)

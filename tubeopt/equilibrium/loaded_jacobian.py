@@ -11,7 +11,7 @@ to one side is that of the parabola through three equilibria.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,26 +37,9 @@ APART = 1e-7
 """Eigenvalues closer than this have no derivative."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Outcome:
-    """Tip position (3,), frame (3, 3), tip rotations (n,), second variation or margin, and energy."""
-
-    position: Array
-    frame: Array
-    tips: Array
-    stiffness: Array
-    energy: float
-
-
 def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> tuple[Array, Array, Array, Array, Array]:
     """Derivatives as `Jacobian` has them: tip position (3, Q), turn (3, Q), tip rotations (n, Q), margin (Q,), energy
-    (Q,); the margin is NaN for loads without one.
-
-    Raises:
-        InputError: a name that is not among PARAMETERS, or a dimension of tubes made of pieces; a side that is not 1
-            or -1.
-        SolveError: a fold, where derivatives are infinite.
-    """
+    (Q,); the margin is NaN for loads without one."""
     for name in wrt:
         if name not in PARAMETERS:
             raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
@@ -83,7 +66,11 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
                 _outcome(there, alpha, state.x + sign * step * change)
                 for (there, alpha), sign in zip(both, (1, -1), strict=True)
             )
-            columns.append(_difference(ahead, back, 2 * step, equilibrium.tip_rotation, soft))
+            position, frame, tips, stiffness, energy = (
+                (one - other) / (2 * step) for one, other in zip(ahead, back, strict=True)
+            )
+            margin = float("nan") if soft is None else float(soft @ stiffness @ soft)
+            columns.append((position, _axis(frame @ equilibrium.tip_rotation.T), tips, margin, float(energy)))
     return tuple(np.stack(part, axis=-1) for part in zip(*columns, strict=True))  # type: ignore[return-value]
 
 
@@ -143,26 +130,14 @@ def _softest(hessian: Array) -> Array | None:
     return None if values[1] - values[0] < APART or values[0] > 1 - APART else vectors[:, 0]
 
 
-def _outcome(problem: LoadedProblem, rotations: Array, x: Array) -> _Outcome:
+def _outcome(problem: LoadedProblem, rotations: Array, x: Array) -> tuple[Array, ...]:
+    """Tip position (3,), frame (3, 3), tip rotations (n,), second variation, and energy."""
     state = evaluate(problem, rotations, x)
     arm = loaded_arm(problem, rotations, state)
     ends = np.searchsorted(arm.arc_length, np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
     tips = arm.rotation[np.arange(len(rotations)), ends]
-    return _Outcome(tip_position(problem, state), tip_frame(state.orientation), tips, state.hessian, state.energy)
-
-
-def _difference(
-    ahead: _Outcome, back: _Outcome, step: float, frame: Array, soft: Array | None
-) -> tuple[Array, Array, Array, float, float]:
-    turn = (ahead.frame - back.frame) @ frame.T / step
-    margin = float("nan") if soft is None else float(soft @ (ahead.stiffness - back.stiffness) @ soft) / step
-    return (
-        (ahead.position - back.position) / step,
-        _axis(turn),
-        (ahead.tips - back.tips) / step,
-        margin,
-        (ahead.energy - back.energy) / step,
-    )
+    energy = np.array(state.energy)
+    return tip_position(problem, state), tip_frame(state.orientation), tips, state.hessian, energy
 
 
 def _axis(turn: Array) -> Array:

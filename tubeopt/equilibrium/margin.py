@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.buffered import mapped, section_function
+from ..block.transcription.green import green_of
 from ..block.transcription.linear import Arm
 from ..physics.certificate import worst_function
 from ..typing import Array
@@ -111,15 +112,11 @@ def _mode(of: ArmChange, rate: Array, value: float, one_of_two: bool) -> tuple[A
 
 def _compliant(arm: Arm, rate: Array) -> Array:
     """(N n, N n) matrix -C B V'' of all points, from V'' / kt (P, K, n, n)."""
-    t, (pieces, count, n, _) = arm.tableau, rate.shape
-    s = (arm.start[:, None] + arm.length[:, None] * t.nodes).ravel()
-    green = np.minimum(s[:, None], s)
-    for k in range(pieces):
-        block = slice(k * count, (k + 1) * count)
-        green[block, block] = arm.start[k] + arm.length[k] * t.compliance
-    weighted = (arm.length[:, None] * t.weights).reshape(-1, 1, 1) * rate.reshape(-1, n, n)
-    reach = green[:, None, :] + arm.transmission[:, None]
-    return np.asarray(-(reach[..., None] * weighted.swapaxes(0, 1)[None]).reshape(len(s) * n, len(s) * n))
+    n = arm.n_tubes
+    weighted = (arm.length[:, None] * arm.tableau.weights).reshape(-1, 1, 1) * rate.reshape(-1, n, n)
+    reach = green_of(arm.tableau, arm.start, arm.length)[:, None, :] + arm.transmission[:, None]
+    size = len(weighted) * n
+    return np.asarray(-(reach[..., None] * weighted.swapaxes(0, 1)[None]).reshape(size, size))
 
 
 def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:

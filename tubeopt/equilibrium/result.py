@@ -48,12 +48,10 @@ class Statistics(Displayed):
     elements: int
     degree: int
     start: str
-    """How the answer was reached."""
     seconds: float
     """That the solve took, `loading` apart."""
     family: str = "gauss"
     refinement: int = 0
-    """How often the pieces of the default mesh were halved."""
     loading: float = 0.0
     """Seconds in which the robot's kernel was got ready first: in a process loaded once, on a machine compiled once."""
 

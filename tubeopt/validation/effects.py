@@ -90,12 +90,11 @@ def _put(name: str) -> Change:
     return change
 
 
-def _scale(*names: str) -> Change:
+def _scale(name: str) -> Change:
     """The value as a factor on what there was."""
 
     def change(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
-        for name in names:
-            getattr(setup, name)[list(which)] = value * getattr(first, name)[list(which)]
+        getattr(setup, name)[list(which)] = value * getattr(first, name)[list(which)]
 
     return change
 

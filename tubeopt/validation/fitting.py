@@ -313,11 +313,9 @@ class FitProblem:
         if self.free:
             blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block, options.solver.draws)
         fold = deal(measurements, options.folds, place) if options.folds else None
-        out = (
-            (None, None)
-            if fold is None
-            else distances(model, hold_out(model, self.weights(), self.fit, fold, options.solver))
-        )
+        along, axis = None, None
+        if fold is not None:
+            along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold, options.solver))
         told(3, 4)
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
@@ -333,8 +331,8 @@ class FitProblem:
             axis_noise=self.sigma[1] if model.directed.any() else None,
             before=compare_at(model, model.start, model.robot),
             after=compare_at(model, state, calibrated),
-            held_out_errors=None if out[0] is None else out[0][:, 0],
-            held_out_axis_errors=out[1],
+            held_out_errors=None if along is None else along[:, 0],
+            held_out_axis_errors=axis,
             fold=fold,
             remarks=(*measurements.remarks, *self.remarks, *self._doubts(half, correlation)),
             evaluations=model.evaluations,

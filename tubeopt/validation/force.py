@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,8 @@ from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
-from .measurements import SAME_PLACE, Measurements
+from .comparison import check_tubes
+from .measurements import Measurements
 
 UNSEEN = 1e-8
 """Directions in which a force moves the measured points so many times less than in the best one are not seen at all."""
@@ -173,16 +175,16 @@ def estimate_forces(
         >>> np.round(tubeopt.estimate_forces(robot, recording, noise=1e-4).force[:, 0], 4)
         array([0.02, 0.02])
     """
-    if measurements.n_tubes != robot.n_tubes:
-        raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")
+    check_tubes(robot, measurements)
     positive("noise", noise)
+    stations, positions = measurements.stations, measurements.station_position
     found: list[ForceEstimate | None] = []
     failures = []
     last: Equilibrium | None = None
     for row in range(len(measurements)):
         alpha, shift = measurements.rotations[row], measurements.translations[row]
         length = robot.assembly(shift).total_length
-        seen = _points_of(measurements, row, length)
+        seen = [(length - s, at) for s, at in zip(stations, positions[row], strict=True) if np.isfinite(at[0])]
         try:
             estimate = estimate_force(
                 robot, alpha, shift, points=seen, noise=noise, known=known, guess=last, solver=solver
@@ -199,26 +201,13 @@ def estimate_forces(
     return ForceRecord(robot, measurements, noise, tuple(found), tuple(failures))
 
 
-def _points_of(measurements: Measurements, row: int, length: float) -> list[tuple[float, Array]]:
-    """Arc length and mean position of what was seen in a row, by distance behind the tip."""
-    sensors = measurements.sensors[row]
-    behind = np.zeros(len(sensors)) if measurements.behind is None else measurements.behind
-    out = []
-    for place in measurements.stations:
-        here = sensors[np.abs(behind - place) < SAME_PLACE]
-        here = here[np.isfinite(here[:, 0])]
-        if len(here):
-            out.append((length - float(place), here.mean(0)))
-    return out
-
-
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """Arc lengths (P,) and positions (P, 3) of measured points, m, and the noise of a coordinate (P,), m."""
+    """Arc lengths (P,) and positions (P, 3) of measured points, and the noise of a coordinate, m."""
 
     arc_length: Array
     position: Array
-    noise: Array
+    noise: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +275,9 @@ def estimate_force(  # noqa: PLR0913
         if moved > solver.longest_move * length:
             damping *= 4
             continue
-        there = _try(trial, base, trial.force + step, measured)
+        there: _Trial | None = None
+        with suppress(SolveError):
+            there = _trial(trial.equilibrium, base, trial.force + step, measured)
         settled = float(np.linalg.norm(trial.jacobian @ step)) <= solver.settled
         if there is not None and (there.residual @ there.residual <= trial.residual @ trial.residual or settled):
             trial, damping = there, damping / 10
@@ -323,31 +314,24 @@ def _measured(
         positions.append(vector("tip_position", tip, 3, "x, y, z"))
     if not places:
         raise InputError("neither tip_position nor points are given; the force is estimated from where the arm is")
-    return _Measured(np.array(places), np.array(positions), np.full(len(places), noise))
-
-
-def _try(trial: _Trial, base: Load, force: Array, measured: _Measured) -> _Trial | None:
-    try:
-        return _trial(trial.equilibrium, base, force, measured)
-    except SolveError:
-        return None
+    return _Measured(np.array(places), np.array(positions), noise)
 
 
 def _trial(near: Equilibrium, base: Load, force: Array, measured: _Measured) -> _Trial:
     load = replace(base, force=tuple(np.add(base.force, force).tolist()))
     e = forward_kinematics(near.robot, near.rotations, near.translations, load=load, guess=near)
+    noise = measured.noise
     if list(measured.arc_length) == [e.arc_length[-1]]:
-        noise = float(measured.noise[0])
         return _Trial(force, e, (measured.position[0] - e.tip_position) / noise, e.compliance[:3, :3] / noise)
     point = loaded_point(e)
     problem, state = point.member.problem, point.state
     moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
     residuals, rows = [], []
-    for s, position, noise in zip(measured.arc_length, measured.position, measured.noise, strict=True):
+    for s, position in zip(measured.arc_length, measured.position, strict=True):
         here, slopes = position_slopes(problem, state, float(s))
-        residuals.append((position - here) / noise)
-        rows.append(slopes @ moved / noise)
-    return _Trial(force, e, np.concatenate(residuals), np.concatenate(rows))
+        residuals.append(position - here)
+        rows.append(slopes @ moved)
+    return _Trial(force, e, np.concatenate(residuals) / noise, np.concatenate(rows) / noise)
 
 
 def _step(jacobian: Array, residual: Array, damping: float) -> Array:
@@ -359,8 +343,7 @@ def _step(jacobian: Array, residual: Array, damping: float) -> Array:
 
 
 def _distance(trial: _Trial, measured: _Measured) -> float:
-    apart = trial.residual.reshape(-1, 3) * measured.noise[:, None]
-    return float(np.sqrt((apart**2).sum(1).mean()))
+    return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
 def _estimate(trial: _Trial, measured: _Measured, iterations: int) -> ForceEstimate:

@@ -54,8 +54,6 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
 def beside_registration(jacobian: Array, count: int) -> Array:
     """(3V, P) columns of the parameters of a Jacobian (V, 3, P + F), less what the registration would undo."""
     flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
-    if not count or flat.shape[1] == count:
-        return flat[:, :count].copy()
     q, _ = np.linalg.qr(flat[:, count:])
     return np.asarray(flat[:, :count] - q @ (q.T @ flat[:, :count]))
 

@@ -195,10 +195,7 @@ def _sensors(value: ArrayLike, count: int) -> Array:
 
 def _mean(sensors: Array) -> Array:
     """(N, 3) mean over the sensors (N, s, 3) that were seen; NaN where none was."""
-    seen = np.isfinite(sensors[..., 0])
-    total = np.where(seen[..., None], sensors, 0.0).sum(1)
-    count = seen.sum(1)[:, None]
-    return np.asarray(np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0))
+    return np.asarray(np.ma.masked_invalid(sensors).mean(1).filled(np.nan))
 
 
 def finite_array(name: str, value: ArrayLike, dimensions: int) -> Array:

@@ -119,7 +119,9 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
         raise InputError(f"parameter {name!r} is not known{nearest(name, known)}; choose from {', '.join(KINDS)}")
     effect = EFFECTS[kind]
     _check_number(context, effect, name, number)
-    _check_needs(context, effect, name, registration)
+    missing = lacking(context.measurements, effect, registration)
+    if missing:
+        raise InputError(f"parameter {name!r} {missing}")
     index = None if number is None else _index(context, effect, number)
     span = effect.span(context, index)
     unit = "" if index is None and kind == "curvature" else effect.unit
@@ -175,12 +177,6 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
     raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")
 
 
-def _check_needs(context: Context, effect: Effect, name: str, registration: str) -> None:
-    missing = lacking(context.measurements, effect, registration)
-    if missing:
-        raise InputError(f"parameter {name!r} {missing}")
-
-
 def lacking(measurements: Measurements, effect: Effect, registration: str) -> str:
     """What the data lack to speak of an effect; "" where they lack nothing."""
     if effect.needs in ("time", "way") and measurements.time is None:
@@ -203,7 +199,7 @@ def groups(
         wanted = effect.compared == "always" or (effect.compared == "asked" and kind in asked)
         if not wanted or lacking(measurements, effect, registration):
             continue
-        numbered = effect.each and not (kind in ("translation_gain",) and effect.common)
+        numbered = effect.each and kind != "translation_gain"
         found[kind] = tuple(_spelled_out(context, f"{kind}_all")) if numbered else (kind,)
     return {kind: names for kind, names in found.items() if names}
 

@@ -26,7 +26,7 @@ from .identifiability import undetermined
 from .measurements import Measurements
 from .model import ArmModel
 from .parameters import Parameter, choose_parameters
-from .poses import Poses, solve_poses
+from .poses import solve_poses
 
 
 @dataclass(frozen=True)
@@ -109,13 +109,12 @@ def where_to_measure(
     instance("search", search, PlacementSearch)
     if not 0 <= min_margin < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
-    alpha, shift, poses = _candidates(robot, min_margin, seed, search)
-    readings = to_readings(robot, alpha, shift)
-    data = Measurements(*readings, poses.position[:, 0], source="where to measure")
+    alpha, shift, tips = _candidates(robot, min_margin, seed, search)
+    data = Measurements(*to_readings(robot, alpha, shift), tips, source="where to measure")
     chosen, model = _asked(robot, data, parameters, registration, count, search)
     slopes = _scaled(model, chosen, noise)
     best = _reachable(
-        lambda usable: _exchange(slopes, len(chosen), count, usable, search.rounds), robot, (alpha, shift), poses
+        lambda usable: _exchange(slopes, len(chosen), count, usable, search.rounds), robot, (alpha, shift), tips
     )
     scale = np.array([p.scale for p in chosen])
     random = np.random.default_rng(seed + 1)
@@ -164,17 +163,13 @@ def _asked(
 
 
 def _reachable(
-    choose: Callable[[Mask], list[int]], robot: Robot, joints: tuple[Array, Array], poses: Poses
+    choose: Callable[[Mask], list[int]], robot: Robot, joints: tuple[Array, Array], tips: Array
 ) -> list[int]:
-    """The best of those configurations that are reached from home without a snap.
-
-    Raises:
-        SolveError: too few are.
-    """
+    """The best of those configurations that are reached from home without a snap; raises SolveError if too few are."""
     (alpha, shift), usable = joints, np.ones(len(joints[0]), dtype=bool)
     while True:
         best = choose(usable)
-        legs = {k: (_home(robot), (alpha[k], shift[k]), poses.position[k, 0]) for k in best}
+        legs = {k: (_home(robot), (alpha[k], shift[k]), tips[k]) for k in best}
         blocked = [k for k, leg in legs.items() if not _leg(robot, *leg)]
         if not blocked:
             return best
@@ -183,12 +178,11 @@ def _reachable(
             raise SolveError(f"fewer than {len(best)} random configurations can be reached from home without a snap")
 
 
-def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSearch) -> tuple[Array, Array, Poses]:
-    """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin."""
+def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSearch) -> tuple[Array, Array, Array]:
+    """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin; and where
+    the tips (C, 3) are."""
     random, limits, space = np.random.default_rng(seed), robot.limits, joint_space(robot)
-    tubes = robot.tubes
-    straight = np.array([tube.straight_length for tube in tubes])
-    curved = np.array([tube.curved_length for tube in tubes])
+    straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     low, high = np.array(limits.translations).T
     found: list[Array] = []
     for _ in range(search.candidates * search.draws):
@@ -207,7 +201,7 @@ def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSea
     good = np.nan_to_num(poses.margin, nan=-1.0) >= max(min_margin, 1e-6)
     if good.sum() < 3:
         raise SolveError(f"hardly any random configuration of the robot has the margin {min_margin:g}")
-    return alpha[good], shift[good], solve_poses(robot, alpha[good], shift[good], np.zeros(1))
+    return alpha[good], shift[good], poses.position[good, 0]
 
 
 def _admissible(robot: Robot, shift: Array) -> bool:
@@ -254,10 +248,8 @@ def _exchange(slopes: Array, parameters: int, count: int, usable: Mask, rounds: 
 
 def _gain(information: Array, slopes: Array) -> Array:
     """(C,) by which each candidate raises log det of the information."""
-    if not len(information):
-        return np.zeros(len(slopes))
-    inverse = np.linalg.inv(information)
-    return np.asarray(np.linalg.slogdet(np.eye(3) + slopes @ inverse @ slopes.transpose(0, 2, 1))[1])
+    gained = slopes @ np.linalg.inv(information) @ slopes.transpose(0, 2, 1)
+    return np.asarray(np.linalg.slogdet(np.eye(3) + gained)[1])
 
 
 def _errors(slopes: Array, parameters: int) -> Array:

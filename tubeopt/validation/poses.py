@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,26 +59,28 @@ def solve_poses(
     except InputError as error:
         raise _by_row(robot, rotations, translations, error) from None
     shapes = {row: shape for run in runs for row, shape in _followed(robot, batch, run)}
-    last = np.argmax(translations + np.array([tube.curved_length for tube in robot.tubes]), axis=1)
-    rows = np.arange(len(batch))
+    reach = translations + np.array([tube.curved_length for tube in robot.tubes])
     tip, turned, turns, margin = (
         getattr(batch, name).copy() for name in ("tip_position", "tip_rotation", "tip_rotations", "margin")
     )
     for row, shape in shapes.items():
         tip[row], turned[row] = shape.tip_position, shape.tip_rotation
         turns[row], margin[row] = shape.tip_rotations, shape.margin
-    theta = turns[rows, last]
-    length = np.maximum(translations + np.array([tube.curved_length for tube in robot.tubes]), 0.0).max(1)
-    position = tip[:, None]
-    if stations.any():
-        position = _along(robot, rotations, translations, stations, np.isfinite(margin), shapes)
+    theta = turns[np.arange(len(batch)), np.argmax(reach, axis=1)]
+    position = np.repeat(tip[:, None], len(stations), axis=1)
     failures = tuple(failure for failure in batch.failures if failure[0] not in shapes)
-    poses = Poses(position, turned @ about_z(theta), margin, length, failures)
-    if loose(robot):
-        for k in np.flatnonzero(poses.found):
-            tilt(
-                poses, int(k), shapes.get(int(k)) or forward_kinematics(robot, rotations[k], translations[k]), stations
-            )
+    poses = Poses(position, turned @ about_z(theta), margin, np.maximum(reach, 0.0).max(1), failures)
+    if stations.any() or loose(robot):
+        for k in np.flatnonzero(poses.found).tolist():
+            try:
+                shape = shapes.get(k) or forward_kinematics(robot, rotations[k], translations[k])
+            except SolveError:
+                position[k] = np.nan
+                continue
+            if stations.any():
+                position[k] = stations_of(shape, stations)
+            if loose(robot):
+                tilt(poses, k, shape, stations)
     return poses
 
 
@@ -136,25 +138,6 @@ def stations_of(shape: Equilibrium | Arm, stations: Array) -> Array:
     line = scipy.interpolate.CubicHermiteSpline(shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2])
     out: Array = line(np.maximum(at, 0.0))
     out[:, 2] += np.minimum(at, 0.0)
-    return out
-
-
-def _along(
-    robot: Robot,
-    rotations: Array,
-    translations: Array,
-    stations: Array,
-    found: Mask,
-    shapes: Mapping[int, Equilibrium],
-) -> Array:
-    """(N, K, 3) positions of stations behind the tip; on the plate's axis where they are behind the plate."""
-    out = np.full((len(rotations), len(stations), 3), np.nan)
-    for k in np.flatnonzero(found):
-        try:
-            shape = shapes.get(int(k)) or forward_kinematics(robot, rotations[k], translations[k])
-        except SolveError:
-            continue
-        out[k] = stations_of(shape, stations)
     return out
 
 

@@ -145,10 +145,7 @@ class _Search:
         self.given, self.options = options, replace(options, priors=True)
         self.parameters = {k: choose_parameters(robot, measurements, v, options.registration) for k, v in known.items()}
         place = passes(measurements).place
-        self.fold, self.block = (
-            deal(measurements, options.folds, place),
-            deal(measurements, options.solver.blocks, place),
-        )
+        self.fold, self.block = (deal(measurements, k, place) for k in (options.folds, options.solver.blocks))
         self.model = ArmModel(robot, measurements, (), options.registration, options.base)
         self.fits: dict[Effects, _Trial | None] = {}
         self.passed: list[str] = []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -101,9 +102,7 @@ class Setup:
 
     def copy(self) -> Setup:
         """The same numbers, to be changed."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        changed: dict[str, Any] = {k: v.copy() if isinstance(v, np.ndarray) else v for k, v in values.items()}
-        return Setup(**changed)
+        return deepcopy(self)
 
     def same_tubes(self, other: Setup) -> bool:
         """Whether both describe the same tubes, which rub alike."""
@@ -116,11 +115,7 @@ class Setup:
         return None if found.trivial else found
 
     def robot(self, given: Robot, found_by: str = "") -> CommonRobot:
-        """The robot with these numbers.
-
-        Raises:
-            InputError: there is no such robot.
-        """
+        """The robot with these numbers; raises InputError where there is none."""
         first = Setup.of(given)
         if self.same_tubes(first):
             tubes = members(given)

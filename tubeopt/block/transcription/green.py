@@ -10,6 +10,7 @@ from ...robots.assembly import Assembly
 from ...robots.lengthwise import CrossSections
 from ...typing import Array, Index
 from .mesh import Mesh
+from .tableau import Tableau
 
 INWARDS = 1e-6
 """How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
@@ -58,12 +59,12 @@ def ahead(mesh: Mesh, here: Compliant) -> Array:
     return np.asarray(out.reshape(-1, out.shape[-1]))
 
 
-def green_of(mesh: Mesh, elements: Index, rate: Array | None = None, begin: Array | None = None) -> Array:
+def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None) -> Array:
     """(N, N) of a tube: int `rate` ds from where it is held to the nearer of two points, collocated, exact between
-    elements; `rate` (E, K) at the points, None is 1, and `begin` (E,) up to the elements, None from the plate."""
-    t, length = mesh.tableau, mesh.length[elements, None]
-    rate = np.ones((len(elements), t.degree)) if rate is None else rate
-    begin = (mesh.start[elements] if begin is None else begin)[:, None]
+    elements of lengths (E,); `rate` (E, K) at the points, None is 1, and `begin` (E,) the integral up to the elements:
+    their arc length, where the rate is 1."""
+    rate = np.ones((len(length), t.degree)) if rate is None else rate
+    begin, length = begin[:, None], length[:, None]
     near = (begin + length * (rate @ t.matrix.T)).ravel()
     green = np.minimum(near[:, None], near)
     within = begin[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[:, None]) @ t.matrix.T)

@@ -322,10 +322,9 @@ def along(matrix: Array, values: Array) -> Array:
     return np.asarray((matrix @ values.reshape(pieces, count, n * size)).reshape(pieces, len(matrix), n, size))
 
 
-def cumulate(arm: Arm, values: Array) -> Array:
-    """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points."""
-    up_to = arm.tableau.lagrange(ENDS, integrals=1)
-    inner = np.einsum("jk,pk...->pj...", up_to, values) * arm.length.reshape(-1, *[1] * (values.ndim - 1))
+def cumulate(t: Tableau, values: Array) -> Array:
+    """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points, per piece."""
+    inner = np.einsum("jk,pk...->pj...", t.lagrange(ENDS, integrals=1), values)
     before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
     table = before[:, None] + inner
     return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])

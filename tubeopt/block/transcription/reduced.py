@@ -153,7 +153,8 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
     if assembly.eccentric:
         up_to, beyond = integrals(mesh, elements)
         stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
-        blocks = tuple(_make_blocks(assembly, green_of(mesh, elements), section, (up_to, beyond, weight)))
+        green = green_of(mesh.tableau, mesh.start[elements], mesh.length[elements])
+        blocks = tuple(_make_blocks(assembly, green, section, (up_to, beyond, weight)))
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
@@ -183,7 +184,8 @@ def _factor(assembly: Assembly, mesh: Mesh, here: Compliant | None, unknowns: tu
     """(U, U) L of the unknowns, of which `unknowns` has point and tube: of every tube the root of its compliance."""
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
     factor = np.zeros((len(point), len(point)))
-    green = green_of(mesh, elements)
+    length = mesh.length[elements]
+    green = green_of(mesh.tableau, mesh.start[elements], length)
     ends = np.searchsorted(tube, np.arange(assembly.n_tubes + 1)).tolist()  # the unknowns are sorted by tube
     for i, (begin, end) in enumerate(pairwise(ends)):
         if begin < end:
@@ -191,7 +193,7 @@ def _factor(assembly: Assembly, mesh: Mesh, here: Compliant | None, unknowns: tu
             if here is None:
                 compliance = (assembly.transmission[i] + green[mine[:, None], mine]) / assembly.torsional_stiffness[i]
             else:
-                own = green_of(mesh, elements, here.rate[elements, :, i], reach(mesh, here)[elements, i])
+                own = green_of(mesh.tableau, reach(mesh, here)[elements, i], length, here.rate[elements, :, i])
                 compliance = own[mine[:, None], mine]
             factor[begin:end, begin:end] = np.linalg.cholesky(compliance)
     return factor

@@ -46,11 +46,6 @@ class Tableau:
         """
         return np.asarray(self.weights - self.matrix.T * self.weights / self.weights[:, None])
 
-    @cached_property
-    def compliance(self) -> Array:
-        """(K, K) collocated min(x, y) on an interval of length 1, A diag(1 / b) A'."""
-        return np.asarray(self.matrix @ (self.matrix / self.weights).T)
-
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
         """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0."""
         x = 2 * np.asarray(at, dtype=float) - 1
