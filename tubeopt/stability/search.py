@@ -87,10 +87,7 @@ def search_snap(
     tube; across the folds at which the sheet of stable equilibria around its relaxed pose ends (see `stability.sheet`);
     and along other full turns and random directions, up to 720 deg where the limits allow it. Then it is turned beyond
     the limits, unless no unstable equilibrium is known.
-
-    Args:
-        translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.  effort: how hard is searched.
-        progress: called with the ways tried and their likely number.
+    `unstable` (B, n): tip angles of unstable equilibria.
     """
     search = Search(robot, translations, effort, progress)
     if len(search.coupled) < 2:

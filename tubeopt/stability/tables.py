@@ -97,8 +97,7 @@ def _tails(values: Array) -> list[float]:
 def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array:
     """Tip angles (B, k) in the middle of every cell of a grid that may lead to the wanted joints (k,).
 
-    Args:
-        transmission: (k,) m.  size: least points per turn of the relative angles.
+    It has at least `size` points per turn of the relative angles.
     """
     k, dimension = len(wanted), len(table.size)
     values = table.turned - transmission * table.twist
