@@ -140,7 +140,7 @@ def convexity(robot: Robot, translations: Array) -> float:
     """Least eigenvalue of the second variation of concentric tubes, relative to its torsional part, at any rotations
     along them at all, equilibria or not: a lower bound, never more than the certificate."""
     value = worst_case(_problem(robot, translations))[0]
-    return value - abs(worst_case(_finer(robot, translations))[0] - value) if is_general(robot) else value
+    return value - abs(worst_case(_problem(robot, translations, 1))[0] - value) if is_general(robot) else value
 
 
 def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
@@ -150,7 +150,7 @@ def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
     The change with pieces of the mesh half as long is more than what these leave out of couplings that vary.
     """
     value, pair = convexity(robot, shift), pair_of(_problem(robot, shift))
-    finer = None if pair is None else pair_of(_finer(robot, shift))
+    finer = None if pair is None else pair_of(_problem(robot, shift, 1))
     if pair is None or finer is None:
         return value, None
     least = least_margin_of_pair(pair)
@@ -172,12 +172,8 @@ def estimated_certificate(robot: Robot, shift: Array) -> float:
     return value if pair is None else max(value, least_margin_of_pair(pair).bound)
 
 
-def _finer(robot: Robot, shift: Array) -> ReducedProblem:
-    return reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
-
-
-def _problem(robot: Robot, shift: Array) -> ReducedProblem:
-    return reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
+def _problem(robot: Robot, shift: Array, refinement: int = DEFAULT_DISCRETISATION.refinement) -> ReducedProblem:
+    return reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=refinement))
 
 
 def _at_worst(problem: ReducedProblem, opposition: Array | None = None) -> tuple[Array, Array]:

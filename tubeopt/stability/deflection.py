@@ -70,13 +70,16 @@ def deflection_bound(
     places = np.atleast_1d(np.array([length] if arc_length is None else arc_length, dtype=float))
     if not np.isfinite(places).all() or places.min(initial=0.0) < 0 or places.max(initial=0.0) > length * (1 + 1e-12):
         raise InputError(f"arc_length is {places.tolist()} m; points must lie on the arm, between 0 and {length:g} m")
-    if not max_force:
+    return _moved(bundle_of(assembly), certificate, max_force, places)
+
+
+def _moved(bundle: Bundle, margin: float, force: float, places: Array) -> Array:
+    """(S,) bounds of the deflection of points, m; the tip's is the largest."""
+    if not force or not bundle.total_length:
         return np.zeros(len(places))
-    if certificate <= 0:
+    if margin <= 0:
         return np.full(len(places), np.inf)
-    bundle = bundle_of(assembly)
-    reach = np.array([_reach(bundle, s) for s in places])
-    return max_force * _reach(bundle, length) * reach / certificate
+    return force * _reach(bundle, bundle.total_length) * np.array([_reach(bundle, s) for s in places]) / margin
 
 
 def _reach(bundle: Bundle, s: float) -> float:
@@ -118,11 +121,7 @@ class ForceBound(Displayed):
 def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> ForceBound:
     """What holds on a way of translations (T, n), straight in between, whatever pushes on the tip with up to
     `max_force`.
-
     The way is taken in boxes of translations, for each of which one bound holds.
-
-    Raises:
-        InputError: as `snap_free_certificate` under a force.
     """
     way = np.atleast_2d(np.asarray(translations, dtype=float))
     first = snap_free_certificate(robot, way[0], max_force=max_force)
@@ -145,7 +144,4 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> 
 
 
 def _farthest(bundle: Bundle, margin: float, force: float) -> float:
-    """Bound of the deflection of any point, m: that of the tip."""
-    if not force or not bundle.total_length:
-        return 0.0
-    return float(np.inf) if margin <= 0 else force * _reach(bundle, bundle.total_length) ** 2 / margin
+    return float(_moved(bundle, margin, force, np.array([bundle.total_length]))[0])

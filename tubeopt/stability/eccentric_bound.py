@@ -152,11 +152,7 @@ def table() -> Array:
 
 
 def longest(delta: float, angle: float) -> float:
-    """The x up to which phi stays below `angle` (rad, at most pi / 2): a segment that is shorter cannot snap.
-
-    Raises:
-        InputError: delta beyond the table.
-    """
+    """The x up to which phi stays below `angle` (rad, at most pi / 2): a segment that is shorter cannot snap."""
     if not 0 <= delta <= DELTAS[-1]:
         raise InputError(f"delta is {delta:g}; the bound holds from 0 to {DELTAS[-1]:g}")
     i = min(int(np.searchsorted(DELTAS, delta, side="right")) - 1, len(DELTAS) - 2)

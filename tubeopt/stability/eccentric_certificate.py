@@ -179,6 +179,16 @@ def softest_untwisted(segment: Segment) -> Untwisted:
     return Untwisted(segment, 1 - 1 / float(soft) ** 2, float(DIRECTIONS[c]), float(DIRECTIONS[o]))
 
 
+def untwisted_tips(n: int, shape: Untwisted, bends: Array) -> tuple[Array, int]:
+    """(n,) rotations of an untwisted shape, and its odd tube: one tube of the segment against the two others, the tubes
+    of all other segments curving to one side. bends (n,): signs of the precurvatures."""
+    tips = np.where(bends < 0, np.pi, 0.0) + shape.outer_direction
+    tips[list(shape.segment.tubes)] += shape.direction - shape.outer_direction
+    odd = shape.segment.tubes[2]
+    tips[odd] += np.pi
+    return tips, odd
+
+
 def _cross_section(theta: Array, delta: float) -> tuple[Array, Array]:
     """M' (N, 3, 3) and g (N, 3) at rotations (N, 3), in the units of `eccentric_bound`."""
     balance = section_function("balance", len(theta), 3, True)

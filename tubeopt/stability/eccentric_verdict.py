@@ -11,8 +11,7 @@ from ..errors import SolveError
 from ..robots.robot import Robot
 from ..typing import Array
 from .certificate import Certificate
-from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted
-from .eccentric_worst import untwisted_tips
+from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
 from .snapping import find_snap
 from .verdict import Finding, Verdict
 from .worst import WorstMargin

@@ -121,11 +121,7 @@ def find_load_limit(
 
 def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily, Loss, float] | None:
     """Where the branch that grows from a stable equilibrium without load is lost, in the family of the last stage of a
-    growing load, and the factor on the load that is 1 in it; None where it bears `up_to` times the load.
-
-    Raises:
-        SolveError: the branch is lost without a fold or bifurcation close by.
-    """
+    growing load, and the factor on the load that is 1 in it; None where it bears `up_to` times the load."""
     robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
     point, reached = None, 0.0
     while reached < up_to:

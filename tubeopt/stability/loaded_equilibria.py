@@ -43,10 +43,6 @@ def loaded_equilibria(
     Newton's method starts at every equilibrium without load and at twisted and bent arms from a Sobol sequence, twice
     as many in every round, and energy falls from every unstable equilibrium that was found, until a round finds nothing
     new, the degree is 1 and one of them is stable.
-
-    Raises:
-        InputError: a load with a moment or one that turns with the tip.
-        SolveError: the degree of what was found is not 1.
     """
     check_load(robot, load, translations)
     if not load.has_energy:

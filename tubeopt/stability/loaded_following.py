@@ -33,11 +33,7 @@ class LoadedEvent:
 
 
 def loaded_motion_along(family: JointFamily, start: LoadedPoint) -> Iterator[LoadedPoint | LoadedEvent]:
-    """Points of the motion from a stable one at t = 0; an event wherever the robot snaps. The last point is at t = 1.
-
-    Raises:
-        SolveError: descent from where the branch is lost finds no stable equilibrium.
-    """
+    """Points of the motion from a stable one at t = 0, the last at t = 1; an event wherever the robot snaps."""
     here, longest = start, family.path.largest_step()
     while here.t < 1.0:
         for point in follow_family(family, here, 1.0, longest=longest):

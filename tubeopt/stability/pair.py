@@ -97,11 +97,7 @@ class _Curve:
 
 def pair_fold(problem: ReducedProblem, coupled: Index, start: Array) -> PairFold | None:
     """The fold at which two coupled tubes snap, turned from the relaxed pose `start` (n,); None where the opposed pose
-    is not unstable.
-
-    Raises:
-        SolveError: Newton's method left the curve.
-    """
+    is not unstable."""
     curve, relaxed = _curve(problem, coupled, start)
     before = relaxed
     for here in curve.points(relaxed, np.pi):

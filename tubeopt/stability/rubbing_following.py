@@ -87,12 +87,7 @@ class RubbingSnap:
 def rubbing_legs(
     robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None
 ) -> Iterator[tuple[Callable[[], Held], list[RubbingSnap]]]:
-    """What tells the state at every waypoint (T, 2n), and the snaps on the way to it.
-
-    Raises:
-        InputError: another friction, an eccentric robot, or an unstable start.
-        SolveError: the motion was lost.
-    """
+    """What tells the state at every waypoint (T, 2n), and the snaps on the way to it."""
     held = rubbing_start(robot, joints[0], friction, start)
     if not np.allclose(np.concatenate([held.rotations, held.translations]), joints[0], rtol=0, atol=1e-12):
         held, _ = rubbing_leg(robot, held, joints[0])
@@ -116,7 +111,7 @@ def _same(held: Held) -> Held:
 
 
 def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None) -> Held:
-    """The state in which a motion with friction begins, by default at joint values (2n,); raises as `rubbing_legs`."""
+    """The state in which a motion with friction begins, by default at joint values (2n,)."""
     check_rubbing(robot, friction)
     first = start if start is not None else forward_kinematics(robot, *np.split(joints, 2))
     held = rest(robot, first, friction)
@@ -126,7 +121,7 @@ def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equili
 
 
 def rubbing_leg(robot: Robot, held: Held, goal: Array) -> tuple[Held, list[RubbingSnap]]:
-    """The state at other joint values (2n,), on a straight way, and the snaps on it; raises SolveError."""
+    """The state at other joint values (2n,), on a straight way, and the snaps on it."""
     snaps: list[RubbingSnap] = []
     for found in _along(JointPath(robot, np.concatenate([held.rotations, held.translations]), goal), held):
         held = found.after if isinstance(found, RubbingSnap) else found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -87,10 +87,7 @@ def search_snap(
     tube; across the folds at which the sheet of stable equilibria around its relaxed pose ends (see `stability.sheet`);
     and along other full turns and random directions, up to 720 deg where the limits allow it. Then it is turned beyond
     the limits, unless no unstable equilibrium is known.
-
-    Args:
-        translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.  effort: how hard is searched.
-        progress: called with the ways tried and their likely number.
+    `unstable` (B, n): tip angles of unstable equilibria.
     """
     search = Search(robot, translations, effort, progress)
     if len(search.coupled) < 2:
@@ -113,9 +110,9 @@ def _of_pieces(search: Search) -> Found | None:
     a fold is met before the tip angle has turned once, if there is one."""
     low, high = np.array(search.robot.limits.rotations).T
     start = np.clip(np.zeros(search.robot.n_tubes), low, high)
-    for end in itertools.chain(_turns(search, start), _others(search, start)):
-        if (found := search.follow(start, clipped(search.robot, search.coupled, start, end))) is not None:
-            return found
+    found = _on_ways(search, start, itertools.chain(_turns(search, start), _others(search, start)), within=True)
+    if found is not None:
+        return found
     pair = pair_of(search.problem)
     return None if pair is None else search.follow(start, _absolute(search, start, np.array([farthest_fold(pair)])))
 
@@ -127,17 +124,21 @@ def _within(search: Search, start: Array, unstable: Array) -> Found | None:
         return inside(search.robot, search.coupled, _absolute(search, start, joints))
 
     across = _across_folds(search, start, unstable, allowed)
-    for end in itertools.chain(_turns(search, start), across, _others(search, start)):
-        if (found := search.follow(start, clipped(search.robot, search.coupled, start, end))) is not None:
-            return found
-    return None
+    ends = itertools.chain(_turns(search, start), across, _others(search, start))
+    return _on_ways(search, start, ends, within=True)
 
 
 def _beyond(search: Search, start: Array, unstable: Array) -> Found | None:
     """A snap wherever it is."""
     across = _across_folds(search, start, unstable, lambda joints: np.ones(joints.shape[:-1], dtype=bool))
-    for end in itertools.chain(across, _turns(search, start)):
-        if (found := search.follow(start, end)) is not None:
+    return _on_ways(search, start, itertools.chain(across, _turns(search, start)), within=False)
+
+
+def _on_ways(search: Search, start: Array, ends: Iterable[Array], *, within: bool) -> Found | None:
+    """The first snap on straight ways from `start` to rotations (n,), cut off at the joint limits if `within`."""
+    for end in ends:
+        goal = clipped(search.robot, search.coupled, start, end) if within else end
+        if (found := search.follow(start, goal)) is not None:
             return found
     return None
 
@@ -243,17 +244,11 @@ def relaxed_rotations(robot: Robot, coupled: Index) -> list[Array]:
     return sorted(poses, key=lambda pose: not inside(robot, coupled, pose))
 
 
-def room(robot: Robot, coupled: Index, rotations: Array) -> Array:
-    """(...) rad by which coupled tubes at rotations (..., n) can be turned together inside the joint limits; below 0
-    where no turn of the whole brings them inside."""
-    low, high = np.array(robot.limits.rotations)[coupled].T
-    angles = rotations[..., coupled]
-    return np.asarray((high - angles).min(-1) - (low - angles).max(-1))
-
-
 def inside(robot: Robot, coupled: Index, rotations: Array) -> Mask:
     """(...) whether rotations (..., n), turned together, are inside the joint limits to round-off."""
-    return np.asarray(room(robot, coupled, rotations) >= -1e-9)
+    low, high = np.array(robot.limits.rotations)[coupled].T
+    angles = rotations[..., coupled]
+    return np.asarray((high - angles).min(-1) - (low - angles).max(-1) >= -1e-9)
 
 
 def clipped(robot: Robot, coupled: Index, start: Array, end: Array) -> Array:

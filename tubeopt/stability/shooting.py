@@ -97,11 +97,11 @@ class Bundle:
 @dataclass(frozen=True, eq=False)
 class Shot:
     """Where tip angles lead: joint rotations and w there (B, n), the derivatives (B, n, n) of the rotations by the tip
-    angles where these were asked for, and the length of every tube along the pieces (B, n), m."""
+    angles (B, 0, 0 where these were not asked for), and the length of every tube along the pieces (B, n), m."""
 
     rotations: Array
     twist: Array
-    by_tip: Array | None
+    by_tip: Array
     travel: Array
 
 
@@ -124,7 +124,7 @@ def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = Fal
     """Joint rotations of tip angles (B, n), with their derivatives if `slopes`."""
     shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(tips)]
     columns = [np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True)]
-    return Shot(columns[0], columns[1], columns[3] if slopes else None, columns[2])
+    return Shot(columns[0], columns[1], columns[3] if slopes else np.empty((len(tips), 0, 0)), columns[2])
 
 
 def to_base(problem: ReducedProblem, tips: Array) -> Array:
@@ -141,7 +141,6 @@ def relative_joints(problem: ReducedProblem, free: Index, tips: Array) -> tuple[
     """(B, d) joint rotations of tip angles (B, n), relative to that of the last of the tubes `free`, and their
     derivatives (B, d, d) by the relative tip angles."""
     shot, own = shoot(whole(problem), tips, slopes=True), free[:-1]
-    assert shot.by_tip is not None
     return relative(shot.rotations, free), shot.by_tip[:, own[:, None], own] - shot.by_tip[:, free[-1:, None], own]
 
 

@@ -67,7 +67,7 @@ def _search(start: Array, x: float, f: float) -> Search:
         elif reflected >= value[-2]:
             tried = middle + (0.5 if reflected < value[-1] else -0.5) * away
             best = yield tried
-            if best > min(reflected, value[-1]):
+            if best >= value[-1] or best > reflected:
                 for i in range(1, d + 1):
                     simplex[i] = simplex[0] + 0.5 * (simplex[i] - simplex[0])
                     value[i] = yield simplex[i].copy()

@@ -50,8 +50,7 @@ def joints(bundle: Bundle, tips: Array, steps: int, *, slopes: bool = False) -> 
     """Joints of the first k tubes of a bundle by their tip angles (B, k); the lengths are those of all tubes."""
     k = tips.shape[1]
     shot = shoot(bundle, np.pad(tips, ((0, 0), (0, bundle.n_tubes - k))), steps=steps, slopes=slopes)
-    by_tip = None if shot.by_tip is None else shot.by_tip[:, :k, :k]
-    return Shot(shot.rotations[:, :k], shot.twist[:, :k], by_tip, shot.travel)
+    return Shot(shot.rotations[:, :k], shot.twist[:, :k], shot.by_tip[:, :k, :k], shot.travel)
 
 
 @lru_cache(maxsize=16)
@@ -97,8 +96,7 @@ def _tails(values: Array) -> list[float]:
 def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array:
     """Tip angles (B, k) in the middle of every cell of a grid that may lead to the wanted joints (k,).
 
-    Args:
-        transmission: (k,) m.  size: least points per turn of the relative angles.
+    It has at least `size` points per turn of the relative angles.
     """
     k, dimension = len(wanted), len(table.size)
     values = table.turned - transmission * table.twist

@@ -16,7 +16,7 @@ import numpy as np
 from ..solvers.sampling import sobol
 from ..typing import Array
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
-from .shooting import STEPS, Bundle, Shot
+from .shooting import STEPS, Bundle
 from .tables import TURN, joints, starts, table_of
 
 
@@ -89,16 +89,11 @@ def _newton(
         better = size < least[going]
         best[going[better]], least[going[better]] = here[better], size[better]
         left = size > enough
-        going, here, gap, slope = going[left], here[left], gap[left], _slope(shot)[left]
+        going, here, gap, slope = going[left], here[left], gap[left], shot.by_tip[left]
         step = np.linalg.solve(slope + 1e-12 * np.eye(tips.shape[1]), -gap[:, :, None])[:, :, 0]
         change = np.abs(step).max(1, initial=0.0)
         here = here + step * np.minimum(1.0, longest / np.maximum(change, 1e-12))[:, None]
     return best, least
-
-
-def _slope(shot: Shot) -> Array:
-    assert shot.by_tip is not None
-    return shot.by_tip
 
 
 def _approach(bundle: Bundle, wanted: Array, starts: Array, search: EquilibriaSearch) -> Array:
@@ -122,7 +117,7 @@ def _finish(bundle: Bundle, wanted: Array, starts: Array, search: EquilibriaSear
         return Preimage(tips, np.zeros(0), np.zeros((0, bundle.n_tubes)), True)
     shot = joints(bundle, tips, STEPS, slopes=True)
     tips = tips - TURN * np.round((shot.rotations - wanted) / TURN)
-    sign = np.sign(np.linalg.det(_slope(shot)))
+    sign = np.sign(np.linalg.det(shot.by_tip))
     kept: list[int] = []
     for i in range(len(tips)):
         near = np.abs(tips[kept] - tips[i]).max(1, initial=0.0) < search.same_tips

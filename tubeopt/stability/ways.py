@@ -44,11 +44,7 @@ class End:
 
 def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> End:
     """What a robot does that turns straight from a stable equilibrium to other rotations (n,), rad.
-
     With `to_first_snap` the way ends where the robot lands from it.
-
-    Raises:
-        SolveError: descent from a fold found no stable equilibrium.
     """
     here, snaps, first, before = origin, 0, None, [origin]
     while True:

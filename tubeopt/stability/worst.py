@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..block.transcription.offset_margin import softenings
 from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin
 from ..display import Displayed
@@ -20,7 +21,7 @@ from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
 from ..typing import Array, Index
 from .certificate import Certificate, certify, estimated_certificate
-from .eccentric_worst import least_margin
+from .eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
 from .pair_certificate import least_margin_of_pair, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .shooting import profiles, to_base
@@ -54,7 +55,8 @@ def worst_margin(
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
     function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
     are improved by Nelder and Mead's method. Of two coupled tubes made of pieces it is the least there is (see
-    `pair_certificate`). For tubes off the centreline see `eccentric_worst.least_margin`.
+    `pair_certificate`). Of tubes off the centreline every segment is searched for itself: tips of its own tubes over a
+    turn each, those of the others as in its softest untwisted shape, from which one local search begins.
 
     Args:
         translations: (n,) m; default home.
@@ -70,56 +72,67 @@ def worst_margin(
         >>> tubeopt.worst_margin(robot).margin < 0
         True
     """
-    shift = tuple(shifts(robot, translations).tolist())
-    if robot.assembly(np.array(shift)).eccentric:
-        worst, searches = least_margin(robot, shift, effort)
-        return WorstMargin(worst.margin, worst, searches, np.empty((0, robot.n_tubes)))
+    n, shift = robot.n_tubes, tuple(shifts(robot, translations).tolist())
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
-    free = np.unique(problem.tube)
-    tips = np.zeros(robot.n_tubes)
-    searches, unstable = 0, []
     pair = pair_of(problem)
-    if pair is not None:
+    if pair is None:
+        ends = [end for base, turning in _places(problem) for end in _searched(problem, base, turning, effort)]
+    else:
         least = least_margin_of_pair(pair)
-        tips[pair.tubes[0]] = least.tip
-        unstable = [tips] if least.margin < 0 else []
-    elif len(free) > 1:
-        unit = sobol(len(free) - 1, effort.samples)
-        samples = np.zeros((len(unit), robot.n_tubes))
-        samples[:, free[:-1]] = unit * 2 * np.pi
-        starts = samples[np.argsort(_margins(problem, samples))[: effort.local_searches]][:, free[:-1]]
-        ends = minimise_together(lambda at: _margins(problem, _tips(problem, free, at)), starts, x=1e-6, f=1e-10)
-        searches = len(ends)
-        at, found = np.array([at for at, _ in ends]), np.array([value for _, value in ends])
-        unstable = list(_tips(problem, free, at[found < 0]))
-        tips = _tips(problem, free, at[int(np.argmin(found))][None])[0]
-    rotations = to_base(problem, tips[None])[0]
-    theta = profiles(problem, tips[None])[0]
-    result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
+        ends = [(_turned(np.zeros(n), [pair.tubes[0]], np.array([[least.tip]]))[0], least.margin)]
+    tips = min(ends, key=lambda end: end[1])[0][None] if ends else np.zeros((1, n))
+    rotations = to_base(problem, tips)[0]
+    result = newton(problem, rotations, to_unknowns(problem, rotations, profiles(problem, tips)[0]))
     if not result.converged:
         raise SolveError("the worst equilibrium found is a fold (margin 0), which Newton cannot solve again")
     solution = Solution(problem, rotations, result, margin(problem, result.state))
     equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
-    return WorstMargin(solution.margin, equilibrium, searches, np.array(unstable).reshape(-1, robot.n_tubes))
+    unstable = np.array([tips for tips, found in ends if found < 0]).reshape(-1, n)
+    return WorstMargin(solution.margin, equilibrium, 0 if pair else len(ends), unstable)
 
 
-def _margin(problem: ReducedProblem, theta: Array) -> float:
-    """Margin at given theta (N, n), solved or nearly so."""
-    zero = np.zeros(theta.shape[1])
-    state = evaluate(problem, zero, to_unknowns(problem, zero, theta))
-    return margin(problem, state) if problem.size else 1.0
+def _places(problem: ReducedProblem) -> list[tuple[Array, Index]]:
+    """Where to search: tips (n,) to begin at, and the tubes that turn."""
+    assembly = problem.assembly
+    zero = np.zeros(assembly.n_tubes)
+    if not assembly.eccentric:
+        turning = np.unique(problem.tube)[:-1]
+    elif (segments := segments_of(assembly)) is not None:
+        shapes, bends = map(softest_untwisted, segments), np.sign(assembly.curvature)
+        return [(untwisted_tips(len(zero), shape, bends)[0], np.array(shape.segment.tubes)) for shape in shapes]
+    else:
+        turning = np.flatnonzero(assembly.curved.any(0))
+    return [(zero, turning)] if len(turning) else []
+
+
+def _searched(problem: ReducedProblem, base: Array, turning: Index, effort: SnapSearch) -> list[tuple[Array, float]]:
+    """Tip angles (n,) and margins at which local searches over the tubes `turning` end, the others as in `base`."""
+    eccentric = problem.assembly.eccentric
+    unit = sobol(len(turning), effort.segment_samples if eccentric else effort.samples)
+    samples = _turned(base, turning, 2 * np.pi * unit)
+    order = np.argsort(_margins(problem, samples))
+    starts = np.stack([base, samples[order[0]]]) if eccentric else samples[order[: effort.local_searches]]
+    ends = minimise_together(
+        lambda own: _margins(problem, _turned(base, turning, own)), starts[:, turning], x=1e-6, f=1e-10
+    )
+    return [(_turned(base, turning, own[None])[0], found) for own, found in ends]
+
+
+def _turned(base: Array, turning: Index | list[int], own: Array) -> Array:
+    """(B, n) tip angles: `own` (B, d) of the tubes `turning`, the others as in `base`."""
+    tips = np.tile(base, (len(own), 1))
+    tips[:, turning] = own
+    return tips
 
 
 def _margins(problem: ReducedProblem, tips: Array) -> Array:
-    """(B,) margins of the equilibria of tip angles (B, n)."""
-    return np.array([_margin(problem, theta) for theta in profiles(problem, tips)])
-
-
-def _tips(problem: ReducedProblem, free: Index, relative: Array) -> Array:
-    """(B, n) tip angles of relative ones (B, d)."""
-    tips = np.zeros((len(relative), problem.assembly.n_tubes))
-    tips[:, free[:-1]] = relative
-    return tips
+    """(B,) margins of the equilibria of tip angles (B, n), solved or nearly so."""
+    shapes = profiles(problem, tips)
+    if problem.assembly.eccentric:
+        return np.array([1.0 - softenings(problem, theta).max(initial=0.0) for theta in shapes])
+    zero = np.zeros(problem.assembly.n_tubes)
+    states = (evaluate(problem, zero, to_unknowns(problem, zero, theta)) for theta in shapes)
+    return np.array([margin(problem, state) for state in states])
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +211,7 @@ def worst_certificate(
 
 
 def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
-    """Carriages whose translation is not the same at both ends of a box.
-
-    Raises:
-        InputError: tubes of one carriage have different bounds.
-    """
+    """Carriages whose translation is not the same at both ends of a box."""
     for name, bound in (("lower", low), ("upper", high)):
         for group in robot.moving_together:
             if np.ptp(bound[list(group)]) > 1e-12:
