@@ -220,14 +220,11 @@ class Panel:
         for label, act in (("Home", self._tab.home), ("Undo", self._tab.undo), ("All equilibria", self._tab.ghosts)):
             self._button(label, act)
 
-    def _button(self, label: str, act: Any, **options: Any) -> Any:
-        button = self._gui.add_button(label, **options)
-
-        async def pressed(event: Any) -> None:
+    def _button(self, label: str, act: Callable[[], object]) -> None:
+        async def pressed(_: Any) -> None:
             act()
 
-        button.on_click(pressed)
-        return button
+        self._gui.add_button(label).on_click(pressed)
 
     def _mirror_sliders(self) -> list[Any]:
         with self._gui.add_folder("Direction and separation"):

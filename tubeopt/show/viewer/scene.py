@@ -217,12 +217,6 @@ def swept_part(surface: Surface) -> Part:
     return Part("volume", surface, SWEPT_COLOUR, 0.25)
 
 
-def camera(equilibrium: Equilibrium) -> tuple[Array, Array]:
-    """Where to look from and what at, in the scene's units: the whole robot, at any joint values."""
-    length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
-    return np.array([0.85, -0.85, 0.75]) * length, np.array([0.0, 0.0, 0.45]) * length
-
-
 SIDES = {
     "side": (1.4, 0.0, 0.45),
     "front": (0.0, -1.4, 0.45),
@@ -233,12 +227,11 @@ SIDES = {
 it begins."""
 
 
-def look_from(seen: Any, equilibrium: Equilibrium, side: str) -> None:
-    """Put a camera of viser's to one of `SIDES`, upright, so that it sees the whole robot."""
-    _, look_at = camera(equilibrium)
-    length = look_at[2] / 0.45
-    seen.up_direction = (0.0, 0.0, 1.0)
-    seen.position, seen.look_at = tuple(np.array(SIDES[side]) * length), tuple(look_at)
+def look_from(seen: Any, equilibrium: Equilibrium, side: str = "corner", *, far: float = 1.0) -> None:
+    """Put a camera of viser's to one of `SIDES`, `far` times as far away, so that it sees the whole robot."""
+    length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
+    seen.position = tuple(far * length * np.array(SIDES[side]))
+    seen.look_at = (0.0, 0.0, 0.45 * length)
 
 
 def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
