@@ -83,7 +83,7 @@ class Panel:
             self._log = gui.add_html(log_words(()))
         plots = gui.add_panel()
         with plots.add_tab("Plots"):
-            self._torsion, self._curve, self._map = (gui.add_html("") for _ in range(3))
+            self._plots = {name: gui.add_html("") for name in ("torsion", "curve", "map")}
         plots.dock_left()
         plots.set_width(340)
 
@@ -107,17 +107,13 @@ class Panel:
         self._readout.content = readout(session, certificate)
         self._log.content = log_words(session.log)
         if torsion is not None:
-            self._torsion.content = torsion
+            self.plot("torsion", torsion)
         if self.push is not None:
             self.push.show(session.equilibrium.load)
 
-    def curve(self, content: str, *, text: bool = False) -> None:
-        """The S-curve, or why there is none."""
-        self._curve.content = PAD.format(escape(content)) if text else content
-
-    def map(self, content: str, *, text: bool = False) -> None:
-        """The stability map, or why there is none."""
-        self._map.content = PAD.format(escape(content)) if text else content
+    def plot(self, name: str, content: str, *, text: bool = False) -> None:
+        """A plot of "torsion", the "curve" or the "map", or why there is none."""
+        self._plots[name].content = PAD.format(escape(content)) if text else content
 
     def sync(self, session: Session, dragged: int | None = None, *, refused: bool = False) -> None:
         """Bring sliders and boxes to where the robot is; not the slider that is being `dragged`.
@@ -154,14 +150,10 @@ class Panel:
                 if not dragged or not self._held(slider):
                     self._put(slider, round(float(value), 1))
 
-    def untick(self, *layers: str) -> None:
-        """Layers are shown no more: what they show is of other tubes. Tells the tab as a click would."""
+    def tick(self, *layers: str, on: bool = True) -> None:
+        """Layers are shown, or no more, as a click would have it."""
         for layer in layers:
-            self._layers[layer].value = False
-
-    def tick(self, layer: str) -> None:
-        """A layer is shown, as a click would have it."""
-        self._layers[layer].value = True
+            self._layers[layer].value = on
 
     def offer_playback(self, duration: float) -> None:
         """There is a trajectory of this length, s."""

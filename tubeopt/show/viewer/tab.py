@@ -250,7 +250,7 @@ class Tab(Wishes):
             animate(self._client, self.scene, self.session.last)
         if self.session.robot is not before.robot:
             self.scene.set_stage(self.session.equilibrium)
-            self.panel.untick("workspace", "swept")
+            self.panel.tick("workspace", "swept", on=False)  # which are of other tubes
         self._say(said, bad=bool(said))
         self._stale = True
         if not self._worker.waiting:
