@@ -20,6 +20,7 @@ from ..robots.file import save_robot
 from .plan_report import TRAJECTORY
 from .quantities import Quantity, line
 from .report import Drawing, Report, drawing
+from .words import at_least
 
 INSTANTS = 200
 """Instants at which the distances between arms are told in a file."""
@@ -43,9 +44,8 @@ def _bound(pair: PairProof) -> str:
     i, j = pair.arms
     if not np.isfinite(pair.least_clearance):
         return f"{i + 1} and {j + 1}: none is shown ({pair.measured_clearance * TO_MM:.3f} mm measured)"
-    shown = np.floor(pair.least_clearance * TO_MM * 1e3) / 1e3  # rounded down, so that a bound stays one
     measured = f"{pair.measured_clearance * TO_MM:.3f} mm measured at {pair.when:.2f} s"
-    return f"{i + 1} and {j + 1}: at least {shown:.3f} mm at all times ({measured})"
+    return f"{i + 1} and {j + 1}: at least {at_least(pair.least_clearance):.3f} mm at all times ({measured})"
 
 
 def _called(arm: _Arm) -> str:
@@ -107,14 +107,12 @@ def between_arms(plan: ArmsPlan) -> str:
     words = [f"arms_{pair.arms[0] + 1}_{pair.arms[1] + 1}" for pair in pairs]
     columns = ["time_s", *(f"{each}_mm" for each in words), *(f"{each}_at_least_mm" for each in words)]
     later = np.append(times[1:], times[-1])
-    shown = np.column_stack([pair.at_least(times, later) for pair in pairs]) * TO_MM
-    proved = np.where(
-        np.isfinite(shown), np.floor(shown * 1e6) / 1e6, np.nan
-    )  # rounded down, so that a bound stays one
+    bounds = np.column_stack([pair.at_least(times, later) for pair in pairs])
+    proved = np.where(np.isfinite(bounds), at_least(bounds, 6), np.nan)
     measured = np.round(plan.clearance(times) * TO_MM, 6)
     rows = (
-        [float(t), *map(float, row), *("" if x != x else float(x) for x in bounds)]
-        for t, row, bounds in zip(times, measured, proved, strict=True)
+        [float(t), *map(float, row), *("" if x != x else float(x) for x in known)]
+        for t, row, known in zip(times, measured, proved, strict=True)
     )
     return to_csv(columns, rows)
 

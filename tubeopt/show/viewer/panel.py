@@ -12,6 +12,7 @@ import numpy as np
 from ...bodies.plane import Plane
 from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
+from ...robots.robot import Robot
 from .cut import ACROSS
 from .designs import Knob, knobs
 from .given import BODIES, YAML
@@ -120,10 +121,8 @@ class Panel:
 
         What was refused stays in the boxes, to be corrected there.
         """
-        n, space, q = session.robot.n_tubes, space_of(session.robot), session.q
-        factor = np.where(np.arange(len(q)) < n, np.degrees(1.0), TO_MM)
-        low, high = _reach(space.lower * factor, n), _reach(space.upper * factor, n)
-        for k, (slider, value) in enumerate(zip(self._sliders, q * factor, strict=True)):
+        factor, low, high = _ends(session.robot)
+        for k, (slider, value) in enumerate(zip(self._sliders, session.q * factor, strict=True)):
             shown = min(low[k], round(value, 1)), max(high[k], round(value, 1))
             if (slider.min, slider.max) != shown:
                 slider.min, slider.max = shown
@@ -187,12 +186,8 @@ class Panel:
     # --- built -------------------------------------------------------------------------------------------------------
 
     def _slider(self, joint: int, name: str) -> Any:
-        robot = self._view.robot
-        space, n = space_of(robot), robot.n_tubes
-        unit, factor = ("deg", np.degrees(1.0)) if joint < n else ("mm", TO_MM)
-        low, high = (
-            float(_reach(x[joint : joint + 1] * factor, int(joint < n))[0]) for x in (space.lower, space.upper)
-        )
+        factor, low, high = (float(each[joint]) for each in _ends(self._view.robot))
+        unit = "deg" if joint < self._view.robot.n_tubes else "mm"
         slider = self._gui.add_slider(
             f"{name} ({unit})", low, max(high, low + STEP), STEP, min(max(0.0, low), high), marks=()
         )
@@ -360,10 +355,14 @@ class Panel:
             self._button(label, partial(self._tab.save, what))
 
 
-def _reach(values: np.ndarray, rotations: int) -> np.ndarray:
-    """Ends of sliders: rotations no farther than `LONGEST_TURN`, all in whole steps."""
-    turns = np.clip(values[:rotations], -LONGEST_TURN, LONGEST_TURN)
-    return np.round(np.append(turns, values[rotations:]), 1)
+def _ends(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every joint the factor from SI to deg or mm, and the ends of its slider: rotations no farther than
+    `LONGEST_TURN`, all in whole steps."""
+    space = space_of(robot)
+    turns = np.arange(len(space.lower)) < robot.n_tubes
+    factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
+    low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
+    return factor, low, high
 
 
 def _typed(value: float, digits: int) -> str:
