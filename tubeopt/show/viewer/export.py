@@ -85,12 +85,7 @@ def page_title(session: Session) -> str:
 
 
 def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True) -> str:
-    """A page that shows the scene without any server or network: to be turned and zoomed, not moved.
-
-    Args:
-        layers: further parts by the names of their layers.
-        trail: whether the way of the tip is shown.
-    """
+    """A page that shows the scene, with layers, without any server or network: to be turned and zoomed, not moved."""
     with quiet_server("127.0.0.1", 0) as server:
         look_from(server.initial_camera, session.equilibrium)
         server.scene.world_axes.visible = True

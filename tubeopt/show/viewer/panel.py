@@ -39,13 +39,7 @@ PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>
 
 
 class Panel:
-    """The widgets of one client.
-
-    Args:
-        gui: `gui` of a client of a viser server.
-        tab: told of everything that is wanted.
-        view: what there is to show.
-    """
+    """The widgets of one client, made by its `gui` of viser; `tab` is told of everything that is wanted."""
 
     def __init__(self, gui: Any, tab: Wishes, view: View) -> None:
         self._gui, self._tab, self._view = gui, tab, view
