@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ..bodies.frames import roll_of
+from ..bodies.frames import Frame, roll_of
 from ..errors import NotProvedError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -17,41 +17,35 @@ from ..files.units import TO_MM
 from ..planning import ArmsPlan, PairProof, Trajectory
 from ..planning.file import save_trajectory
 from ..robots.file import save_robot
-from ..typing import Array
 from .plan_report import TRAJECTORY
 from .quantities import Quantity, line
 from .report import Drawing, Report, drawing
+from .words import at_least
 
 INSTANTS = 200
 """Instants at which the distances between arms are told in a file."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Arm:
-    """One of several robots of a plan: its number, from 1, and its motion."""
+class _Arm(NamedTuple):
+    """One of several robots of a plan: its number, from 1, its name, where its plate stands, and its motion."""
 
     number: int
     name: str
-    position: Array
-    direction: Array
-    roll: float
+    base: Frame
     motion: Trajectory
 
 
 def _arms(plan: ArmsPlan) -> list[_Arm]:
-    return [
-        _Arm(k + 1, arm.called, arm.base.origin, arm.base.axes[:, 2], roll_of(arm.base), motion)
-        for k, (arm, motion) in enumerate(zip(plan.arms, plan.trajectories, strict=True))
-    ]
+    pairs = enumerate(zip(plan.arms, plan.trajectories, strict=True), start=1)
+    return [_Arm(number, arm.called, arm.base, motion) for number, (arm, motion) in pairs]
 
 
 def _bound(pair: PairProof) -> str:
     i, j = pair.arms
     if not np.isfinite(pair.least_clearance):
         return f"{i + 1} and {j + 1}: none is shown ({pair.measured_clearance * TO_MM:.3f} mm measured)"
-    shown = np.floor(pair.least_clearance * TO_MM * 1e3) / 1e3  # rounded down, so that a bound stays one
     measured = f"{pair.measured_clearance * TO_MM:.3f} mm measured at {pair.when:.2f} s"
-    return f"{i + 1} and {j + 1}: at least {shown:.3f} mm at all times ({measured})"
+    return f"{i + 1} and {j + 1}: at least {at_least(pair.least_clearance):.3f} mm at all times ({measured})"
 
 
 def _called(arm: _Arm) -> str:
@@ -71,9 +65,9 @@ def _moves(arm: _Arm) -> str:
 ARM: tuple[Quantity[_Arm], ...] = (
     Quantity("number", "of the arm, from 1"),
     Quantity("name", "of the arm"),
-    Quantity("position_mm", "of its plate in the frame that all share"),
-    Quantity("direction", "along which it leaves the plate"),
-    Quantity("roll_deg", "turn of its plate about that direction, as `base` has it"),
+    Quantity("position_mm", "of its plate in the frame that all share", lambda a: a.base.origin),
+    Quantity("direction", "along which it leaves the plate", lambda a: a.base.axes[:, 2]),
+    Quantity("roll_deg", "turn of its plate about that direction, as `base` has it", lambda a: roll_of(a.base)),
     Quantity("begin_s", "when it begins to move", lambda a: a.motion.time[0]),
     Quantity("end_s", "from when it rests", lambda a: a.motion.time[-1]),
     Quantity("motion", "its motion, in the frame of its own plate", of=TRAJECTORY),
@@ -113,14 +107,12 @@ def between_arms(plan: ArmsPlan) -> str:
     words = [f"arms_{pair.arms[0] + 1}_{pair.arms[1] + 1}" for pair in pairs]
     columns = ["time_s", *(f"{each}_mm" for each in words), *(f"{each}_at_least_mm" for each in words)]
     later = np.append(times[1:], times[-1])
-    shown = np.column_stack([pair.at_least(times, later) for pair in pairs]) * TO_MM
-    proved = np.where(
-        np.isfinite(shown), np.floor(shown * 1e6) / 1e6, np.nan
-    )  # rounded down, so that a bound stays one
+    bounds = np.column_stack([pair.at_least(times, later) for pair in pairs])
+    proved = np.where(np.isfinite(bounds), at_least(bounds, 6), np.nan)
     measured = np.round(plan.clearance(times) * TO_MM, 6)
     rows = (
-        [float(t), *map(float, row), *("" if x != x else float(x) for x in bounds)]
-        for t, row, bounds in zip(times, measured, proved, strict=True)
+        [float(t), *map(float, row), *("" if x != x else float(x) for x in known)]
+        for t, row, known in zip(times, measured, proved, strict=True)
     )
     return to_csv(columns, rows)
 

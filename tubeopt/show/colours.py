@@ -24,10 +24,6 @@ def rgb(colour: str) -> Colour:
 
 def margin_colour(margin: float) -> Colour:
     """Green at margin 1, yellow in between, red at 0 and below."""
-    part = min(max(float(margin), 0.0), 1.0)
-    stops = np.array([[200, 30, 30], [235, 190, 40], [0, 150, 90]], dtype=float)
-    mixed = (
-        stops[0] + 2 * part * (stops[1] - stops[0]) if part < 0.5 else stops[1] + (2 * part - 1) * (stops[2] - stops[1])
-    )
-    red, green, blue = (round(x) for x in mixed)
+    stops = (200, 235, 0), (30, 190, 150), (30, 40, 90)
+    red, green, blue = (round(float(np.interp(margin, (0.0, 0.5, 1.0), each))) for each in stops)
     return red, green, blue

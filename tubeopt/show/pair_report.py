@@ -22,6 +22,7 @@ from ..typing import Array
 from .design_report import CHECK, DIMENSION, DIMENSIONS, before_after, checked_again, dimension_rows
 from .quantities import Quantity, line
 from .report import Drawing, Report, drawing, grid, two_columns
+from .words import at_least
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +103,8 @@ def pairs_of_places(share: PairShare, places: Sequence[Array]) -> str:
     columns = [f"{axis}{k}_mm" for k in (1, 2) for axis in "xyz"]
     rows = []
     for i, j in np.argwhere(~np.eye(len(share.apart), dtype=bool)):
-        apart = share.apart[i, j] * TO_MM
-        told = "" if np.isnan(apart) else float(np.floor(apart * 1e3) / 1e3)  # rounded down: a bound stays one
+        apart = share.apart[i, j]
+        told = "" if np.isnan(apart) else float(at_least(apart))
         rows.append([*map(float, [*places[i], *places[j]]), told, int(share.held[i, j])])
     return to_csv([*columns, "apart_at_least_mm", "held"], rows)
 

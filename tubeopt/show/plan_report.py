@@ -28,6 +28,7 @@ from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
 from .readings import joints_in_words, readings
 from .report import Drawing, Report, drawing, two_columns
+from .words import at_least
 
 BEYOND = "assuming no other load and no friction"
 
@@ -46,11 +47,10 @@ HOW = {
 
 
 def _clearance(p: Proof) -> str | None:
+    measured = f"({p.measured_clearance * TO_MM:.3f} mm measured)"
     if np.isfinite(p.least_clearance):
-        # Rounded down to what is printed, so that a bound stays one.
-        shown = np.floor(p.least_clearance * TO_MM * 1e3) / 1e3
-        return f"at least {shown:.3f} mm at all times ({p.measured_clearance * TO_MM:.3f} mm measured)"
-    return f"none is shown ({p.measured_clearance * TO_MM:.3f} mm measured)" if p.least_clearance < 0 else None
+        return f"at least {at_least(p.least_clearance):.3f} mm at all times {measured}"
+    return f"none is shown {measured}" if p.least_clearance < 0 else None
 
 
 def _again(p: Proof) -> str:

@@ -8,46 +8,35 @@ from typing import TypeVar
 from ..equilibrium.readings import to_readings
 from ..equilibrium.result import Equilibrium
 from ..typing import Array
-from .quantities import Quantity
+from .quantities import Quantity, within
 from .words import degrees, millimetres
 
 A = TypeVar("A")
 
 
+READINGS: tuple[Quantity[tuple[Array, Array]], ...] = (
+    Quantity("readings_deg", "rotations that the drives of a calibrated robot read there", lambda read: read[0],
+             label="the drives read", words=lambda read: _words(read, ".6g"), optional=True),
+    Quantity("readings_mm", "translations that the drives of a calibrated robot read there", lambda read: read[1],
+             optional=True),
+)  # fmt: skip
+
+
 def readings(of: Callable[[A], Equilibrium]) -> tuple[Quantity[A], ...]:
     """Readings of rotations and translations; left out where the robot has no calibration."""
+    return within(READINGS, lambda answer: _read(of(answer)))
 
-    def read(answer: A, which: int) -> Array | None:
-        e = of(answer)
-        known = e.robot.calibration is not None
-        return to_readings(e.robot, e.rotations, e.translations)[which] if known else None
 
-    def told(answer: A) -> str | None:
-        turned, shifted = read(answer, 0), read(answer, 1)
-        return None if turned is None or shifted is None else f"{degrees(turned, '.6g')}, {millimetres(shifted, '.6g')}"
+def _read(e: Equilibrium) -> tuple[Array, Array] | None:
+    return None if e.robot.calibration is None else to_readings(e.robot, e.rotations, e.translations)
 
-    return (
-        Quantity(
-            "readings_deg",
-            "rotations that the drives of a calibrated robot read there",
-            lambda answer: read(answer, 0),
-            label="the drives read",
-            words=told,
-            optional=True,
-        ),
-        Quantity(
-            "readings_mm",
-            "translations that the drives of a calibrated robot read there",
-            lambda answer: read(answer, 1),
-            optional=True,
-        ),
-    )
+
+def _words(joints: tuple[Array, Array], form: str) -> str:
+    return f"{degrees(joints[0], form)}, {millimetres(joints[1], form)}"
 
 
 def joints_in_words(e: Equilibrium) -> str:
     """Joint values of an answer, and what the drives of a calibrated robot read there."""
     words = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
-    if e.robot.calibration is None:
-        return words
-    turned, shifted = to_readings(e.robot, e.rotations, e.translations)
-    return f"{words}; the drives read {degrees(turned, '.4g')}, {millimetres(shifted, '.4g')}"
+    read = _read(e)
+    return words if read is None else f"{words}; the drives read {_words(read, '.4g')}"

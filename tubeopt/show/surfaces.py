@@ -50,9 +50,6 @@ def join(surfaces: list[Surface]) -> Surface:
 def obstacle_surface(obstacle: Obstacle, reach: float, *, sides: int = SIDES) -> Surface:
     """A body as triangles; of one without end, what lies within `reach` (m) of the plate; of a vessel, its wall.
 
-    Args:
-        sides: facets around what is round.
-
     Raises:
         InputError: a body of unknown kind.
     """

@@ -289,6 +289,11 @@ def _step(step: Step, length: float) -> dict[str, Any]:
     }
 
 
+def _held_out(errors: ErrorSummary, axis: float | None) -> tuple[str, str]:
+    """Errors of tips and of directions in two cells."""
+    return f"{errors.rms * TO_MM:.2f} mm", "" if axis is None else f"{np.degrees(axis):.2f} deg"
+
+
 def _length(c: Comparison) -> float:
     return c.fit.after.length if c.fit else float("nan")
 
@@ -324,27 +329,14 @@ class EffectsReport(Report[Comparison]):
     def table(self) -> Group:
         """Effects in the order in which they pay, those that do not, and the fit."""
         c = self.answer
-        cells = [self._cells("", s) for s in c.steps]
-        cells += [self._cells("does not pay", s) for s in c.refused]
-        first = ("as given", f"{c.start.rms * TO_MM:.2f} mm", self._angle(c.start_axis), "", "")
-        heads = ("effect", "held out, RMS >", "direction >", "gain >", "")
-        steps = grid(heads, [first, *cells], key=True)
-        if c.fit is None:
-            return Group(two_columns(self.title(), self.rows()), steps, *remarks(c.remarks, what="remark"))
-        return Group(two_columns(self.title(), self.rows()), steps, FitReport(c.fit).table())
-
-    def _cells(self, word: str, s: Step) -> tuple[str, ...]:
-        rivals = f"or {' or '.join(s.rivals)}: as good" if s.rivals else word
-        return (
-            s.effect,
-            f"{s.held_out.rms * TO_MM:.2f} mm",
-            self._angle(s.held_out_axis),
-            f"{100 * s.gain:.1f} %",
-            rivals,
-        )
-
-    def _angle(self, angle: float | None) -> str:
-        return "" if angle is None else f"{np.degrees(angle):.2f} deg"
+        cells = [("as given", *_held_out(c.start, c.start_axis), "", "")]
+        for word, steps in (("", c.steps), ("does not pay", c.refused)):
+            for s in steps:
+                rivals = f"or {' or '.join(s.rivals)}: as good" if s.rivals else word
+                cells.append((s.effect, *_held_out(s.held_out, s.held_out_axis), f"{100 * s.gain:.1f} %", rivals))
+        table = grid(("effect", "held out, RMS >", "direction >", "gain >", ""), cells, key=True)
+        rest = remarks(c.remarks, what="remark") if c.fit is None else [FitReport(c.fit).table()]
+        return Group(two_columns(self.title(), self.rows()), table, *rest)
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, and residuals.csv and the calibrated robot.yaml where an effect pays."""

@@ -47,6 +47,12 @@ def millimetres(lengths: Array, form: str = ".9g") -> str:
     return f"{row(np.asarray(lengths) * TO_MM, form)} mm"
 
 
+def at_least(lengths: ArrayLike, digits: int = 3) -> Array:
+    """Lengths (m) that are proved, in mm: rounded down to what is printed, so that a bound stays one."""
+    lowered: Array = np.floor(np.asarray(lengths) * TO_MM * 10**digits) / 10**digits
+    return lowered
+
+
 def flag(values: Array) -> str:
     """Numbers as an option of the command line takes them, to 1e-6."""
     return row(np.round(values, 6), ".12g").replace(" ", "")

@@ -12,7 +12,7 @@ from ...files.files import write_text
 from ...planning import ArmsPlan
 from ..arm_surfaces import plate_part, plate_radius
 from .host import quiet_server, titled_page
-from .scene import SCALE, Scene, camera, obstacle_parts
+from .scene import SCALE, Scene, look_from, obstacle_parts
 
 FRAMES = 48
 """Pictures of the motion."""
@@ -27,9 +27,7 @@ def arms_page(plan: ArmsPlan, *, frames: int = FRAMES) -> str:
     names = " and ".join(arm.called for arm in plan.arms)
     with quiet_server("127.0.0.1", 0) as server:
         longest = max((each.end for each in plan.trajectories), key=lambda e: float(e.arc_length[-1]))
-        position, look_at = camera(longest)
-        server.initial_camera.position = tuple(1.3 * position)
-        server.initial_camera.look_at = tuple(look_at)
+        look_from(server.initial_camera, longest, far=1.3)
         reach = max(tube.length for arm in plan.arms for tube in arm.robot.tubes)
         Scene(server.scene).layer("obstacles", obstacle_parts(plan.obstacles, reach))
         scenes = []

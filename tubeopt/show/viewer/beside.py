@@ -34,13 +34,7 @@ def session_beside(robot: Robot, first: Session) -> Session:
 
 
 class Beside:
-    """A robot that follows the joint values of another one, with a label that says how it is.
-
-    Args:
-        api: `scene` of a client.
-        session: of `session_beside`.
-        first: beside which it stands, and whose joint values it takes.
-    """
+    """A robot of `session_beside` that follows the joint values of the first, with a label that says how it is."""
 
     def __init__(self, api: Any, session: Session, first: Session) -> None:
         self.session = session

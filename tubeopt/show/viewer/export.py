@@ -20,8 +20,8 @@ from ...robots.file import save_robot
 from ...robots.robot import Robot
 from ..arm_surfaces import Part
 from .host import quiet_server, titled_page
-from .playback import paced
-from .scene import Scene, camera
+from .playback import passed
+from .scene import Scene, look_from
 from .session import Session
 
 
@@ -53,12 +53,9 @@ def recording_csv(session: Session) -> str:
     start = session.recorded_from
     if start is None or session.recording is None or len(session.recording) < 2:
         raise InputError("nothing is recorded: switch recording on and move the robot first")
-    rows = np.array(session.recording)
-    rows = rows[np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)]
-    n = session.robot.n_tubes
-    time = paced(rows[:, :n], rows[:, n:])
+    way = passed(session)
     comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(start)]
-    return timed_csv(time, *to_readings(session.robot, rows[:, :n], rows[:, n:]), comment)
+    return timed_csv(way.time, *to_readings(session.robot, way.rotations, way.translations), comment)
 
 
 def _text(write: Callable[[Path], None], suffix: str) -> str:
@@ -88,16 +85,9 @@ def page_title(session: Session) -> str:
 
 
 def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True) -> str:
-    """A page that shows the scene without any server or network: to be turned and zoomed, not moved.
-
-    Args:
-        layers: further parts by the names of their layers.
-        trail: whether the way of the tip is shown.
-    """
+    """A page that shows the scene, with layers, without any server or network: to be turned and zoomed, not moved."""
     with quiet_server("127.0.0.1", 0) as server:
-        position, look_at = camera(session.equilibrium)
-        server.initial_camera.position = tuple(position)
-        server.initial_camera.look_at = tuple(look_at)
+        look_from(server.initial_camera, session.equilibrium)
         server.scene.world_axes.visible = True
         scene = Scene(server.scene)
         scene.set_stage(session.equilibrium)

@@ -33,9 +33,6 @@ class Beside:
 def quiet_server(host: str, port: int, title: str = "tubeopt", beside: Beside | None = None) -> Iterator[Any]:
     """A viser server that says nothing on the terminal, hands itself to no relay, and answers to its own page alone.
 
-    Args:
-        title: of the page.   beside: what it does beside viser.
-
     Raises:
         InputError: viser is not installed, the address is none of this machine's, the port is taken.
     """

@@ -68,7 +68,7 @@ class Insights:
     def want_map(self, on: bool) -> None:
         """Show a stability map, or none."""
         self._map_wanted, self._map = on, None
-        self._panel.map("computing the stability map …" if on else "", text=on)
+        self._panel.plot("map", "computing the stability map …" if on else "", text=on)
 
     def plot(self) -> None:
         """Mark the present place in the plots that hold at it."""
@@ -76,9 +76,9 @@ class Insights:
         if here.load is not None:
             return
         if self._curve and self._curve[1] is not None and self._curve[0] == self._way():
-            self._panel.curve(s_curve_plot(self._curve[1], here, self.tube))
+            self._panel.plot("curve", s_curve_plot(self._curve[1], here, self.tube))
         if self._map and self._map[1] is not None and self._map[0] == self._at():
-            self._panel.map(map_plot(self._map[1], here))
+            self._panel.plot("map", map_plot(self._map[1], here))
 
     def _at(self) -> Place:
         """What certificate and map depend on."""
@@ -108,7 +108,7 @@ class Insights:
         key = self._way()
         if self._session().equilibrium.load is not None:
             self._curve = None
-            self._panel.curve("S-curves and maps are told without load", text=True)
+            self._panel.plot("curve", "S-curves and maps are told without load", text=True)
             return
         if self._curve and self._curve[0] == key:
             return
@@ -116,7 +116,7 @@ class Insights:
             self._curve = key, _s_curve(*key)
         except (InputError, SolveError) as error:
             self._curve = key, None
-            self._panel.curve(f"no S-curve here: {error}", text=True)
+            self._panel.plot("curve", f"no S-curve here: {error}", text=True)
         self.plot()
 
     def _chart(self) -> None:
@@ -137,7 +137,7 @@ class Insights:
             return
         except (InputError, SolveError) as error:
             self._map = key, None
-            self._panel.map(f"no stability map: {error}", text=True)
+            self._panel.plot("map", f"no stability map: {error}", text=True)
             return
         self._map = key, chart
         self.plot()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from .push_panel import PushPanel
 from .pushing import head_of, newtons_per_metre
 from .scene import SCALE, Scene
 from .view import View
+from .wishes import Wishes
 
 SIZE = 0.2
 """Of a mark, over the longest curved part of a tube."""
@@ -46,17 +47,11 @@ class Mark:
             self._handle.position = tuple(place * SCALE)
 
 
-class Push(Protocol):
-    """Lets a force act, N, with gravity, m/s^2."""
-
-    def __call__(self, force: np.ndarray, gravity: tuple[float, float, float] | None, *, done: bool) -> None: ...
-
-
 class ForceArrow:
-    """Shows the force on the tip of a robot, and tells `push` where it is dragged; nothing without `controls`."""
+    """Shows the force on the tip of a robot, and tells the tab where it is dragged; nothing without `controls`."""
 
-    def __init__(self, scene: Scene, controls: PushPanel | None, view: View, push: Push) -> None:
-        self._scene, self._controls, self._view, self._push = scene, controls, view, push
+    def __init__(self, scene: Scene, controls: PushPanel | None, view: View, tab: Wishes) -> None:
+        self._scene, self._controls, self._view, self._tab = scene, controls, view, tab
         self._head = Mark(scene, "head", self._drawn)
         self._tip = np.zeros(3)
 
@@ -78,7 +73,7 @@ class ForceArrow:
 
     def _drawn(self, head: np.ndarray, done: bool) -> None:
         assert self._controls is not None
-        self._push(self._newtons_per_metre * (head - self._tip), self._controls.gravity, done=done)
+        self._tab.push(self._newtons_per_metre * (head - self._tip), self._controls.gravity, done=done)
 
     @cached_property
     def _newtons_per_metre(self) -> float:

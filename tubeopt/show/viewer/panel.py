@@ -12,6 +12,7 @@ import numpy as np
 from ...bodies.plane import Plane
 from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
+from ...robots.robot import Robot
 from .cut import ACROSS
 from .designs import Knob, knobs
 from .given import BODIES, YAML
@@ -38,13 +39,7 @@ PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>
 
 
 class Panel:
-    """The widgets of one client.
-
-    Args:
-        gui: `gui` of a client of a viser server.
-        tab: told of everything that is wanted.
-        view: what there is to show.
-    """
+    """The widgets of one client, made by its `gui` of viser; `tab` is told of everything that is wanted."""
 
     def __init__(self, gui: Any, tab: Wishes, view: View) -> None:
         self._gui, self._tab, self._view = gui, tab, view
@@ -83,7 +78,7 @@ class Panel:
             self._log = gui.add_html(log_words(()))
         plots = gui.add_panel()
         with plots.add_tab("Plots"):
-            self._torsion, self._curve, self._map = (gui.add_html("") for _ in range(3))
+            self._plots = {name: gui.add_html("") for name in ("torsion", "curve", "map")}
         plots.dock_left()
         plots.set_width(340)
 
@@ -107,27 +102,21 @@ class Panel:
         self._readout.content = readout(session, certificate)
         self._log.content = log_words(session.log)
         if torsion is not None:
-            self._torsion.content = torsion
+            self.plot("torsion", torsion)
         if self.push is not None:
             self.push.show(session.equilibrium.load)
 
-    def curve(self, content: str, *, text: bool = False) -> None:
-        """The S-curve, or why there is none."""
-        self._curve.content = PAD.format(escape(content)) if text else content
-
-    def map(self, content: str, *, text: bool = False) -> None:
-        """The stability map, or why there is none."""
-        self._map.content = PAD.format(escape(content)) if text else content
+    def plot(self, name: str, content: str, *, text: bool = False) -> None:
+        """A plot of "torsion", the "curve" or the "map", or why there is none."""
+        self._plots[name].content = PAD.format(escape(content)) if text else content
 
     def sync(self, session: Session, dragged: int | None = None, *, refused: bool = False) -> None:
         """Bring sliders and boxes to where the robot is; not the slider that is being `dragged`.
 
         What was refused stays in the boxes, to be corrected there.
         """
-        n, space, q = session.robot.n_tubes, space_of(session.robot), session.q
-        factor = np.where(np.arange(len(q)) < n, np.degrees(1.0), TO_MM)
-        low, high = _reach(space.lower * factor, n), _reach(space.upper * factor, n)
-        for k, (slider, value) in enumerate(zip(self._sliders, q * factor, strict=True)):
+        factor, low, high = _ends(session.robot)
+        for k, (slider, value) in enumerate(zip(self._sliders, session.q * factor, strict=True)):
             shown = min(low[k], round(value, 1)), max(high[k], round(value, 1))
             if (slider.min, slider.max) != shown:
                 slider.min, slider.max = shown
@@ -154,14 +143,10 @@ class Panel:
                 if not dragged or not self._held(slider):
                     self._put(slider, round(float(value), 1))
 
-    def untick(self, *layers: str) -> None:
-        """Layers are shown no more: what they show is of other tubes. Tells the tab as a click would."""
+    def tick(self, *layers: str, on: bool = True) -> None:
+        """Layers are shown, or no more, as a click would have it."""
         for layer in layers:
-            self._layers[layer].value = False
-
-    def tick(self, layer: str) -> None:
-        """A layer is shown, as a click would have it."""
-        self._layers[layer].value = True
+            self._layers[layer].value = on
 
     def offer_playback(self, duration: float) -> None:
         """There is a trajectory of this length, s."""
@@ -195,12 +180,8 @@ class Panel:
     # --- built -------------------------------------------------------------------------------------------------------
 
     def _slider(self, joint: int, name: str) -> Any:
-        robot = self._view.robot
-        space, n = space_of(robot), robot.n_tubes
-        unit, factor = ("deg", np.degrees(1.0)) if joint < n else ("mm", TO_MM)
-        low, high = (
-            float(_reach(x[joint : joint + 1] * factor, int(joint < n))[0]) for x in (space.lower, space.upper)
-        )
+        factor, low, high = (float(each[joint]) for each in _ends(self._view.robot))
+        unit = "deg" if joint < self._view.robot.n_tubes else "mm"
         slider = self._gui.add_slider(
             f"{name} ({unit})", low, max(high, low + STEP), STEP, min(max(0.0, low), high), marks=()
         )
@@ -220,14 +201,11 @@ class Panel:
         for label, act in (("Home", self._tab.home), ("Undo", self._tab.undo), ("All equilibria", self._tab.ghosts)):
             self._button(label, act)
 
-    def _button(self, label: str, act: Any, **options: Any) -> Any:
-        button = self._gui.add_button(label, **options)
-
-        async def pressed(event: Any) -> None:
+    def _button(self, label: str, act: Callable[[], object]) -> None:
+        async def pressed(_: Any) -> None:
             act()
 
-        button.on_click(pressed)
-        return button
+        self._gui.add_button(label).on_click(pressed)
 
     def _mirror_sliders(self) -> list[Any]:
         with self._gui.add_folder("Direction and separation"):
@@ -371,10 +349,14 @@ class Panel:
             self._button(label, partial(self._tab.save, what))
 
 
-def _reach(values: np.ndarray, rotations: int) -> np.ndarray:
-    """Ends of sliders: rotations no farther than `LONGEST_TURN`, all in whole steps."""
-    turns = np.clip(values[:rotations], -LONGEST_TURN, LONGEST_TURN)
-    return np.round(np.append(turns, values[rotations:]), 1)
+def _ends(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every joint the factor from SI to deg or mm, and the ends of its slider: rotations no farther than
+    `LONGEST_TURN`, all in whole steps."""
+    space = space_of(robot)
+    turns = np.arange(len(space.lower)) < robot.n_tubes
+    factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
+    low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
+    return factor, low, high
 
 
 def _typed(value: float, digits: int) -> str:

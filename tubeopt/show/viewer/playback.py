@@ -89,10 +89,16 @@ def recorded(session: Session) -> Waypoints:
     Raises:
         InputError: nothing was recorded, or the robot did not move.
     """
-    rows = np.array(session.recording or ())
-    moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0) if len(rows) else np.zeros(0, dtype=bool)
-    if np.count_nonzero(moved) < 2:
+    way = passed(session) if session.recording else None
+    if way is None or len(way.time) < 2:
         raise InputError("nothing was recorded: tick 'record what the robot passes', and move it")
+    return way
+
+
+def passed(session: Session) -> Waypoints:
+    """The joint values of a recording that is not empty, where it stands still but once."""
+    rows = np.array(session.recording)
+    moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)
     rotations, translations = np.split(rows[moved], 2, axis=1)
     return Waypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
 

@@ -38,7 +38,7 @@ class Player:
     def take(self, waypoints: Waypoints) -> Playback:
         """Make a trajectory ready; raises as `make_playback` does."""
         self.playback = make_playback(self._session().robot, waypoints)
-        self._panel.untick("swept")
+        self._panel.tick("swept", on=False)
         self._panel.offer_playback(self.playback.duration)
         self._time = 0.0
         return self.playback

@@ -146,12 +146,10 @@ def map_plot(chart: StabilityMap, equilibrium: Equilibrium) -> str:
         for j, b in enumerate(angles):
             corners = np.clip([a - half, a + half, b - half, b + half], -180, 180)
             (x0, y1), (x1, y0) = axes.at(corners[:2], corners[2:])
-            red, green, blue = margin_colour(chart.margin[i, j])
-            fill = f"rgb({red},{green},{blue})"
             dim = ".45" if chart.snaps[i, j] else "1"
             body.append(
                 f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0 + 0.3:.1f}" height="{y1 - y0 + 0.3:.1f}" '
-                f'fill="{fill}" opacity="{dim}"/>'
+                f'fill="rgb{margin_colour(chart.margin[i, j])}" opacity="{dim}"/>'
             )
     still = max(set(range(equilibrium.robot.n_tubes)) - set(chart.tubes))
     relative = np.degrees(equilibrium.rotations - equilibrium.rotations[still])

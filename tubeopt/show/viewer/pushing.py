@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -80,18 +80,9 @@ def head_of(equilibrium: Equilibrium, scale: float) -> np.ndarray:
     return np.asarray(equilibrium.tip_position + force / scale)
 
 
-@dataclass(frozen=True)
-class Bearing:
-    """What a load does: deflection of the tip, m; and the least factor on it that ends the branch, None where it bears
-    UP_TO times as much."""
-
-    deflection: float
-    limit: LoadLimit | None
-    """Where the branch ends."""
-
-
-def bearing_of(equilibrium: Equilibrium) -> Bearing | None:
-    """What the load of an equilibrium does; None where it is not that into which an unloaded one grows.
+def bearing_of(equilibrium: Equilibrium) -> tuple[float, LoadLimit | None] | None:
+    """How far the load of an equilibrium moves the tip, m, and where a multiple of it ends the branch, None where the
+    robot bears UP_TO times as much; None where the equilibrium is not that into which an unloaded one grows.
 
     Raises:
         SolveError: the branch is lost without a fold or bifurcation close by.
@@ -101,7 +92,7 @@ def bearing_of(equilibrium: Equilibrium) -> Bearing | None:
         return None
     joints = equilibrium.rotations, equilibrium.translations
     limit = find_load_limit(equilibrium.robot, *joints, load, equilibrium=rest, up_to=UP_TO)
-    return Bearing(float(np.linalg.norm(equilibrium.tip_position - rest.tip_position)), limit)
+    return float(np.linalg.norm(equilibrium.tip_position - rest.tip_position)), limit
 
 
 def bearing_words(equilibrium: Equilibrium) -> str:
@@ -118,8 +109,9 @@ def bearing_words(equilibrium: Equilibrium) -> str:
         return f"{what}: {error}"
     if found is None:
         return f"{what}: taken off, the robot snaps"
+    moved, limit = found
     bears = f"bears more than {UP_TO:g} times as much"
-    if found.limit is not None:
-        end = "snaps" if found.limit.kind == "fold" else "buckles"
-        bears = f"{end} at {found.limit.factor:.4f} times as much"
-    return f"{what}: tip moved by {found.deflection * TO_MM:.4f} mm, {bears}"
+    if limit is not None:
+        end = "snaps" if limit.kind == "fold" else "buckles"
+        bears = f"{end} at {limit.factor:.4f} times as much"
+    return f"{what}: tip moved by {moved * TO_MM:.4f} mm, {bears}"

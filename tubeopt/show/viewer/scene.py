@@ -36,6 +36,7 @@ DOT = 0.0035
 
 OBSTACLE_COLOUR = (150, 120, 95)
 FORCE_COLOUR = (220, 120, 30)
+FORCE = "/force"
 SHORTEST_ARROW = 1e-6
 """Of a force that is drawn, m."""
 SWEPT_COLOUR = (120, 90, 200)
@@ -58,7 +59,6 @@ class Scene:
         self._layers: dict[str, list[Any]] = {}
         self._contents: dict[str, tuple[Part, ...]] = {}
         self._trail: Any = None
-        self._arrow: Any = None
 
     def set_stage(self, equilibrium: Equilibrium) -> None:
         """Plate and ruled floor, and the lights."""
@@ -81,20 +81,11 @@ class Scene:
 
     def show(self, equilibrium: Equilibrium) -> None:
         """Draw the robot in a shape; parts that do not show are hidden."""
-        parts = robot_parts(equilibrium)
-        for part in parts:
-            vertices = (part.surface.vertices * SCALE).astype(np.float32)
-            handle = self._parts.get(part.name)
-            if handle is not None and handle.vertices.shape == vertices.shape:
-                handle.vertices = vertices
-                handle.visible = True
-            else:
-                if handle is not None:
-                    handle.remove()
-                self._parts[part.name] = self._add(f"{self._prefix}/{part.name}", part)
-        names = {part.name for part in parts}
+        parts = {f"{self._prefix}/{part.name}": part for part in robot_parts(equilibrium)}
+        for name, part in parts.items():
+            self._draw(name, part)
         for name, handle in self._parts.items():
-            if name not in names:
+            if name not in parts and name != FORCE:
                 handle.visible = False
 
     def show_trail(self, session: Session, visible: bool) -> None:
@@ -152,15 +143,10 @@ class Scene:
     def show_force(self, tip: Array, head: Array) -> None:
         """The arrow of a force on the tip, hidden where it has no length, m."""
         if np.linalg.norm(head - tip) < SHORTEST_ARROW:
-            if self._arrow is not None:
-                self._arrow.visible = False
-            return
-        part = Part("force", arrow_surface(tip, head), FORCE_COLOUR)
-        if self._arrow is None:
-            self._arrow = self._add("/force", part)
+            if FORCE in self._parts:
+                self._parts[FORCE].visible = False
         else:
-            self._arrow.vertices = (part.surface.vertices * SCALE).astype(np.float32)
-            self._arrow.visible = True
+            self._draw(FORCE, Part("force", arrow_surface(tip, head), FORCE_COLOUR))
 
     def handle(self, name: str, place: Array, size: float, led: Callable[[Array, bool], None]) -> Any:
         """Arrows of a size at a place, m; `led` is told where they are drawn (m), and whether they have been let go."""
@@ -174,6 +160,18 @@ class Scene:
 
         arrows.on_update(drawn)
         return arrows
+
+    def _draw(self, name: str, part: Part) -> None:
+        """Draw a part; what stands there with as many vertices is changed, and not made anew."""
+        vertices = (part.surface.vertices * SCALE).astype(np.float32)
+        handle = self._parts.get(name)
+        if handle is not None and handle.vertices.shape == vertices.shape:
+            handle.vertices = vertices
+            handle.visible = True
+            return
+        if handle is not None:
+            handle.remove()
+        self._parts[name] = self._add(name, part)
 
     def _add(self, name: str, part: Part) -> Any:
         # viser wants None for what is opaque: anything else is drawn by depth, back to front.
@@ -217,12 +215,6 @@ def swept_part(surface: Surface) -> Part:
     return Part("volume", surface, SWEPT_COLOUR, 0.25)
 
 
-def camera(equilibrium: Equilibrium) -> tuple[Array, Array]:
-    """Where to look from and what at, in the scene's units: the whole robot, at any joint values."""
-    length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
-    return np.array([0.85, -0.85, 0.75]) * length, np.array([0.0, 0.0, 0.45]) * length
-
-
 SIDES = {
     "side": (1.4, 0.0, 0.45),
     "front": (0.0, -1.4, 0.45),
@@ -233,12 +225,11 @@ SIDES = {
 it begins."""
 
 
-def look_from(seen: Any, equilibrium: Equilibrium, side: str) -> None:
-    """Put a camera of viser's to one of `SIDES`, upright, so that it sees the whole robot."""
-    _, look_at = camera(equilibrium)
-    length = look_at[2] / 0.45
-    seen.up_direction = (0.0, 0.0, 1.0)
-    seen.position, seen.look_at = tuple(np.array(SIDES[side]) * length), tuple(look_at)
+def look_from(seen: Any, equilibrium: Equilibrium, side: str = "corner", *, far: float = 1.0) -> None:
+    """Put a camera of viser's to one of `SIDES`, `far` times as far away, so that it sees the whole robot."""
+    length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
+    seen.position = tuple(far * length * np.array(SIDES[side]))
+    seen.look_at = (0.0, 0.0, 0.45 * length)
 
 
 def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:

@@ -13,8 +13,7 @@ from typing import Any
 from .export import page_title
 from .hand import PATH, Hands
 from .host import LOCAL, Beside, address_of, quiet_server
-from .scene import camera
-from .session import Session
+from .scene import look_from
 from .tab import Tab
 from .view import View
 
@@ -47,7 +46,10 @@ def serve(
     hands = Hands()
     beside = Beside(head(), PATH, hands.attend)
     with _signals(over), quiet_server(host, port, page_title(first), beside) as server:
-        _frame_camera(server, first)
+        look_from(server.initial_camera, first.equilibrium)
+        # Red, green, blue: x, y, z of the plate, 5 cm long.
+        server.scene.world_axes.visible = True
+        server.gui.configure_theme(show_share_button=False, show_logo=False)
 
         def came(client: Any) -> None:
             tab = Tab(client, view, hands)
@@ -80,15 +82,6 @@ def head() -> str:
     files = resources.files(__package__)
     style, script = (files.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "hand.js"))
     return f"<style>{style}</style><script>{script}</script>"
-
-
-def _frame_camera(server: Any, session: Session) -> None:
-    position, look_at = camera(session.equilibrium)
-    server.initial_camera.position = tuple(position)
-    server.initial_camera.look_at = tuple(look_at)
-    # Red, green, blue: x, y, z of the plate, 5 cm long.
-    server.scene.world_axes.visible = True
-    server.gui.configure_theme(show_share_button=False, show_logo=False)
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from ...inverse.joints import JointSpace, carriage_name, joint_space
 from ...robots.robot import Robot
 from ...stability import Path, Snap, find_equilibria, follow
 from ...typing import Array
+from ..words import degrees, millimetres, row
 
 CLOSE = 0.25
 """Margin below which a stable robot is said to be close to a snap: for the robot of the thesis that is 1 deg before."""
@@ -144,10 +145,10 @@ def allowed(robot: Robot, q: Array, joint: int) -> tuple[tuple[float, str], tupl
     """
     space = space_of(robot)
     low, high = (float(space.lower[joint]), "end of its range"), (float(space.upper[joint]), "end of its range")
-    for row, least, name in zip(space.rows, space.least, space.row_names, strict=True):
-        if row[joint] != 0:
-            bound = float((min(least, row @ q) - row @ q) / row[joint] + q[joint]), name
-            low, high = (max(low, bound), high) if row[joint] > 0 else (low, min(high, bound))
+    for gap, least, name in zip(space.rows, space.least, space.row_names, strict=True):
+        if gap[joint] != 0:
+            bound = float((min(least, gap @ q) - gap @ q) / gap[joint] + q[joint]), name
+            low, high = (max(low, bound), high) if gap[joint] > 0 else (low, min(high, bound))
     return low, high
 
 
@@ -248,12 +249,11 @@ def clear_trail(session: Session) -> Session:
 
 def snap_text(snap: Snap) -> str:
     """A snap in a sentence: joint values, tip jump, energy."""
-    angles = ", ".join(f"{angle:.4f}" for angle in np.degrees(snap.rotations) + 0.0)
-    where = f"rotations {angles} deg"
+    where = f"rotations {degrees(snap.rotations, '.4f')}"
     if np.any(snap.translations != snap.before.robot.home_translations):
-        where += ", translations " + ", ".join(f"{shift * TO_MM:.3f}" for shift in snap.translations + 0.0) + " mm"
+        where += f", translations {millimetres(snap.translations, '.3f')}"
     if snap.before.load is not None:
-        where += ", force " + ", ".join(f"{x * TO_MILLI:.4f}" for x in np.array(snap.before.load.force) + 0.0) + " mN"
+        where += f", force {row(np.array(snap.before.load.force) * TO_MILLI, '.4f')} mN"
     return (
         f"snap at {where}: the tip jumped by {snap.tip_jump * TO_MM:.4f} mm, "
         f"{snap.energy_released * TO_MILLI:.4f} mJ were released"

@@ -69,7 +69,7 @@ class Tab(Wishes):
         self._target = Mark(
             self.scene, "target", lambda place, done: self.lead(place, self.panel.least_margin, done=done)
         )
-        self._arrow = ForceArrow(self.scene, self.panel.push, view, self.push)
+        self._arrow = ForceArrow(self.scene, self.panel.push, view, self)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
         self._player = Player(self.panel, lambda: self.session, self._change, self._do)
         self._worker = Worker(
@@ -174,7 +174,11 @@ class Tab(Wishes):
         self._do(lambda: self._say(self._player.replay()))
 
     def look(self, side: str) -> None:
-        self._do(lambda: look_from(self._client.camera, self.session.equilibrium, side))
+        def go() -> None:
+            self._client.camera.up_direction = (0.0, 0.0, 1.0)
+            look_from(self._client.camera, self.session.equilibrium, side)
+
+        self._do(go)
 
     def close(self) -> None:
         """The tab is gone."""
@@ -246,7 +250,7 @@ class Tab(Wishes):
             animate(self._client, self.scene, self.session.last)
         if self.session.robot is not before.robot:
             self.scene.set_stage(self.session.equilibrium)
-            self.panel.untick("workspace", "swept")
+            self.panel.tick("workspace", "swept", on=False)  # which are of other tubes
         self._say(said, bad=bool(said))
         self._stale = True
         if not self._worker.waiting:

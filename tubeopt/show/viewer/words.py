@@ -8,6 +8,7 @@ from html import escape
 from ...equilibrium.result import Equilibrium
 from ..colours import margin_colour, tube_colour
 from ..quantities import Quantity, record
+from ..words import counted
 from .session import Event, Session
 
 SHOWN_EVENTS = 12
@@ -30,12 +31,11 @@ def readout(session: Session, certificate: float | None) -> str:
     e = session.equilibrium
     known = record(e, SIDEBAR)
     lines = "<br>".join(f'{q.about} <span data-testid="{q.about}">{q.number(known)}</span> {q.sign}' for q in SIDEBAR)
-    red, green, blue = margin_colour(e.margin)
     share = 100 * min(max(e.margin, 0.0), 1.0)
     state = session.verdict
     bar = (
         '<div style="height:9px;border-radius:4px;background:#8883;overflow:hidden">'
-        f'<div style="width:{share:.1f}%;height:100%;background:rgb({red},{green},{blue})"></div></div>'
+        f'<div style="width:{share:.1f}%;height:100%;background:rgb{margin_colour(e.margin)}"></div></div>'
     )
     badge = (
         f'<b data-testid="state" style="background:{BADGE[state]};color:white;border-radius:4px;padding:1px 7px">'
@@ -95,7 +95,7 @@ def message_words(text: str, *, bad: bool = False) -> str:
 def others_words(others: Sequence[Equilibrium]) -> str:
     """How many other equilibria there are at these joint values."""
     stable = sum(each.stable for each in others)
-    many = f"{len(others)} other equilibria" if len(others) != 1 else "1 other equilibrium"
+    many = counted(len(others), "other equilibrium", "other equilibria")
     kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
     return f"{many} at these joint values{kinds}"
 
@@ -114,7 +114,7 @@ LEGEND = (
 
 def legend() -> str:
     """What the colours mean, and how long the axes and the squares of the floor are."""
-    scale = ["rgb({},{},{})".format(*margin_colour(margin)) for margin in (0.0, 0.5, 1.0)]
+    scale = [f"rgb{margin_colour(margin)}" for margin in (0.0, 0.5, 1.0)]
     rows = (
         f'<div><span style="display:inline-block;width:34px;height:9px;border-radius:3px;margin-right:8px;'
         f'background:{colour.format(*scale)}"></span>{escape(words)}</div>'

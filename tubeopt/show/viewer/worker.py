@@ -25,8 +25,7 @@ class Worker:
         self._jobs: deque[tuple[str | None, Job]] = deque()
         self._change = threading.Condition()
         self._open = True
-        self._thread = threading.Thread(target=self._run, name="tubeopt-view", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._run, name="tubeopt-view", daemon=True).start()
 
     def post(self, job: Job, *, key: str | None = None) -> None:
         """Have a job done; one with a key takes the place of any that waits under the same key."""
@@ -47,10 +46,6 @@ class Worker:
             self._open = False
             self._jobs.clear()
             self._change.notify()
-
-    def join(self, timeout: float) -> None:
-        """Wait until the thread has ended, at most `timeout` s."""
-        self._thread.join(timeout)
 
     def _run(self) -> None:
         left, quiet = list(self._chores), time.monotonic()
