@@ -67,3 +67,8 @@ def test_what_is_no_body_is_refused(written: dict[str, Any], message: str) -> No
     with pytest.raises(InputError) as caught:
         check(AvoidEntry, {"obstacles": [written]}, "")
     assert str(caught.value) == message
+
+
+def test_targets_have_nothing_around_them_where_the_key_has_no_value() -> None:
+    written = {"kind": "inverse_kinematics", "robot": THESIS, "target_mm": [50, 30, 150], "obstacles": None}
+    assert check(InverseStudy, written, "").bodies == ()

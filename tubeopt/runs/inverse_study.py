@@ -7,7 +7,7 @@ from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ..display import Displayed
 from ..errors import SolveError
@@ -111,6 +111,12 @@ class InverseStudy(Surrounded, LoadedStudy):
     closest: bool = Field(False, description="where the target is out of reach, the closest pose")
     follow: bool = Field(False, description="solve each target of a table from the last one, on its branch")
     reachable: bool = Field(True, description="find a way without a snap, from the start or home, or say none")
+
+    @field_validator("obstacles", mode="before")
+    @classmethod
+    def _none_around(cls, value: object) -> object:
+        """The key may stand without a value."""
+        return [] if value is None else value
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
