@@ -205,7 +205,7 @@ def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path, caplog: p
 
 
 def goal_of(study: PlanStudy) -> Array:
-    _, goal = study._ends()
+    goal = study.goal(study.around)
     assert isinstance(goal, TipGoal)
     return goal.position
 

@@ -40,18 +40,20 @@ class Status(Sentence):
 
 @dataclass(frozen=True)
 class Statistics(Displayed):
-    """How a solve went: method, iterations, elements of the mesh and their degree, how the answer was reached, and on
-    which points: family of collocation, and how often the pieces of the default mesh were halved."""
+    """How a solve went: method, iterations, elements of the mesh and their degree, and on which points."""
 
     method: str
     iterations: int
     elements: int
     degree: int
     start: str
+    """How the answer was reached."""
     seconds: float
     """That the solve took, `loading` apart."""
     family: str = "gauss"
+    """Of collocation."""
     refinement: int = 0
+    """How often the pieces of the default mesh were halved."""
     loading: float = 0.0
     """Seconds in which the robot's kernel was got ready first: in a process loaded once, on a machine compiled once."""
 

@@ -31,6 +31,7 @@ class Discretisation(Displayed):
     family: str = "gauss"
     degree: int = 6
     refinement: int = 0
+    """How often the default pieces of the mesh are halved."""
 
 
 DEFAULT_DISCRETISATION = Discretisation()
