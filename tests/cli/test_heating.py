@@ -12,6 +12,8 @@ import pytest
 
 from tests.command_line import ROOT, Run, answer, refused
 from tubeopt import MoldSpec, load_rig
+from tubeopt.cli.commands import CHARGES
+from tubeopt.shaping.heating import robust
 from tubeopt.shaping.heating.files import header_duties
 from tubeopt.shaping.tube_fabrication import mold_spec_for
 
@@ -20,6 +22,10 @@ ROBOT = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
 LOG = str(ROOT / "configs" / "experiments" / "heating_log.csv")
 TRIALS = str(ROOT / "configs" / "experiments" / "heating_trials.csv")
 SHORT = ("--hold-s", "5", "--samples", "8")
+
+
+def test_tables_are_for_the_charges_that_the_library_takes_by_default() -> None:
+    assert ",".join(f"{100 * charge:g}" for charge in robust.CHARGES) == CHARGES
 
 
 def test_a_plan_is_printed_and_saved(run: Run, tmp_path: Path) -> None:

@@ -87,10 +87,10 @@ def asking(row: Asked) -> Made:
         answer(study, output)
 
     _ask.__doc__ = row.help
-    if row.from_file:
-        return asks_file(study, example=row.example, note=study.assuming)(_ask)
     options: dict[str, Any] = {"arguments": row.arguments, "flags": row.flags, "defaults": row.defaults}
-    return asks(study, example=row.example, note=study.assuming, **options)(_ask)
+    makes: Any = asks_file if row.from_file else functools.partial(asks, **options)
+    made: Made = makes(study, example=row.example, note=study.assuming)(_ask)
+    return made
 
 
 def asks(

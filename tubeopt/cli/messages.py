@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -36,8 +37,10 @@ class Messages(logging.Handler):
             self.warnings.append(text)
         if not self.quiet:
             console = Console(stderr=True)
-            console.print(f"[bold yellow]{'warning' if warned else record.name}:[/]", end=" ")
-            console.print(text, markup=False, highlight=False, soft_wrap=True)
+            with console.capture() as told:
+                console.print(f"[bold yellow]{'warning' if warned else record.name}:[/]", end=" ")
+                console.print(text, markup=False, highlight=False, soft_wrap=True)
+            sys.stderr.write(told.get())  # which a bar, where one is shown, puts above it
 
 
 @contextmanager

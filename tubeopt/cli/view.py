@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from os import PathLike
 from typing import Annotated, Any
 
 import typer
@@ -31,15 +30,11 @@ from .messages import LOGGER
 from .output import Output, can_be_saved, has_display, told
 
 
-def _named_study(path: str | PathLike[str]) -> tuple[str, Study]:
-    return str(path), load_study(path)
-
-
 class ViewEntry(Pushed):
     """A robot to be shown, with what it begins with."""
 
     robot: RobotPath
-    study: Annotated[tuple[str, Study], in_file(_named_study, "a study file")] | None = Field(
+    study: Annotated[tuple[str, Study], in_file(load_study, "a study file", named=True)] | None = Field(
         None, description="begin at the joint values of a study, or play its path", examples=["STUDY.yaml"]
     )
     trajectory: Annotated[Waypoints, in_file(load_waypoints, "a CSV file", of_robot=True)] | None = Field(

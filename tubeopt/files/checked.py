@@ -22,7 +22,7 @@ from pydantic import (
 
 from ..errors import InputError, nearest
 from .plausible import models, suspects
-from .units import UNITS, as_typed, decimal, meant, parted, shown, to_si
+from .units import UNITS, ZERO_CELSIUS, as_typed, decimal, meant, parted, shown, to_si
 
 LOGGER = logging.getLogger(__name__)
 
@@ -68,10 +68,14 @@ class Entry(BaseModel):
 
 
 def _in_si(value: Any, unit: str) -> Any:
-    return to_si(value, UNITS[unit] if unit else Decimal(1)) if isinstance(value, Decimal) else value
+    if not isinstance(value, Decimal):
+        return value
+    return to_si(value + ZERO_CELSIUS if unit == "degC" else value, UNITS[unit] if unit else Decimal(1))
 
 
-def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: bool = False) -> PlainValidator:
+def in_file(
+    read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: bool = False, named: bool = False
+) -> PlainValidator:
     """Mark a key as the path of a file, relative to the one that it stands in; its value is what is read from there.
 
     Args:
@@ -79,6 +83,7 @@ def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: 
         what: what the path must be of.
         kind: what may be given as it is, by a sweep, which has read or changed it.
         of_robot: whether `read` takes the robot too, whose key stands before.
+        named: whether the value is the path too, before what is read.
     """
 
     def _load(value: object, info: ValidationInfo) -> Any:
@@ -87,10 +92,10 @@ def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: 
         if not isinstance(value, str):
             raise ValueError(f"is {shown(value)}; it must be the path of {what}")
         path = info.context["directory"] / value if info.context else value
-        if not of_robot:
-            return read(path)
-        # The robot is absent where it has problems itself, and None where it was left out.
-        return read(path, info.data["robot"]) if "robot" in info.data else None
+        if of_robot and "robot" not in info.data:  # it has problems itself; it is None where it was left out
+            return None
+        found = read(path, info.data["robot"]) if of_robot else read(path)
+        return (str(path), found) if named else found
 
     return PlainValidator(_load, json_schema_input_type=str)
 

@@ -132,7 +132,7 @@ class MeshPart(Entry):
     def build(self) -> DistanceField:
         """Its distance field in the patient, RAS."""
         mesh = load_mesh(self.file, scale=UNITS[self.unit], axes=self.axes)
-        return field_of_mesh(mesh, keep=self.keep, cell=_metres(self.cell_mm), name=self.file.name)
+        return field_of_mesh(mesh, keep=self.keep, name=self.file.name, **self.in_si("cell_mm"))
 
 
 class PointsPart(Entry):
@@ -147,8 +147,7 @@ class PointsPart(Entry):
     def build(self) -> DistanceField:
         """Its distance field in the patient, RAS."""
         points = load_points(self.file, scale=UNITS[self.unit], axes=self.axes)
-        radius = to_si(self.radius_mm, MM)
-        return field_of_points(points, radius, cell=_metres(self.cell_mm), name=self.file.name)
+        return field_of_points(points, name=self.file.name, **self.in_si("radius_mm", "cell_mm"))
 
 
 class LandmarksPart(Entry):
@@ -304,10 +303,6 @@ def _voxels(image: LabelImage, labels: list[int], between: list[Decimal] | None,
     if between is not None:
         return image.between(float(between[0]), float(between[1]), f"{what}_between")
     return image.chosen(labels, what) if labels else None
-
-
-def _metres(value: Decimal | None) -> float | None:
-    return None if value is None else to_si(value, MM)
 
 
 class AnatomyFile(Entry):

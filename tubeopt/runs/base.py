@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import UserDict
+from collections.abc import Callable, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -69,21 +70,12 @@ def require_one(study: Entry, one: str, other: str) -> None:
         raise ValueError(f"{one} and {other} are given; it must be one of them")
 
 
-class Kinds(Mapping[str, type[Entry]]):
+class Kinds(UserDict[str, Any]):
     """Kinds of a file -> the entry that reads it, from "module.Class" of this package: imported when asked for."""
 
-    def __init__(self, where: Mapping[str, str]) -> None:
-        self._where = where
-
     def __getitem__(self, kind: str) -> Any:
-        module, name = self._where[kind].split(".")
+        module, name = self.data[kind].split(".")
         return getattr(importlib.import_module(f".{module}", __package__), name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._where)
-
-    def __len__(self) -> int:
-        return len(self._where)
 
 
 class Posed(Entry):
@@ -142,14 +134,9 @@ class Study(Entry):
         return self.run(progress)
 
 
-def radians(values: Sequence[Decimal] | None, otherwise: Array) -> Array:
-    """`values` (deg) in rad, or `otherwise` where there are none."""
-    return otherwise if values is None else np.array([to_si(value, DEG) for value in values])
-
-
-def metres(values: Sequence[Decimal] | None, otherwise: Array) -> Array:
-    """`values` (mm) in m, or `otherwise` where there are none."""
-    return otherwise if values is None else np.array([to_si(value, MM) for value in values])
+def in_si(values: Sequence[Decimal] | None, unit: Decimal, otherwise: Array) -> Array:
+    """`values` in SI, or `otherwise` where there are none."""
+    return otherwise if values is None else np.array([to_si(value, unit) for value in values])
 
 
 def joints_of(robot: Robot, turned: Sequence[Decimal] | None, shifted: Sequence[Decimal] | None) -> tuple[Array, Array]:
@@ -159,4 +146,4 @@ def joints_of(robot: Robot, turned: Sequence[Decimal] | None, shifted: Sequence[
     Raises:
         SolveError: carriages yield without end.
     """
-    return to_model(robot, radians(turned, np.zeros(robot.n_tubes)), metres(shifted, robot.home_translations))
+    return to_model(robot, in_si(turned, DEG, np.zeros(robot.n_tubes)), in_si(shifted, MM, robot.home_translations))

@@ -46,11 +46,6 @@ Row = Annotated[list[Number], Field(min_length=1)]
 """A number for every tube."""
 
 
-def metres(values: Sequence[Decimal]) -> tuple[float, ...]:
-    """Numbers in mm as SI."""
-    return tuple(to_si(value, MM) for value in values)
-
-
 @dataclass(frozen=True)
 class Ranged:
     """A key that holds the least and greatest value of a free dimension: the field, its unit, what is said of it, and
@@ -203,7 +198,8 @@ class Requirements(Part):
         out += _built(self.coverage)
         if self.poses:
             rotations = tuple(tuple(to_si(x, DEG) for x in pose.rotations_deg) for pose in self.poses)
-            out.append(Poses(rotations, tuple(metres(pose.translations_mm) for pose in self.poses)))
+            translations = tuple(tuple(to_si(x, MM) for x in pose.translations_mm) for pose in self.poses)
+            out.append(Poses(rotations, translations))
         return (*out, *_built(self.corridor, self.avoid))
 
 

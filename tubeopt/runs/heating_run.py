@@ -123,12 +123,9 @@ class HeatingRunStudy(Study):
     def open(self) -> tuple[Line, Leader | None]:
         """The line to the board, or to the simulated rig, and what plans the rest anew where that is asked for; raises
         InputError where the port cannot be opened."""
-        rig, law = self.rig if self.simulate is None else self.simulate, None
-        leader = None
-        if rig is not None and (self.simulate is not None or self.replan_s is not None):
-            law = led_law(rig)
-        if law is not None and self.replan_s is not None:
-            leader = Leader(planner_for(*law), float(self.replan_s))
+        rig, planned = self.simulate or self.rig, self.simulate is not None or self.replan_s is not None
+        law = led_law(rig) if rig is not None and planned else None
+        leader = None if law is None or self.replan_s is None else Leader(planner_for(*law), float(self.replan_s))
         if self.port is not None:
             return SerialLine(self.port), leader
         assert law is not None

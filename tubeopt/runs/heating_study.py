@@ -99,8 +99,7 @@ class TubeOnRig(Study):
             if self.rig.tube is None:
                 raise ValueError("robot is missing; the rig file names no tube")
             return self.rig.tube
-        chosen: Tube = self.robot.tubes[self.tube - 1]
-        return chosen
+        return self.robot.tubes[self.tube - 1]
 
 
 class HeatedTube(TubeOnRig):

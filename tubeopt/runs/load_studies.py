@@ -12,7 +12,6 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
 from ..files.checked import Positive
-from ..files.units import MM, to_si
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
@@ -103,5 +102,4 @@ class ForceStudy(LoadedStudy):
         known = self.pushing()
         if known is not None and not known.has_energy:
             raise InputError("the known load has a moment or turns with the tip; it must keep its direction")
-        noise = to_si(self.noise_mm, MM)
-        return estimate_forces(self.robot, self.measurements, noise=noise, known=known, progress=progress)
+        return estimate_forces(self.robot, self.measurements, known=known, progress=progress, **self.in_si("noise_mm"))

@@ -143,8 +143,7 @@ class MaterialsStudy(Study):
 
     def _tube(self) -> Tube:
         if self.robot is not None:
-            chosen: Tube = self.robot.tubes[self.tube - 1]
-            return chosen
+            return self.robot.tubes[self.tube - 1]
         outer, inner = to_si(self.outer_diameter_mm, MM), to_si(self.inner_diameter_mm, MM)
         length = to_si(self.curved_length_mm, MM)
         return Tube(outer, inner, straight_length=0.0, curved_length=length, curvature=0.0)

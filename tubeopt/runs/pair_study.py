@@ -9,7 +9,6 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..bodies.obstacles import nearest_distance
 from ..design import DesignTask, Objective, SearchedPair, search_pair
@@ -140,13 +139,9 @@ class PairStudy(Study, SearchPart):
             )
         return self
 
-    @property
-    def _around(self) -> Anatomy:
-        return shared(self.anatomy)
-
     def wanted(self) -> tuple[PairReach, PairReach]:
         """What is searched for, and that by which what comes of it is judged."""
-        around = self._around
+        around = shared(self.anatomy)
         if self.region is None:
             chosen = self.chosen(around.target, self.seed)
         else:
@@ -174,5 +169,5 @@ class PairStudy(Study, SearchPart):
         before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
         after = judge.evaluate(*found.value, found.own)
         proved, planned = hurried(judge).plans_proved(*found.value, found.own, after, PLANNED)
-        one, other = (arm.placed(self._around).called for arm in self.arms)
+        one, other = (arm.placed(shared(self.anatomy)).called for arm in self.arms)
         return PairAnswer(found, before, after, proved, planned, (one, other), searched.plates(found.own))

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
-from ..bodies.frames import Frame
 from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
 from ..files.fields import EntryOf
@@ -191,11 +190,8 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
         if self.entry is not None:
             region, count = self.entry.region(self.around), self.entry.places
             plan = plan_from_region(robot, start, goal, region, count=count, progress=progress, **common)
-            return plan if self.anatomy is None else standing(plan, self.anatomy.base)
+            if self.anatomy is None or plan.entry is None:
+                return plan
+            # Where the plate stands in the patient, in whom it stood at the base.
+            return replace(plan, entry=replace(plan.entry, base=self.anatomy.base.inverse.of(plan.entry.frame)))
         return plan_trajectory(robot, start, goal, load=self.pushing(), **common)
-
-
-def standing(plan: Trajectory, base: Frame) -> Trajectory:
-    """A plan whose entry tells where the plate stands in the patient, in whom it stood at `base`."""
-    assert plan.entry is not None
-    return replace(plan, entry=replace(plan.entry, base=base.inverse.of(plan.entry.frame)))

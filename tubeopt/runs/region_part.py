@@ -18,7 +18,7 @@ from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array
 from .anatomy_file import AnatomyKey
-from .base import Count, Progress, metres, radians
+from .base import Count, Progress, in_si
 from .obstacle_file import Bodies
 
 OF_ONE = 120.0
@@ -151,7 +151,7 @@ class RegionEntry(SearchPart):
             if row is not None and len(row) != n:
                 raise ValueError(f"objective.{name} has {len(row)} numbers; it must be {n} (one per tube)")
         chosen = self.chosen(self.anatomy.target, seed)
-        start = radians(self.start_deg, np.zeros(n)), metres(self.start_mm, np.zeros(n))
+        start = in_si(self.start_deg, DEG, np.zeros(n)), in_si(self.start_mm, MM, np.zeros(n))
         bodies = self.anatomy.bodies + self.obstacles
         wanted = RegionReach(start, chosen[: self.places], bodies, *self.numbers(seed))
         return wanted, self.judge(wanted, chosen)

@@ -16,7 +16,6 @@ from ..files.units import MM, UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
-from ..robots.robot import Robot
 from .base import Progress, RobotPath
 from .load_file import LoadedStudy
 from .obstacle_file import Surrounded
@@ -37,10 +36,6 @@ class Checked(Displayed):
     """That the arm was to keep away from."""
 
 
-def _read(path: str | PathLike[str], robot: Robot | None) -> tuple[str, TimedJoints]:
-    return str(path), load_trajectory(path, robot)
-
-
 def _plan_study(path: str | PathLike[str]) -> PlanStudy:
     return check_kind({"plan": PlanStudy}, load_yaml(path), path)
 
@@ -55,7 +50,9 @@ class VerifyStudy(Surrounded, LoadedStudy):
     robot: RobotPath | None = Field(
         None, description="robot file; by default the one that the trajectory names", examples=["ROBOT.yaml"]
     )
-    trajectory: Annotated[tuple[str, TimedJoints], in_file(_read, "a CSV file", of_robot=True)] = Field(
+    trajectory: Annotated[
+        tuple[str, TimedJoints], in_file(load_trajectory, "a CSV file", of_robot=True, named=True)
+    ] = Field(
         description="path of a CSV file with columns time_s, rotation_1_deg, ... and, where tubes slide, "
         "translation_1_mm, ..."
     )
