@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.loaded import LoadedState, evaluate
-from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, carry
 from ..equilibrium.loaded import bifurcates, solved
 from ..solvers.flow import flow
 from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
@@ -32,7 +32,7 @@ class Loss:
     direction: Array
 
 
-def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
+def branch_end(family: JointFamily, last: LoadedPoint, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
     if bifurcates(last):
         found = bifurcation(family, last, goal) or fold(family, last)
@@ -41,7 +41,7 @@ def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
     return found
 
 
-def fold(family: Family, near: LoadedPoint) -> Loss | None:
+def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
     """The fold of a branch close to a point of it; None where it is not found."""
 
     def at(t: float) -> Callable[[Array], LoadedState] | None:
@@ -63,7 +63,7 @@ def fold(family: Family, near: LoadedPoint) -> Loss | None:
     return Loss(found.t, point, "fold", found.direction)
 
 
-def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
+def bifurcation(family: JointFamily, near: LoadedPoint, goal: float) -> Loss | None:
     """The root of the margin on the branch of `near`, which goes on beyond it; None where it does not."""
 
     def at(t: float) -> LoadedPoint | None:
