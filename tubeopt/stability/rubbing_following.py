@@ -14,7 +14,7 @@ import numpy as np
 
 from ..block.transcription.contact import evaluate_contact
 from ..equilibrium.continuation import JointPath, largest_twist
-from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, sweep, swept
+from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, sweep, swept, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -23,6 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
+from .snap import Snap, snap_between
 
 SHORTEST = 1e-11
 """Turn of a base (rad), or shift over the longest tube, in a step that fails only where the state is lost."""
@@ -86,12 +87,12 @@ class RubbingSnap:
 
 def rubbing_legs(
     robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None
-) -> Iterator[tuple[Callable[[], Held], list[RubbingSnap]]]:
-    """What tells the state at every waypoint (T, 2n), and the snaps on the way to it."""
+) -> Iterator[tuple[Held | Callable[[], Held], list[Snap]]]:
+    """The state at every waypoint (T, 2n), or what tells it, and the snaps on the way to it."""
     held = rubbing_start(robot, joints[0], friction, start)
     if not np.allclose(np.concatenate([held.rotations, held.translations]), joints[0], rtol=0, atol=1e-12):
         held, _ = rubbing_leg(robot, held, joints[0])
-    yield partial(_same, held), []
+    yield held, []
     k = 1
     while k < len(joints):
         rows = joints[k - 1 : k + CONTINUATION.rubbing_waypoints]
@@ -102,12 +103,15 @@ def rubbing_legs(
             held, k = swept(robot, held, rows, many, count), k + count
         if count < len(rows) - 1:  # where the kernel gives up, a step with more care
             held, snaps = rubbing_leg(robot, held, joints[k])
-            yield partial(_same, held), snaps
+            yield held, [_told(robot, snap, k - 1) for snap in snaps]
             k += 1
 
 
-def _same(held: Held) -> Held:
-    return held
+def _told(robot: Robot, snap: RubbingSnap, index: int) -> Snap:
+    before, after = (
+        to_held_equilibrium(robot, side, how) for side, how in ((snap.before, "fold"), (snap.after, "flow"))
+    )
+    return snap_between(index, snap.fraction, before, after)
 
 
 def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None) -> Held:
