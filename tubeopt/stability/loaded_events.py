@@ -11,7 +11,7 @@ import scipy
 from ..block.transcription.loaded import LoadedState, evaluate
 from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, carry
 from ..equilibrium.loaded import bifurcates, solved
-from ..solvers.flow import flow
+from ..solvers.flow import downhill, flow
 from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
@@ -105,22 +105,16 @@ def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) ->
 def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     """The minimum to which potential energy falls from x (U + 2 N,) after a push along `direction`, to the side that
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
-    state = evaluate(member.problem, member.rotations, x, member.factor)
-    push = CONTINUATION.nudge / turn_of(member.problem, state, direction) * direction
-    sides = [side for side in (push, -push) if _gradient(member, x + side) @ side < 0] or [push, -push]
-    best: LoadedPoint | None = None
-    for side in sides:
-        result = slide(member, x + side)
-        if not result.converged:
-            continue
-        there = solved(member, result)
-        if there.margin > -NEUTRAL and (best is None or there.state.potential < best.state.potential - 1e-12):
-            best = there
-    return best
 
+    def at(x: Array) -> LoadedState:
+        return evaluate(member.problem, member.rotations, x, member.factor)
 
-def _gradient(member: Member, x: Array) -> Array:
-    return evaluate(member.problem, member.rotations, x, member.factor).gradient
+    push = CONTINUATION.nudge / turn_of(member.problem, at(x), direction) * direction
+    ends = [slide(member, start) for start in downhill(x, push, lambda x: at(x).gradient)]
+    rests = [rest for rest in (solved(member, end) for end in ends if end.converged) if rest.margin > -NEUTRAL]
+    # Of two that are alike, as beside a bifurcation, the first.
+    lowest = min((rest.state.potential for rest in rests), default=0.0)
+    return next((rest for rest in rests if rest.state.potential <= lowest + 1e-12), None)
 
 
 def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
@@ -138,8 +132,4 @@ def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
         there = evaluate(problem, rotations, state.x + change, factor)
         return None if there.potential > state.potential + 1e-13 * scale else there
 
-    rest = flow(begin, step, moved)
-    if rest is None:
-        return NewtonResult(begin, False, CONTINUATION.flow_steps, 0.0)
-    last = loaded_newton(problem, rotations, rest[0].x, factor, iterations=4)
-    return NewtonResult(last.state, last.converged, rest[1], 0.0)
+    return flow(begin, step, moved, lambda state: loaded_newton(problem, rotations, state.x, factor, iterations=4))

@@ -149,13 +149,19 @@ def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
             # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
             # goes far, a snap lies before it.
             if held.margin <= 0 and stride.size < CONTINUATION.hop * stride.longest and t >= far:
-                there = _hopped(path, held, at)
-                far = at if there is None else far
+                there = _flowed(path, held, at, pushed=False)
+                if there is None or _distance(held, there) > CONTINUATION.smooth_turn:
+                    there, far = None, at
             if there is None and shorter:
                 continue
             if there is None:
                 at, far = min(goal, t + CONTINUATION.rubbing_past * stride.shortest), -1.0
-                there = _landed(path, held, at)
+                there = _flowed(path, held, at, pushed=True)
+                if there is None:
+                    raise SolveError(
+                        f"the motion with friction is lost {100 * at:.3f} % of the way: no state was found in which "
+                        f"friction holds to {HONEST:g}"
+                    )
                 if _distance(held, there) > CONTINUATION.smooth_turn:
                     yield RubbingSnap(t, held, there)
             t, held = at, there
@@ -180,28 +186,16 @@ def _distance(a: Held, b: Held) -> float:
     return float(np.abs(change.ravel()[points.flat]).max(initial=0.0))
 
 
-def _hopped(path: JointPath, held: Held, t: float) -> Held | None:
-    """Where the robot flows to by itself, if that is not far."""
+def _flowed(path: JointPath, held: Held, t: float, *, pushed: bool) -> Held | None:
+    """Where the robot flows to by itself, or with a push from a state that is no equilibrium any more; None where that
+    is not found."""
     rotations, translations = path.at(t)
     contact, before, x = carried(path.robot, held, rotations, translations)
-    landed = slide(contact, rotations, x, before)
-    there = None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])
-    return there if there is not None and _distance(held, there) <= CONTINUATION.smooth_turn else None
-
-
-def _landed(path: JointPath, held: Held, t: float) -> Held:
-    """Where the robot flows to from a state that is no equilibrium any more, with a push."""
-    rotations, translations = path.at(t)
-    contact, before, x = carried(path.robot, held, rotations, translations)
-    push = CONTINUATION.nudge * softest(held.contact, held.found.state, held.found.signs)
-    if contact is not held.contact:  # on another mesh the softest direction is that of the state carried over
+    push = None
+    if pushed and contact is held.contact:
+        push = CONTINUATION.nudge * softest(contact, held.found.state, held.found.signs)
+    elif pushed:  # on another mesh the softest direction is that of the state carried over
         state = evaluate_contact(contact, rotations, x)
         push = CONTINUATION.nudge * softest(contact, state, np.ones(len(before), dtype=np.int8))
     landed = slide(contact, rotations, x, before, push)
-    if landed is None:
-        raise SolveError(
-            f"the motion with friction is lost {100 * t:.3f} % of the way: no state was found in which friction holds "
-            f"to {HONEST:g}"
-        )
-    found, heat = landed
-    return Held(contact, rotations, translations, found, held.heat + heat)
+    return None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])
