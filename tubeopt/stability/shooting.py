@@ -111,10 +111,14 @@ def gain_of(problem: ReducedProblem) -> Array:
 
 
 def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = False) -> Shot:
-    """Joint rotations of tip angles (B, n), with their derivatives if `slopes`."""
-    shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(tips)]
-    columns = [np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True)]
-    return Shot(columns[0], columns[1], columns[3] if slopes else np.empty((len(tips), 0, 0)), columns[2])
+    """Joint rotations of tip angles (B, k) of the first k tubes, those of the others being 0, with their derivatives if
+    `slopes`; the lengths are those of all tubes."""
+    k = tips.shape[1]
+    padded = np.pad(tips, ((0, 0), (0, bundle.n_tubes - k)))
+    shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(padded)]
+    rotations, twist, travel, *by_tip = (np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True))
+    slope = by_tip[0][:, :k, :k] if slopes else np.empty((len(tips), 0, 0))
+    return Shot(rotations[:, :k], twist[:, :k], slope, travel)
 
 
 def to_base(problem: ReducedProblem, tips: Array) -> Array:
