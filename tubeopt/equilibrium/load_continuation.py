@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import LoadedProblem, LoadedState, unknowns
+from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate, unknowns
 from ..robots.load import Load, between
 from ..solvers.loaded import loaded_margin, loaded_newton
 from ..solvers.settings import CONTINUATION
@@ -25,6 +25,10 @@ class Member:
     rotations: Array
     translations: tuple[float, ...]
     factor: float = 1.0
+
+    def at(self, x: Array) -> LoadedState:
+        """The state at unknowns (U + 2 N,)."""
+        return evaluate(self.problem, self.rotations, x, self.factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +69,12 @@ class LoadedPoint:
     state: LoadedState
     margin: float
     iterations: int = 0
+
+    @property
+    def softest(self) -> Array:
+        """(U + 2 N,) direction in which the equilibrium is softest."""
+        vectors: Array = np.linalg.eigh(self.state.hessian)[1]
+        return vectors[:, 0]
 
 
 def solve_member(

@@ -55,9 +55,8 @@ def ending(point: LoadedPoint) -> str:
 
 def bifurcates(point: LoadedPoint) -> bool:
     """Whether the load does not push along the softest direction of a point close to the end of its branch."""
-    soft = np.linalg.eigh(point.state.hessian)[1][:, 0]
     pull = point.state.pull
-    return bool(abs(soft @ pull) <= CONTINUATION.symmetric * np.linalg.norm(pull))
+    return bool(abs(point.softest @ pull) <= CONTINUATION.symmetric * np.linalg.norm(pull))
 
 
 def unloaded_point(problem: LoadedProblem, unloaded: Equilibrium) -> LoadedPoint:
@@ -74,6 +73,12 @@ def solved(member: Member, result: NewtonResult[LoadedState], t: float | None = 
     """A result as the point of a family, at t, by default the factor."""
     margin = loaded_margin(member.problem, result.state)
     return LoadedPoint(member.factor if t is None else t, member, result.state, margin, result.iterations)
+
+
+def close_by(point: LoadedPoint, there: Member, t: float | None = None) -> LoadedPoint | None:
+    """The equilibrium of another problem that is close to a point; None where Newton's method finds none."""
+    result = loaded_newton(there.problem, there.rotations, carry(point, there), there.factor)
+    return solved(there, result, t) if result.converged else None
 
 
 def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
@@ -110,10 +115,10 @@ def to_tolerance(
         d = Discretisation(d.family, d.degree, level + 1)
         shift = point.member.translations
         there = Member(loaded_problem(robot, shift, load, d), point.member.rotations, shift)
-        result = loaded_newton(there.problem, there.rotations, carry(point, there))
-        if not result.converged:
+        finer = close_by(point, there)
+        if finer is None:
             raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
-        point = solved(there, result)
+        point = finer
     wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
     raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}", to_loaded(robot, point, load, d, how))
 

@@ -12,14 +12,13 @@ from ..display import Displayed
 from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, carry, reach
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, reach
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load
-from ..equilibrium.loaded import solved, unloaded_point
+from ..equilibrium.loaded import close_by, unloaded_point
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
-from ..solvers.loaded import loaded_newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..typing import Sentence
@@ -146,10 +145,10 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[JointFamily
 
 def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
     """The equilibrium of another problem close to a point."""
-    result = loaded_newton(there.problem, there.rotations, carry(point, there), there.factor)
-    if not result.converged:
+    found = close_by(point, there)
+    if found is None:
         raise SolveError("the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost")
-    return solved(there, result)
+    return found
 
 
 def _described(robot: Robot, family: JointFamily, loss: Loss, scale: float) -> LoadLimit:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import LoadedState, evaluate
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, carry
-from ..equilibrium.loaded import bifurcates, solved
+from ..block.transcription.loaded import LoadedState
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member
+from ..equilibrium.loaded import bifurcates, close_by, solved
 from ..solvers.flow import downhill, flow
 from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
 from ..solvers.newton import NewtonResult
@@ -46,19 +46,16 @@ def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
 
     def at(t: float) -> Callable[[Array], LoadedState] | None:
         there = family.member(t)
-        if there.problem.size != near.member.problem.size:
-            return None
-        return lambda x: evaluate(there.problem, there.rotations, x, there.factor)
+        return there.at if there.problem.size == near.member.problem.size else None
 
     def turn(step: Array) -> float:
         return turn_of(near.member.problem, near.state, step)
 
-    softest = np.linalg.eigh(near.state.hessian)[1][:, 0]
-    found = turning_point(at, turn, near.t, near.state.x, softest)
+    found = turning_point(at, turn, near.t, near.state.x, near.softest)
     if found is None or abs(found.t - near.t) > CONTINUATION.widest * max(1.0, abs(found.t)):
         return None
     there = family.member(found.t)
-    state = evaluate(there.problem, there.rotations, found.x, there.factor)
+    state = there.at(found.x)
     point = LoadedPoint(found.t, there, state, loaded_margin(there.problem, state), found.steps)
     return Loss(found.t, point, "fold", found.direction)
 
@@ -67,9 +64,7 @@ def bifurcation(family: JointFamily, near: LoadedPoint, goal: float) -> Loss | N
     """The root of the margin on the branch of `near`, which goes on beyond it; None where it does not."""
 
     def at(t: float) -> LoadedPoint | None:
-        there = family.member(t)
-        result = loaded_newton(there.problem, there.rotations, carry(near, there), there.factor)
-        return solved(there, result, t) if result.converged else None
+        return close_by(near, family.member(t), t)
 
     ahead = 1e-7
     while ahead < CONTINUATION.widest:
@@ -78,26 +73,23 @@ def bifurcation(family: JointFamily, near: LoadedPoint, goal: float) -> Loss | N
         if beyond is None:
             return None
         if beyond.margin < 0:
-            root = _root(at, near.t, t)
-            found = None if root is None else at(root)
-            if root is None or found is None:
-                return None
-            return Loss(root, found, "bifurcation", np.linalg.eigh(found.state.hessian)[1][:, 0])
+            found = _root(at, near.t, t)
+            return None if found is None else Loss(found.t, found, "bifurcation", found.softest)
         if t == goal:
             return None
         ahead *= 10
     return None
 
 
-def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) -> float | None:
+def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) -> LoadedPoint | None:
     def margin(t: float) -> float:
         point = at(t)
         return float("nan") if point is None else point.margin
 
     if not margin(low) > 0:
-        return low
+        return at(low)
     try:
-        return float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14))
+        return at(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
     except ValueError:
         return None
 
@@ -105,12 +97,8 @@ def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) ->
 def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     """The minimum to which potential energy falls from x (U + 2 N,) after a push along `direction`, to the side that
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
-
-    def at(x: Array) -> LoadedState:
-        return evaluate(member.problem, member.rotations, x, member.factor)
-
-    push = CONTINUATION.nudge / turn_of(member.problem, at(x), direction) * direction
-    ends = [slide(member, start) for start in downhill(x, push, lambda x: at(x).gradient)]
+    push = CONTINUATION.nudge / turn_of(member.problem, member.at(x), direction) * direction
+    ends = [slide(member, start) for start in downhill(x, push, lambda x: member.at(x).gradient)]
     rests = [rest for rest in (solved(member, end) for end in ends if end.converged) if rest.margin > -NEUTRAL]
     # Of two that are alike, as beside a bifurcation, the first.
     lowest = min((rest.state.potential for rest in rests), default=0.0)
@@ -119,8 +107,7 @@ def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
 
 def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
     """The gradient flow of the potential energy from x to the minimum where it ends."""
-    problem, rotations, factor = member.problem, member.rotations, member.factor
-    begin = evaluate(problem, rotations, x, factor)
+    problem, begin = member.problem, member.at(x)
     scale = begin.energy + abs(begin.work)
 
     def step(state: LoadedState, time: float) -> tuple[Array, float, bool]:
@@ -129,7 +116,9 @@ def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
         return change, turn_of(problem, state, change), failed != 0
 
     def moved(state: LoadedState, change: Array) -> LoadedState | None:
-        there = evaluate(problem, rotations, state.x + change, factor)
+        there = member.at(state.x + change)
         return None if there.potential > state.potential + 1e-13 * scale else there
 
-    return flow(begin, step, moved, lambda state: loaded_newton(problem, rotations, state.x, factor, iterations=4))
+    return flow(
+        begin, step, moved, lambda state: loaded_newton(problem, member.rotations, state.x, member.factor, iterations=4)
+    )

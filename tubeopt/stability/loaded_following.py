@@ -10,14 +10,13 @@ import numpy as np
 from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint, carry, follow_family
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.loaded import loaded_point, solved
+from ..equilibrium.loaded import close_by, loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.loaded import loaded_newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .loaded_events import Loss, branch_end, fall
@@ -53,13 +52,11 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
     loss = branch_end(family, last, 1.0)
     if loss is None:
         # Close to where breakpoints meet the exact fold may not be told; the last stable point is next to it.
-        loss = Loss(last.t, last, "fold", np.linalg.eigh(last.state.hessian)[1][:, 0])
+        loss = Loss(last.t, last, "fold", last.softest)
     left, t = loss.point, loss.t
     if loss.kind == "bifurcation":
         t = min(1.0, loss.t + CONTINUATION.past)
-        there = family.member(t)
-        result = loaded_newton(there.problem, there.rotations, carry(loss.point, there), there.factor)
-        left = solved(there, result, t) if result.converged else loss.point
+        left = close_by(loss.point, family.member(t), t) or loss.point
     landed = fall(left.member, left.state.x, loss.direction)
     if landed is None:
         raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
