@@ -81,6 +81,11 @@ class Load(Displayed):
         """Whether the load keeps its direction and makes no moment: then equilibria are minima of an energy."""
         return not any(self.moment) and (self.frame == "world" or not any(self.force))
 
+    def require_energy(self, untold: str) -> None:
+        """Raise InputError, which ends with what is therefore `untold`, where the load has no energy."""
+        if not self.has_energy:
+            raise InputError(f"load has a moment or turns with the tip; it has no energy, so {untold}")
+
     @property
     def tip_force_only(self) -> bool:
         """Whether there is nothing but a dead force at the tip."""

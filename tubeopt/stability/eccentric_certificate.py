@@ -236,12 +236,11 @@ def proof_gradient(assembly: Assembly, carriages: tuple[tuple[int, ...], ...]) -
                 float(np.abs(getattr(assembly, name)[tubes[0]])) if hasattr(assembly, name) else assembly.total_length
             )
             h = STEP * max(size, 1e-300)
-            sides = [proof(_changed(assembly, name, tubes, side * h))[0] for side in (-1.0, 1.0)]
-            known = [(side, value) for side, value in zip((-1.0, 1.0), sides, strict=True) if np.isfinite(value)]
-            if len(known) == 2:
-                out[name][tubes] = (sides[1] - sides[0]) / (2 * h) / len(tubes)
-            elif known and np.isfinite(here):
-                out[name][tubes] = (known[0][1] - here) / (known[0][0] * h) / len(tubes)
+            at = [(side * h, proof(_changed(assembly, name, tubes, side * h))[0]) for side in (-1.0, 1.0)]
+            known = [(x, value) for x, value in (at[0], (0.0, here), at[1]) if np.isfinite(value)]
+            if len(known) > 1:
+                (low, first), *_, (high, last) = known
+                out[name][tubes] = (last - first) / (high - low) / len(tubes)
     return out
 
 

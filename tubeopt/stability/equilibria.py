@@ -19,7 +19,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of
-from .loaded_equilibria import loaded_equilibria
+from .loaded_equilibria import degree, loaded_equilibria
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 from .shooting import profiles
 from .tips import Preimage, preimage
@@ -82,8 +82,9 @@ def all_solutions(
         if result.converged:
             return [Solution(problem, rotations, result, margin(problem, result.state))]
     found = _solve_from(problem, rotations, profiles(problem, _all_tips(problem, rotations, search)), search.same)
-    if degree(found) != 1:
-        raise SolveError(_incomplete(len(found), degree(found)))
+    whole = degree(each.result for each in found)
+    if whole != 1:
+        raise SolveError(_incomplete(len(found), whole))
     return found
 
 
@@ -135,11 +136,3 @@ def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Ar
 
 def _differ(one: Array, other: Array, same: float) -> bool:
     return bool(np.abs(one - other).max(initial=0.0) > same or not one.size)
-
-
-def degree(solutions: list[Solution]) -> int:
-    """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index on the centreline.
-
-    It is 1 for a complete set, since the equations deform into those without coupling.
-    """
-    return int(sum(np.linalg.slogdet(s.result.state.hessian)[0] for s in solutions))

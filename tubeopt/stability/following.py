@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar, overload
 
 import numpy as np
@@ -289,8 +289,8 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         SolveError: descent from where the branch is lost finds no stable equilibrium.
     """
     robot, before = equilibrium.robot, equilibrium.load or Load()
-    if not (load.has_energy and before.has_energy):
-        raise InputError("load has a moment or turns with the tip; it has no energy, so snaps are not told")
+    for each in (load, before):
+        each.require_energy("snaps are not told")
     if not equilibrium.stable:
         raise InputError(f"equilibrium has margin {equilibrium.margin:.3g}; it must be stable (margin above 0)")
     alpha, shift = equilibrium.rotations, equilibrium.translations
@@ -299,6 +299,6 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
     except SolveError:
         here = np.concatenate([alpha, shift])
     family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
-    point, snaps = loaded_leg(family, replace(loaded_point(equilibrium), t=0.0), 0)
+    point, snaps = loaded_leg(family, loaded_point(equilibrium), 0)
     end = to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the load before", 0.0))
     return Path((equilibrium, end), tuple(snaps))

@@ -106,10 +106,7 @@ def find_load_limit(
     shift = tuple(place.tolist())
     check_load(robot, load, shift)
     positive("up_to", up_to)
-    if not load.has_energy:
-        raise InputError(
-            "load has a moment or turns with the tip; it has no energy, so a limit of stability is not told"
-        )
+    load.require_energy("a limit of stability is not told")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
     if first.load is not None or not first.stable:
         raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")

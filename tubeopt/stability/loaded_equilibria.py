@@ -7,10 +7,13 @@ energy grows with the square of the distance, the work int n.t of a load is at m
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import scipy
 
 from ..block.transcription.loaded import unknowns
+from ..block.transcription.reduced import Evaluation
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, Member
@@ -18,10 +21,11 @@ from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded
 from ..equilibrium.loaded import solved
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, sample_rotation
-from ..errors import InputError, SolveError
+from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.loaded import loaded_newton, turn_of
+from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .certificate import worst_case
@@ -45,8 +49,7 @@ def loaded_equilibria(
     new, the degree is 1 and one of them is stable.
     """
     check_load(robot, load, translations)
-    if not load.has_energy:
-        raise InputError("load has a moment or turns with the tip; it has no energy, so equilibria cannot be counted")
+    load.require_energy("equilibria cannot be counted")
     member = Member(loaded_problem(robot, translations, load), rotations, translations)
     if load.tip_force_only and _convex(robot, translations, load, search.certain):
         return [forward_kinematics(robot, rotations, translations, load=load)]
@@ -61,13 +64,13 @@ def loaded_equilibria(
         new = sum(_add(found, member, x, search.same) for x in starts)
         new += _descend(found, member, explored, search.same)
         # There is a least energy, so a set without a stable equilibrium is not all.
-        if not new and _degree(found) == 1 and any(point.margin > 0 for point in found):
+        if not new and degree(found) == 1 and any(point.margin > 0 for point in found):
             points = sorted(found, key=lambda point: point.state.potential)
             how = ("search from many starts", 0.0)
             return [to_loaded(robot, point, load, LOADED_DISCRETISATION, how) for point in points]
         count *= 2
     raise SolveError(
-        f"{len(found)} equilibria were found, of degree {_degree(found)} instead of 1 or more of them in every round: "
+        f"{len(found)} equilibria were found, of degree {degree(found)} instead of 1 or more of them in every round: "
         "one is missing, or the joint values and load are at a fold, where two are one"
     )
 
@@ -125,5 +128,9 @@ def _descend(found: list[LoadedPoint], member: Member, explored: set[int], same:
     return new
 
 
-def _degree(found: list[LoadedPoint]) -> int:
-    return int(sum(np.linalg.slogdet(point.state.hessian)[0] for point in found))
+def degree(found: Iterable[LoadedPoint | NewtonResult[Evaluation]]) -> int:
+    """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index where there is an energy.
+
+    It is 1 for a complete set, since the equations deform into those without coupling.
+    """
+    return int(sum(np.linalg.slogdet(each.state.hessian)[0] for each in found))

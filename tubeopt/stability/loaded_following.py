@@ -69,49 +69,42 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
 
 
 def loaded_legs(
-    robot: Robot, joints: Array, load: Load, start: Equilibrium | None, *, first_only: bool = False
+    robot: Robot, joints: Array, load: Load, start: Equilibrium | None
 ) -> Iterator[tuple[Equilibrium, list[Snap]]]:
-    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it.
-
-    With `first_only` the motion ends with the first snap.
-    """
-    first = _first(robot, joints[0], load, start)
+    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it."""
+    first = loaded_start(robot, joints[0], load, start)
     point = loaded_point(first)
     yield first, []
     for k in range(len(joints) - 1):
         family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
-        point = LoadedPoint(0.0, point.member, point.state, point.margin)
-        point, snaps = loaded_leg(family, point, k, first_only=first_only)
+        point, snaps = loaded_leg(family, point, k)
         yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), snaps
-        if first_only and snaps:
-            return
 
 
-def loaded_leg(
-    family: JointFamily, point: LoadedPoint, index: int, *, first_only: bool = False
-) -> tuple[LoadedPoint, list[Snap]]:
-    """The end of a motion from a stable point at t = 0, with `first_only` before its first snap, and the snaps on it,
-    which lie behind the waypoint `index`."""
-    snaps = list[Snap]()
+def loaded_leg(family: JointFamily, start: LoadedPoint, index: int) -> tuple[LoadedPoint, list[Snap]]:
+    """The end of a motion from a stable point, and the snaps on it, which lie behind the waypoint `index`."""
+    point, snaps = replace(start, t=0.0, iterations=0), list[Snap]()
     for step in loaded_motion_along(family, point):
         if isinstance(step, LoadedPoint):
             point = step
-            continue
-        acting = family.load_at(step.loss.t)
-        before, after = (
-            to_loaded(family.path.robot, place, acting, LOADED_DISCRETISATION, (how, 0.0))
-            for place, how in ((step.loss.point, "fold"), (step.landed, "energy descent"))
-        )
-        snaps.append(snap_between(index, step.loss.t, before, after))
-        if first_only:
-            break
+        else:
+            snaps.append(to_loaded_snap(family, step, index))
     return point, snaps
 
 
-def _first(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
+def to_loaded_snap(family: JointFamily, event: LoadedEvent, index: int) -> Snap:
+    """An event of a family as a snap after the waypoint `index`."""
+    acting = family.load_at(event.loss.t)
+    before, after = (
+        to_loaded(family.path.robot, place, acting, LOADED_DISCRETISATION, (how, 0.0))
+        for place, how in ((event.loss.point, "fold"), (event.landed, "energy descent"))
+    )
+    return snap_between(index, event.loss.t, before, after)
+
+
+def loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
     """The stable equilibrium under load at a waypoint: that of forward kinematics, or on the branch of `start`."""
-    if not load.has_energy:
-        raise InputError("load has a moment or turns with the tip; it has no energy, so snaps are not told")
+    load.require_energy("snaps are not told")
     rotations, translations = np.split(joint, 2)
     first = start
     if start is None or start.load != load or not _at(start, joint):
