@@ -78,16 +78,17 @@ def trace_branch(
     solution = polish(first)
     problem = solution.problem
     points, folds = _continue(path, problem, solution.result.state.z, positive("step", step))
-    how, solutions = ("newton", "arclength", 0.0), [Solution.at(problem, path.at(t)[0], z) for t, z in points]
-    equilibria = [to_equilibrium(robot, each, tuple(shift.tolist()), how) for each in solutions]
+
+    def told(solution: Solution, how: str) -> Equilibrium:
+        return to_equilibrium(robot, solution, tuple(shift.tolist()), ("newton", how, 0.0))
+
+    equilibria = [told(Solution.at(problem, path.at(t)[0], z), "arclength") for t, z in points]
     return Branch(
         fraction=np.array([t for t, _ in points]),
         rotations=np.array([e.rotations for e in equilibria]),
         tip_rotations=np.array([e.tip_rotations for e in equilibria]),
         margin=np.array([e.margin for e in equilibria]),
-        folds=tuple(
-            to_equilibrium(robot, fold.solution, tuple(shift.tolist()), ("newton", "fold", 0.0)) for fold in folds
-        ),
+        folds=tuple(told(fold.solution, "fold") for fold in folds),
     )
 
 

@@ -83,8 +83,7 @@ def energy_map(
     row = np.zeros(problem.size)
     for i in range(samples):
         z = row
-        order = range(samples)
-        for j in order:
+        for j in range(samples):
             z, energy[i, j] = _held_minimum(problem, alpha, z, holds, (first[i] - base[0], second[j] - base[1]))
             if j == 0:
                 row = z

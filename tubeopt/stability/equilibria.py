@@ -22,7 +22,7 @@ from .groups import groups_of
 from .loaded_equilibria import degree, loaded_equilibria
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 from .shooting import profiles
-from .tips import Preimage, preimage
+from .tips import preimage
 
 
 @small
@@ -102,8 +102,10 @@ def _all_tips(problem: ReducedProblem, rotations: Array, search: EquilibriaSearc
             if key not in known:
                 # Straight tubes that only keep a place have no torsion to transmit.
                 own = np.pad(extra[group.tubes], (0, bundle.n_tubes - len(group.tubes)))
-                known[key] = _complete(preimage(bundle, bundle.transmission + own, rotations[group.tubes], search))
+                known[key] = preimage(bundle, bundle.transmission + own, rotations[group.tubes], search)
             found = known[key]
+            if not found.settled:
+                raise SolveError(_incomplete(len(found.tips), int(found.sign.sum())))
             for angles, travel in zip(found.tips, found.travel, strict=True):
                 turned = tips.copy()
                 turned[group.tubes] = angles
@@ -111,12 +113,6 @@ def _all_tips(problem: ReducedProblem, rotations: Array, search: EquilibriaSearc
                 longer.append((turned, extra + more))
         branches = longer
     return np.array([tips for tips, _ in branches])
-
-
-def _complete(found: Preimage) -> Preimage:
-    if not found.settled:
-        raise SolveError(_incomplete(len(found.tips), int(found.sign.sum())))
-    return found
 
 
 def _incomplete(count: int, degree: int) -> str:

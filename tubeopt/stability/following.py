@@ -225,19 +225,14 @@ def motion_along(path: JointPath, solution: Solution) -> Iterator[Point | Event]
             here = points[-1] if points else here
             if reached:
                 break
-            event = leave_branch(path, here, goal)
+            fold = fold_ahead(path, here, min(goal, here.t + 1e-2))
+            event = beyond(path, here, goal, fold or Fold(here.t, here.solution, _softest(here.solution)))
             if isinstance(event, Event):
                 yield event
                 here = event.landed
             else:
                 here = event
             yield here
-
-
-def leave_branch(path: JointPath, here: Point, goal: float) -> Event | Point:
-    """What happens where the stable branch ends: a snap, or a smooth change to a neighbouring branch."""
-    fold = fold_ahead(path, here, min(goal, here.t + 1e-2))
-    return beyond(path, here, goal, fold or Fold(here.t, here.solution, _softest(here.solution)))
 
 
 def fold_ahead(path: JointPath, here: Point, far: float) -> Fold | None:
@@ -268,10 +263,9 @@ def _softest(solution: Solution) -> Array:
 
 def to_snap(path: JointPath, event: Event, index: int) -> Snap:
     """An event on a path as a snap after the waypoint `index`."""
-    rotations, translations = path.at(event.fold.t)
-    joint = np.concatenate([rotations, translations])
-    before = _finish(path.robot, event.fold.solution, joint, "fold")
-    after = _finish(path.robot, event.landed.solution, joint, "energy descent")
+    joint = np.concatenate(path.at(event.fold.t))
+    ends = (event.fold.solution, "fold"), (event.landed.solution, "energy descent")
+    before, after = (_finish(path.robot, solution, joint, how) for solution, how in ends)
     return snap_between(index, event.fold.t, before, after)
 
 

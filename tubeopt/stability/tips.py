@@ -66,12 +66,6 @@ def _starts(bundle: Bundle, transmission: Array, wanted: Array, search: Equilibr
         count *= 2
 
 
-def _gap(rotations: Array, wanted: Array) -> Array:
-    """(B, k) how far joints are from the wanted ones, but for whole turns."""
-    gap = rotations - wanted
-    return np.asarray(gap - TURN * np.round(gap / TURN))
-
-
 def _newton(
     bundle: Bundle, wanted: Array, tips: Array, how: tuple[int, int, float], longest: float
 ) -> tuple[Array, Array]:
@@ -84,7 +78,8 @@ def _newton(
         if not len(going):
             break
         shot = shoot(bundle, here, steps=steps, slopes=True)
-        gap = _gap(shot.rotations, wanted)
+        gap = shot.rotations - wanted
+        gap -= TURN * np.round(gap / TURN)
         size = np.abs(gap).max(1)
         better = size < least[going]
         best[going[better]], least[going[better]] = here[better], size[better]
