@@ -28,8 +28,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Sentence
-from .folds import Fold, polish_fold
-from .landing import distance, land
+from .folds import Fold, distance, land, polish_fold
 from .loaded_following import loaded_leg, loaded_legs
 from .rubbing_following import rubbing_legs
 from .snap import Snap, snap_between

@@ -20,7 +20,7 @@ from ..equilibrium.load_continuation import LoadedPoint, Member
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
 from ..equilibrium.loaded import solved
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, sample_rotation
+from ..equilibrium.solving import sample_rotation
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
@@ -28,8 +28,7 @@ from ..solvers.loaded import loaded_newton, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .certificate import worst_case
-from .loaded_certificate import loaded_worst_case
+from .certificate import snap_free_certificate
 from .loaded_events import slide
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 
@@ -51,7 +50,8 @@ def loaded_equilibria(
     check_load(robot, load, translations)
     load.require_energy("equilibria cannot be counted")
     member = Member(loaded_problem(robot, translations, load), rotations, translations)
-    if load.tip_force_only and _convex(robot, translations, load, search.certain):
+    bounded, force = load.tip_force_only and not is_general(robot), float(np.linalg.norm(load.force))
+    if bounded and snap_free_certificate(robot, translations, max_force=force) > search.certain:
         return [forward_kinematics(robot, rotations, translations, load=load)]
     found: list[LoadedPoint] = []
     explored: set[int] = set()
@@ -73,14 +73,6 @@ def loaded_equilibria(
         f"{len(found)} equilibria were found, of degree {degree(found)} instead of 1 or more of them in every round: "
         "one is missing, or the joint values and load are at a fold, where two are one"
     )
-
-
-def _convex(robot: Robot, translations: tuple[float, ...], load: Load, certain: float) -> bool:
-    if is_general(robot):
-        return False
-    unloaded = worst_case(reduced_problem(robot, translations, DEFAULT_DISCRETISATION))[0]
-    assembly = robot.assembly(np.array(translations))
-    return loaded_worst_case(assembly, unloaded, float(np.linalg.norm(load.force))) > certain
 
 
 def _starts(member: Member, samples: Array, twist: float) -> list[Array]:

@@ -16,9 +16,8 @@ from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.sampling import sobol
 from ..typing import Array, Index, Mask
-from .folds import Fold
+from .folds import Fold, land
 from .following import Event, to_snap
-from .landing import land
 from .pair import PairFold, pair_fold
 from .pair_certificate import farthest_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
