@@ -56,6 +56,11 @@ class JointSpace:
         return np.stack([self.lower[which], self.upper[which]]) + self.offset
 
     @cached_property
+    def limits(self) -> JointLimits:
+        """The same, tube by tube."""
+        return JointLimits(*(part.tolist() for part in np.split(self.ranges.T, 2)))
+
+    @cached_property
     def longest(self) -> float:
         """Length of the longest arm that the ranges allow, m: no tip is farther from the plate."""
         shift = self.ranges[1, self.robot.n_tubes :]

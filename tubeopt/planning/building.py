@@ -10,7 +10,7 @@ from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
 from ..inverse.task import Task
 from ..typing import Array
-from .goals import End, limits_of
+from .goals import End
 from .motion import Motion, RateLimits
 from .proof import verify_trajectory
 from .timing import Limits, through
@@ -64,7 +64,7 @@ def build(
         min_margin=task.min_margin - 1e-6,
         clearance=task.clearance - task.reserve,
         rate_limits=rates,
-        limits=None if space.robot.limits is None else limits_of(space),
+        limits=space.limits,
         clock=clock,
         max_force=task.max_force,
         load=task.chart.load,

@@ -23,12 +23,10 @@ from ..inverse.joints import JointSpace, configuration
 from ..inverse.posture import posture_of, start_at
 from ..inverse.question import pose_question
 from ..inverse.task import Task
-from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
-from .reach import least_miss
-from .tip_place import long_enough, place_for_the_tip
+from .reach import check_place, least_miss
 from .tracking import clearance_of
 
 FINISHED = 1e-6
@@ -277,8 +275,7 @@ def _somewhere(task: Task, start: Equilibrium, places: list[TipGoal], clock: Clo
 def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
-    place_for_the_tip(task, position)
-    long_enough(task, position)
+    check_place(task, position)
     miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
     if miss > 0:
         raise SolveError(
@@ -302,24 +299,10 @@ def _kept(task: Task, clock: Clock) -> dict[str, Any]:
     """What joint values for a pose of the tip have to keep."""
     return {
         "min_margin": task.min_margin + 2 * FINISHED,
-        "limits": limits_of(task.chart.space),
+        "limits": task.chart.space.limits,
         "obstacles": task.obstacles,
         "options": InverseOptions(clearance=task.clearance, time_limit=max(clock.left, LEAST_SECONDS)),
     }
-
-
-def limits_of(space: JointSpace) -> JointLimits:
-    """The ranges of the joints, tube by tube."""
-    n = space.robot.n_tubes
-    low, high = space.lower, space.upper
-    shift = np.empty((n, 2))
-    for k, tubes in enumerate(space.carriages):
-        for i in tubes:
-            shift[i] = low[n + k] + space.offset[n + i], high[n + k] + space.offset[n + i]
-    return JointLimits(
-        tuple((float(a), float(b)) for a, b in zip(low[:n], high[:n], strict=True)),
-        tuple((float(a), float(b)) for a, b in shift),
-    )
 
 
 def _in_range(space: JointSpace, name: str, rotations: Array, translations: Array) -> None:
