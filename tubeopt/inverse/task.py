@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -47,7 +48,7 @@ class Task:
     max_force: float = 0.0
     effort: WaySearch = DEFAULT_WAY
     reserve: float = 0.0
-    clock: Clock | None = None
+    clock: Clock = field(default_factory=lambda: Clock(math.inf))
     _held: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)
     """`fineness` of motions that hold: a way is asked for more than once."""
 

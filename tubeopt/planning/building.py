@@ -8,11 +8,11 @@ import numpy as np
 
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
-from ..inverse.task import Task
 from ..typing import Array
 from .goals import End
-from .motion import Motion, RateLimits
+from .motion import Motion
 from .proof import verify_trajectory
+from .question import Question
 from .timing import Limits, through
 from .tracking import Tracked, track
 from .trajectory import PlanStatistics, Trajectory
@@ -20,8 +20,9 @@ from .trajectory import PlanStatistics, Trajectory
 Faults = tuple[str, ...]
 
 
-def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
+def actuators(question: Question, first: Equilibrium) -> Limits:
     """What limits the speed of motions that begin at an equilibrium."""
+    task, rates = question.task, question.rates
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
@@ -33,16 +34,11 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
 
 
 def build(
-    task: Task,
-    first: Equilibrium,
-    end: End | None,
-    motion: Motion,
-    rates: RateLimits,
-    clock: Clock,
-    found: PlanStatistics,
+    question: Question, first: Equilibrium, end: End | None, motion: Motion, found: PlanStatistics
 ) -> Trajectory | Faults:
     """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these. What was
     `found` before is told with the length of what is made of it and the seconds of the proof."""
+    task, rates, clock = question.task, question.rates, question.clock
     space = task.chart.space
     t, q = motion.sampled(task.scale, task.effort)
     begin = space.join(first.rotations, first.translations)
@@ -73,7 +69,7 @@ def build(
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < hurry < task.effort.tip_hurry and len(proof.faults) == 1:
-            return build(task, first, end, motion.slower(hurry), rates, clock, found)
+            return build(question, first, end, motion.slower(hurry), found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
     rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.late_seconds))
@@ -106,12 +102,12 @@ def build(
 
 
 def passing(
-    task: Task, first: Equilibrium, q: Array, last: Array, rates: RateLimits, clock: Clock, found: PlanStatistics
+    question: Question, first: Equilibrium, q: Array, last: Array, found: PlanStatistics
 ) -> Trajectory | Faults:
     """The fastest motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart."""
-    motion = through(q, task.scale, actuators(task, first, rates))
+    motion = through(q, question.task.scale, actuators(question, first))
     end = End(last, q[-1], (0,) * first.robot.n_tubes)
-    made = build(task, first, end, motion, rates, clock, found)
+    made = build(question, first, end, motion, found)
     if isinstance(made, Trajectory):  # nothing was smoothed
         return replace(made, statistics=replace(made.statistics, raw_length=made.statistics.length))
     return made

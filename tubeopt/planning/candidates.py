@@ -12,8 +12,8 @@ from ..inverse.clock import Clock
 from ..inverse.task import Task
 from ..typing import Array
 from .building import actuators
-from .motion import Motion, RateLimits
-from .options import PlanOptions
+from .motion import Motion
+from .question import Question
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
 
@@ -21,16 +21,15 @@ SHORT = 1e-9
 """Length of a way (joints' scales) on which nothing is smoothed."""
 
 
-def motions_near(
-    task: Task, first: Equilibrium, points: Array, rates: RateLimits, options: PlanOptions, clock: Clock
-) -> list[tuple[Motion, str, int, int]]:
+def motions_near(question: Question, first: Equilibrium, points: Array) -> list[tuple[Motion, str, int, int]]:
     """Motions near a way, the best first, and last the way itself with rests at its corners: each as fast as it may be,
     with the objective of its smoothing, iterations and knots.
 
     What is smoothed for length is neither longer nor slower than what it began from; what is smoothed for time is no
     slower than that, nor than what is smoothed for length.
     """
-    limits, aim, extra = actuators(task, first, rates), options.objective, options.extra_cost
+    task, clock, limits = question.task, question.clock, actuators(question, first)
+    aim, extra = question.options.objective, question.options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
     effort, found = task.effort, []
@@ -38,9 +37,9 @@ def motions_near(
     most = effort.scanned_seconds * clock.crowding if scanned else effort.smoothing_seconds
     own = Clock(min(most, effort.smoothing_share * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < effort.least_smoothing or not _worth_smoothing(task, curves, options):
+        if aim == "none" or own.left < effort.least_smoothing or not _worth_smoothing(question, curves):
             break
-        best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
+        best = smooth(task, first, points, (limits.rate, limits.acceleration), objective=name, extra=extra, clock=own)
         if best is not None:
             exact = name == "margin" or extra is not None
             way = best.motion.sampled(task.scale, effort)[1], best.points[-1]
@@ -63,9 +62,10 @@ def motions_near(
     return [*found, (resting, "", 0, len(points))]
 
 
-def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) -> bool:
+def _worth_smoothing(question: Question, curves: Sequence[Array]) -> bool:
     """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
     straight line. With bodies in the way smoothing takes twice as long; its equations are those without a load."""
+    task, options = question.task, question.options
     if task.chart.load is not None:
         return False
     length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)

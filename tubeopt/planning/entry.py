@@ -20,7 +20,6 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, numbers, positive, whole
 from ..inverse.arguments import kind_of
-from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
@@ -143,12 +142,12 @@ def plan_from_region(
         True
     """
     kind_of("region", region, EntryRegion)
-    task, clock = asked(robot, obstacles, options=options, **given)
+    task = asked(robot, obstacles, options=options, **given).task
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:
         progress(0, len(frames))
-    score = _scores(task, first, goal, frames, clock)
+    score = _scores(task, first, goal, frames)
     order = [k for k in np.argsort(score, kind="stable").tolist() if np.isfinite(score[k])]
     if not order:
         raise SolveError(
@@ -157,13 +156,13 @@ def plan_from_region(
         )
 
     def planned(frame: Frame, left: int) -> Trajectory:
-        limit = max(clock.left / min(left, options.effort.entry_share), 1e-3)
+        limit = max(task.clock.left / min(left, options.effort.entry_share), 1e-3)
         bodies, own = seen_from(frame, obstacles), replace(options, time_limit=limit)
         return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=own, **given)
 
     why, unproved, tried = "", None, 0
     for k in order:
-        if clock.over:
+        if task.clock.over:
             break
         frame, tried = frames[k], tried + 1
         try:
@@ -185,13 +184,13 @@ def plan_from_region(
     )
 
 
-def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], clock: Clock) -> Array:
+def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
     """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
     infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
     points, of_tip = task.effort.entry_points, of_the_tip(goal)
     at_start = _Line.of([first], points)
     arms = _Line.random(task) if of_tip else _Line.of([start_equilibrium(task.chart.space, goal, name="goal")], points)
-    half, found = clock.part(0.5), list[float]()
+    half, found = task.clock.part(0.5), list[float]()
     for frame in frames:
         if found and half.over:
             break

@@ -241,9 +241,9 @@ def _beside(
     if near is None or wanted is None or task.chart.load is not None:
         return []
     space, found = task.chart.space, list[Equilibrium]()
+    asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
     for place in wanted.places():
-        question = pose_question(space.robot, (place.position, place.direction), **_kept(task, clock))
-        question = replace(question, clock=clock)
+        question = replace(pose_question(space.robot, (place.position, place.direction), **asks), clock=clock)
         points = near(question.position)
         for q in task.chart.joints(points):
             start = start_at(space, q)
@@ -292,17 +292,20 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
 
 def _asked(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     """What inverse kinematics is asked beside the position."""
-    return {"load": task.chart.load, "direction": goal.direction, "seed": start, **_kept(task, clock)}
+    asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
+    return {"load": task.chart.load, "direction": goal.direction, "seed": start, **asks}
 
 
-def _kept(task: Task, clock: Clock) -> dict[str, Any]:
-    """What joint values for a pose of the tip have to keep."""
-    return {
-        "min_margin": task.min_margin + 2 * FINISHED,
-        "limits": task.chart.space.limits,
-        "obstacles": task.obstacles,
-        "options": InverseOptions(clearance=task.clearance, time_limit=max(clock.left, LEAST_SECONDS)),
-    }
+def kept(task: Task, floor: float, seconds: float) -> dict[str, Any]:
+    """What joint values for a place of the tip have to keep, with a margin of at least `floor`, and their time."""
+    space = task.chart.space
+    options = InverseOptions(
+        clearance=task.clearance,
+        carriage_gap=space.carriage_gap,
+        section_length=space.section_length,
+        time_limit=max(seconds, LEAST_SECONDS),
+    )
+    return {"min_margin": floor, "limits": space.limits, "obstacles": task.obstacles, "options": options}
 
 
 def _in_range(space: JointSpace, name: str, rotations: Array, translations: Array) -> None:

@@ -27,7 +27,7 @@ from .building import passing
 from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .question import asked, in_time
+from .question import asked
 from .reach import step_constraints
 from .tip_path import distance_from
 from .tracking import track
@@ -101,14 +101,15 @@ def follow_the_leader(  # noqa: PLR0913
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
     instance("solver", solver, LeaderSolver)
-    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
-    with in_time(clock):
+    question = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task = question.task
+    with question.in_time():
         last, path = _withdrawal(task, goal, begin, solver)
         q = task.chart.joints(path)
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
-    found = PlanStatistics("leader", "", 0, 0.0, 0.0, 0, len(q), clock.seconds)
-    made = passing(task, first, q, path[-1], rate_limits, clock, found)
+    found = PlanStatistics("leader", "", 0, 0.0, 0.0, 0, len(q), question.clock.seconds)
+    made = passing(question, first, q, path[-1], found)
     if not isinstance(made, Trajectory):
         raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(made)}")
     way = np.concatenate([first.position, made.tip_position[1:]])

@@ -19,7 +19,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
-from ..inverse.clock import Clock, LateError
+from ..inverse.clock import LateError
 from ..inverse.task import Task
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -121,7 +121,7 @@ def evaluate_reach(
     """
     places = checked_places(targets)
     positive("tolerance", tolerance)
-    task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options)
+    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options).task
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     begin, n = task.chart.of(first), robot.n_tubes
@@ -131,10 +131,10 @@ def evaluate_reach(
     with suppress(LateError, SolveError):  # what was found by then
         roadmap = build_roadmap(robot, obstacles=obstacles, min_margin=min_margin, options=options, count=count)
         examined, own = len(roadmap), task.from_to(begin, begin)
-        search = _Search(own, roadmap, begin, own.arms(roadmap.points).tip, clock)
+        search = _Search(own, roadmap, begin, own.arms(roadmap.points).tip)
         for k, place in enumerate(places):
             for gap, z in search.approached(place, tolerance):
-                if gap >= miss[k] or clock.over:
+                if gap >= miss[k] or task.clock.over:
                     break
                 if search.leads(z):
                     miss[k], joints[k], tips[k] = gap, task.chart.joints(z[None])[0], z[:n]
@@ -161,18 +161,17 @@ class _Search:
     roadmap: Roadmap
     begin: Array
     tips: Array
-    clock: Clock
     joined: dict[int, bool] = field(default_factory=dict)
 
     def leads(self, z: Array) -> bool:
         """Whether a way is found to a point (m,)."""
-        return self.roadmap.way(self.task, self.begin, [z], self.clock).points is not None
+        return self.roadmap.way(self.task, self.begin, [z], self.task.clock).points is not None
 
     def approached(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
         """How close one comes to a place from the nearest points to which ways lead, and where; the closest first."""
         effort, ends = self.task.effort, list[tuple[float, Array]]()
         for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[: effort.share_points].tolist():
-            if self.clock.over or len(ends) == effort.share_ways:
+            if self.task.clock.over or len(ends) == effort.share_ways:
                 break
             if j not in self.joined:
                 self.joined[j] = self.leads(self.roadmap.points[j])

@@ -8,6 +8,7 @@ forgotten, and looked at once more as ways need it, while the points stay.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -99,7 +100,7 @@ class Roadmap(Displayed):
         """(k, m) points of the map, at most `count`, whose tips are nearest to a place (3,), those first."""
         self._remember(task)
         if self.tips is None:
-            self.tips = replace(task, clock=None).arms(self.points).tip
+            self.tips = replace(task, clock=Clock(math.inf)).arms(self.points).tip
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
@@ -156,12 +157,12 @@ def build_roadmap(
         >>> len(tubeopt.build_roadmap(robot, count=20))
         20
     """
-    task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options)
+    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options).task
     random, n = np.random.default_rng(options.seed), robot.n_tubes
     space, found, total = task.chart.space, [], 0
     drawn = task.effort.roadmap_drawn
     shifts = space.sample(16 * drawn)[:, n:]
-    while total < count and not clock.over:
+    while total < count and not task.clock.over:
         z = np.column_stack([random.uniform(-np.pi, np.pi, (drawn, n)), random.choice(shifts, drawn)])
         try:
             kept = z[task.holds(z)]

@@ -8,21 +8,19 @@ from itertools import pairwise
 import numpy as np
 
 from ..block.own import OwnObjective
-from ..block.quantities import Expression, recorded
+from ..block.quantities import Expression
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError
 from ..inverse.clock import Clock
 from ..inverse.task import Task
 from ..typing import Array, Mask
 from .motion import Motion, cubic
 from .path_program import (
     MOST_NODES,
-    PATH_QUANTITIES,
     TABLES,
     PathProgram,
     PathQuestion,
+    path_cost,
     path_program,
-    path_quantities,
 )
 from .tracking import Tracked, track
 
@@ -138,23 +136,6 @@ def _near(task: Task, z: Array) -> Task:
     points = task.chart.arms(z, 0.0).fine()[1]
     near = task.scene.close(points.reshape(-1, 3), reach)
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
-
-
-def path_cost(extra: OwnObjective, n: int) -> Expression:
-    """An own cost on the path as an expression of one of its poses.
-
-    Raises:
-        InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
-    """
-    extra.checked()
-    found = recorded(extra.expression, n, 1, extra.words)
-    for one in found.quantities:
-        if not path_quantities(one):
-            known = ", ".join(PATH_QUANTITIES)
-            raise InputError(f"the cost {extra.words} speaks of {one.name}; on a path it may speak of {known}")
-    if found.value.numel_out() != 1:
-        raise InputError(f"the cost {extra.words} has {found.value.numel_out()} numbers; it must be one")
-    return found
 
 
 def _solve(
