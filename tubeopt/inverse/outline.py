@@ -113,6 +113,10 @@ class Outline:
         """Centreline (p, 3) and radius of the arm (p,) at arc lengths."""
         return self.centreline(s), self.radius(s)
 
+    def line(self, count: int) -> tuple[Array, Array]:
+        """Centreline (count, 3) and radius of the arm (count,) at evenly spaced points."""
+        return self.at(np.linspace(0.0, self.equilibrium.arc_length[-1], count))
+
     def centreline(self, s: Array) -> Array:
         """(p, 3) at arc lengths."""
         arm = self.equilibrium

@@ -23,7 +23,7 @@ import numpy as np
 from ..bodies.frames import Frame
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..typing import Array, Index, Mask
+from ..typing import Array, Index
 from .clearing import SHARE, Table, Wanted, parted
 from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
 from .sections import Intervals
@@ -132,39 +132,32 @@ class Side(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class PairCells:
+class PairCells(Table):
     """N cells: which while they are of, their times (N, 2), s, and either arm's part of them."""
 
     which: Index
     t: Array
-    sides: tuple[Side, Side]
+    one: Side
+    other: Side
 
-    def __len__(self) -> int:
-        return len(self.which)
-
-    def chosen(self, rows: Mask | Index) -> PairCells:
-        """Some of them."""
-        return PairCells(self.which[rows], self.t[rows], (self.sides[0].chosen(rows), self.sides[1].chosen(rows)))
+    @property
+    def sides(self) -> tuple[Side, Side]:
+        """Both parts."""
+        return self.one, self.other
 
     def gaps(self) -> Array:
         """(N, 2, 2, 2, 3) from the one arm to the other at the corners: along either, and in time, m."""
-        one, other = (side.points for side in self.sides)
-        return np.asarray(other[:, None] - one[:, :, None])
+        return np.asarray(self.other.points[:, None] - self.one.points[:, :, None])
 
     def halved(self, tracks: tuple[Track, Track], most: Index) -> PairCells:
         """Both halves of all, along the first arm (0), the second (1) or in time (2)."""
-        parts = []
-        for k in (0, 1):
-            some = self.chosen(most == k)
-            for half in some.sides[k].halved(tracks[k], some.t):
-                parts.append(replace(some, sides=(half, some.sides[1]) if k == 0 else (some.sides[0], half)))
-        some = self.chosen(most == 2)
-        firsts, seconds = (side.brief() for side in some.sides)
-        for t, one, other in zip(parted(some.t, 1, some.t.mean(1)), firsts, seconds, strict=True):
-            parts.append(replace(some, t=t, sides=(one, other)))
-        first, second = (Side.joined([part.sides[k] for part in parts]) for k in (0, 1))
-        which, t = (np.concatenate([getattr(part, name) for part in parts]) for name in ("which", "t"))
-        return PairCells(which, t, (first, second))
+        long, wide, brief = (self[most == k] for k in range(3))
+        parts = [replace(long, one=half) for half in long.one.halved(tracks[0], long.t)]
+        parts += [replace(wide, other=half) for half in wide.other.halved(tracks[1], wide.t)]
+        times = parted(brief.t, 1, brief.t.mean(1))
+        for t, one, other in zip(times, brief.one.brief(), brief.other.brief(), strict=True):
+            parts.append(replace(brief, t=t, one=one, other=other))
+        return PairCells.joined(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +248,7 @@ def _bounds(
         over = (low - off >= line) | sharp | (total > wanted.cells)
         np.minimum.at(bound, cells.which[over], (low - off)[over])
         taken = spread / (8 * np.maximum(least, 1e-6)) + np.concatenate([bend, np.zeros((1, len(cells)))])
-        cells = cells.chosen(~over).halved(tracks, taken[:, ~over].argmax(0))
+        cells = cells[~over].halved(tracks, taken[:, ~over].argmax(0))
     return bound, links, closest, when
 
 
@@ -272,4 +265,4 @@ def _first(tracks: tuple[Track, Track], t: Array, links: Sequence[Index]) -> Pai
         ends = [track.places(link[which], section, np.full(len(which), x), t[which]) for x in (0.0, 1.0)]
         x = np.tile([0.0, 1.0], (len(which), 1))
         sides.append(Side(link[which], section, x, np.stack(ends, axis=1)))
-    return PairCells(which, t[which], (sides[0], sides[1]))
+    return PairCells(which, t[which], *sides)

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 import scipy
 
+from ..bodies.frames import Frame
 from ..equilibrium.result import Equilibrium
 from ..inverse.outline import Outline
 from ..inverse.way_settings import WaySearch
 from ..typing import Array
 from .arms import PlacedRobot
+from .clearing import Table
 from .trajectory import Trajectory
 
 Move = tuple[int, Trajectory]
 """Of an arm, from time 0."""
+
+PLATE = Frame()
 
 
 def sooner(
@@ -29,9 +33,9 @@ def sooner(
 ) -> Iterator[tuple[Trajectory, ...]]:
     """Motions on one clock, each move begun as early as those before it leave room; then with more room; at last one
     after the other."""
-    lines = [Lines.of(arms[k], motion, effort.delay_points) for k, motion in moves]
+    lines = [moving(arms[k], motion, effort.delay_points) for k, motion in moves]
     for room in (effort.delay_room, 4 * effort.delay_room, np.inf):
-        whole = [Lines.at(arm, [e], effort.delay_points) for arm, e in zip(arms, first, strict=True)]
+        whole = [Lines.of([e], effort.delay_points, arm.base) for arm, e in zip(arms, first, strict=True)]
         parts: list[list[Trajectory]] = [[] for _ in arms]
         for (k, motion), line in zip(moves, lines, strict=True):
             earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
@@ -39,9 +43,14 @@ def sooner(
             others = [each for j, each in enumerate(whole) if j != k]
             moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room, effort))
             at = next(moved, latest)
-            whole[k] = whole[k].then(line.later(at))
+            whole[k] = Lines.joined([whole[k], line.later(at)])  # with rest in between
             parts[k].append(replace(motion, time=motion.time + at))
         yield tuple(_joined(each) for each in parts)
+
+
+def moving(arm: PlacedRobot, motion: Trajectory, count: int) -> Lines:
+    """An arm at all samples of its motion, in the frame that arms share."""
+    return replace(Lines.of(motion.arms, count, arm.base), time=motion.time)
 
 
 def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effort: WaySearch) -> bool:
@@ -78,39 +87,26 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
-    """An arm at T instants in the frame that arms share: times (T,), s, points (T, P, 3) and radii (T, P), m."""
+class Lines(Table):
+    """N arms, or one at N instants: points (N, P, 3) and radii (N, P), m; times (N,), s, where they count."""
 
-    time: Array
     points: Array
     radius: Array
+    time: Array = field(default_factory=lambda: np.zeros(1))
 
     @staticmethod
-    def at(arm: PlacedRobot, equilibria: Sequence[Equilibrium], points: int, time: Array | None = None) -> Lines:
-        """Those of equilibria, with so many points along each."""
-        told = []
-        for e in equilibria:
-            outline = Outline(e)
-            told.append(outline.at(np.linspace(0.0, e.arc_length[-1], points)))
-        lines = arm.base.placed(np.array([each for each, _ in told]))
-        return Lines(np.zeros(len(told)) if time is None else time, lines, np.array([r for _, r in told]))
+    def of(equilibria: Sequence[Equilibrium], count: int, base: Frame = PLATE) -> Lines:
+        """Those of equilibria of a robot whose plate stands somewhere, with so many points along each."""
+        points, radius = zip(*(Outline(e).line(count) for e in equilibria), strict=True)
+        return Lines(np.array(points), np.array(radius)).placed(base)
 
-    @staticmethod
-    def of(arm: PlacedRobot, motion: Trajectory, points: int) -> Lines:
-        """Those of a motion, at all of its samples."""
-        return Lines.at(arm, motion.arms, points, motion.time)
+    def placed(self, frame: Frame) -> Lines:
+        """The same, of plates that stand in a frame."""
+        return replace(self, points=frame.placed(self.points))
 
     def later(self, delay: float) -> Lines:
         """The same, so many s later."""
         return replace(self, time=self.time + delay)
-
-    def then(self, other: Lines) -> Lines:
-        """This and what comes after it, with rest in between."""
-        return Lines(
-            np.concatenate([self.time, other.time]),
-            np.concatenate([self.points, other.points]),
-            np.concatenate([self.radius, other.radius]),
-        )
 
     def at_times(self, times: Array) -> Lines:
         """The same at other times (T,), linear between instants, at rest before and after."""
@@ -118,10 +114,10 @@ class Lines:
         after = np.minimum(row + 1, len(self.time) - 1)
         step = np.where(after > row, self.time[after] - self.time[row], 1.0)
         share = np.clip((times - self.time[row]) / step, 0.0, 1.0)[:, None]
-        parts = [
+        points, radius = (
             a[row] + share.reshape(-1, *[1] * (a.ndim - 1)) * (a[after] - a[row]) for a in (self.points, self.radius)
-        ]
-        return Lines(times, *parts)
+        )
+        return Lines(points, radius, times)
 
     def gaps(self, other: Lines) -> Array:
         """(T,) distances between the surfaces of two arms at the same instants, m."""

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.placed import seen_from
 from ..display import Displayed
-from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
 from ..inverse.clock import Clock
@@ -40,8 +39,8 @@ from .arms import (
     plate_of,
     verify_arms,
 )
-from .arms_clock import Lines, Move, sooner
-from .goals import goal_seen
+from .arms_clock import Lines, Move, moving, sooner
+from .goals import goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
@@ -103,7 +102,7 @@ class ArmsPlan(Displayed):
         between them."""
         t = np.asarray(times, dtype=float)
         lines = [
-            Lines.of(arm, each, DEFAULT_WAY.delay_points).at_times(t)
+            moving(arm, each, DEFAULT_WAY.delay_points).at_times(t)
             for arm, each in zip(self.arms, self.trajectories, strict=True)
         ]
         return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
@@ -154,7 +153,8 @@ def plan_arms(
     first = []
     for k, start in enumerate(starts):
         with of_arm(known, k):
-            first.append(_start(known[k], start))
+            space = prepared(known[k].robot, None, options.carriage_gap, options.section_length)
+            first.append(start_equilibrium(space, start))
     _check_starts(known, first, options.clearance, options.effort.delay_points)
     goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
 
@@ -175,7 +175,12 @@ def plan_arms(
             return plan_trajectory(arm.robot, ends[k], goal, **asked)
 
     order, moves = _one_by_one(known, first, planned, clock)
-    motions, proof = _proved(known, first, moves, bodies, min_margin, options, clock)
+    asks: dict[str, Any] = {"starts": first, "obstacles": bodies, "clearance": options.clearance}
+    asks |= {"min_margin": min_margin - 1e-6, "clock": clock, "effort": options.effort}
+    for motions in sooner(known, first, moves, options.clearance, options.effort):
+        proof = verify_arms(known, motions, **asks)
+        if proof.holds or clock.over:
+            break
     twice = tuple(k for k in order if sum(j == k for j, _ in moves) > 1)
     for k in twice:
         own = replace(motions[k], proof=proof.proofs[k], obstacles=seen_from(known[k].base, bodies))
@@ -183,51 +188,9 @@ def plan_arms(
     return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
 
 
-def _proved(
-    arms: tuple[PlacedRobot, ...],
-    first: Sequence[Equilibrium],
-    moves: Sequence[Move],
-    bodies: tuple[Obstacle, ...],
-    min_margin: float,
-    options: PlanOptions,
-    clock: Clock,
-) -> tuple[tuple[Trajectory, ...], ArmsProof]:
-    """Moves on one clock, as soon as their proof holds or time is over, with it."""
-    motions: tuple[Trajectory, ...] = ()
-    proof = None
-    for motions in sooner(arms, first, moves, options.clearance, options.effort):
-        proof = verify_arms(
-            arms,
-            motions,
-            starts=first,
-            obstacles=bodies,
-            min_margin=min_margin - 1e-6,
-            clearance=options.clearance,
-            clock=clock,
-            effort=options.effort,
-        )
-        if proof.holds or clock.over:
-            break
-    assert proof is not None
-    return motions, proof
-
-
-def _start(arm: PlacedRobot, start: Any) -> Equilibrium:
-    known = getattr(start, "equilibrium", start)
-    if isinstance(known, Equilibrium):
-        if known.robot != arm.robot:
-            raise InputError(f"start of {arm.called} is an equilibrium of another robot")
-        return known
-    try:
-        rotations, translations = start
-    except (TypeError, ValueError):
-        raise InputError(f"start of {arm.called} is {start!r}; it must be an equilibrium or joint values") from None
-    return forward_kinematics(arm.robot, rotations, translations)
-
-
 def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float, points: int) -> None:
     """Raise SolveError where two arms are too close before they move."""
-    lines = [Lines.at(arm, [e], points) for arm, e in zip(arms, first, strict=True)]
+    lines = [Lines.of([e], points, arm.base) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
         gap = min(float(lines[i].gaps(lines[j])[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:
@@ -255,36 +218,32 @@ def _one_by_one(
     reasons: dict[str, None] = {}
     for aside in (False, True):
         for order in _orders(len(arms)):
-            ends, moves, limit = list(first), list[Move](), clock.part(0.5)
+            turns = [(k, True) for k in order[1:] if aside] + [(k, False) for k in order]
             try:
-                _move(arms, [(k, True) for k in order[1:]] if aside else [], (ends, moves), planned, limit)
-                _move(arms, [(k, False) for k in order], (ends, moves), planned, limit)
+                return order, _moves(arms, first, turns, planned, clock.part(0.5))
             except SolveError as error:
                 reasons[str(error)] = None
-            else:
-                return order, moves
     raise SolveError(f"no plan was found for all arms, one after the other past those at rest: {'; '.join(reasons)}")
 
 
-def _move(
+def _moves(
     arms: Sequence[PlacedRobot],
+    first: Sequence[Equilibrium],
     turns: Sequence[tuple[int, bool]],
-    so_far: tuple[list[Equilibrium], list[Move]],
     planned: Planned,
     limit: Clock,
-) -> None:
-    """Add the moves of arms, each to its goal or withdrawn, to those so far, and to where all rest after them.
+) -> list[Move]:
+    """The moves of arms, one after the other, each to its goal or withdrawn.
 
     Raises:
         SolveError: one of them does not get to its goal; which cannot withdraw stays where it is.
     """
-    ends, moves = so_far
+    ends, moves = list(first), list[Move]()
     for done, (k, withdrawn) in enumerate(turns):
         try:
             if limit.over:
                 raise SolveError("time was over")
-            left = len(turns) - done + (len(arms) if withdrawn else 0)
-            moves.append((k, planned(k, ends, limit.left / left, withdrawn)))
+            moves.append((k, planned(k, ends, limit.left / (len(turns) - done), withdrawn)))
         except SolveError as error:
             if withdrawn:
                 continue
@@ -292,6 +251,7 @@ def _move(
             when = f" after arm {before}" if before else ""
             raise SolveError(f"{called(arms, k)}{when}: {error}") from None
         ends[k] = moves[-1][1].end
+    return moves
 
 
 def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Array, Array]:

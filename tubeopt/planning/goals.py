@@ -10,6 +10,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..bodies.frames import Frame
 from ..display import Displayed
@@ -20,6 +21,7 @@ from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..inverse.descent import reach
 from ..inverse.joints import JointSpace, configuration
+from ..inverse.outline import Outline
 from ..inverse.posture import posture_of, start_at
 from ..inverse.question import pose_question
 from ..inverse.task import Task
@@ -27,7 +29,6 @@ from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .reach import check_place, least_miss
-from .tracking import clearance_of
 
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
@@ -35,6 +36,17 @@ FINISHED = 1e-6
 
 LEAST_SECONDS = 1e-3
 """Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
+
+
+def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
+    """(N, 3) places, m; raises InputError for a table of another shape, or of what is no number."""
+    try:
+        places = np.array(targets, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is no table of numbers; it must be rows of x, y, z in m") from None
+    if places.ndim != 2 or not len(places) or places.shape[1] != 3 or not np.isfinite(places).all():
+        raise InputError(f"{name} has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
+    return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +64,7 @@ class TipGoal(Displayed):
         position = np.asarray(self.position, dtype=float)
         if position.ndim != 2:
             return [self]
-        if not len(position) or position.shape[1] != 3 or not np.isfinite(position).all():
-            raise InputError("goal is a region that is no table of finite positions x, y, z in m")
+        position = checked_places(position, "goal")
         chosen = [0]
         far = np.linalg.norm(position - position[0], axis=1)
         while len(chosen) < 6 and far.max() > 0:
@@ -92,7 +103,8 @@ def bearing(equilibrium: Equilibrium, load: Load) -> Equilibrium:
 def check_start(task: Task, start: Equilibrium) -> None:
     """Raise where a plan cannot begin: out of range (InputError); margin or clearance too small (SolveError)."""
     _in_range(task.chart.space, "start", start.rotations, start.translations)
-    _allowed(task, "start", start)
+    if fault := _fault(task, "start", start):
+        raise SolveError(fault, start)
 
 
 def ends(
@@ -117,26 +129,25 @@ def ends(
     found, whole = _beside(task, goal, near, enough, clock), False
     if not found:
         found, whole = _equilibria(task, start, goal, clock)
-    reasons, good = list[str](), []
+    reasons: list[str] = []
     if task.chart.load is not None:
         found, reasons = loaded(found, task.chart.load)
-    for e in found:
-        try:
-            _allowed(task, "goal", e)
-        except SolveError as error:
-            reasons.append(str(error))
-        else:
-            good.append(e)
+    faults = [_fault(task, "goal", e) for e in found]
+    good = [e for e, fault in zip(found, faults, strict=True) if not fault]
     if not good:
-        reason = reasons[0] if reasons else "no plan exists: the goal has no stable equilibrium"
+        reason = next(iter(reasons + faults), "no plan exists: the goal has no stable equilibrium")
         partly = "no plan was found, as far as the equilibria at the goal are known"
         raise SolveError(reason if whole else reason.replace("no plan exists", partly))
     out = [end for e in good for end in _turned(task, e, start.rotations, modulo_turns)]
     if not out:
         raise InputError("goal is out of range: no whole turns bring its rotations into the limits")
+    return _nearest(task, start, out)
+
+
+def _nearest(task: Task, start: Equilibrium, found: list[End]) -> list[End]:
+    """Some of them, those nearest to the start first."""
     here = task.chart.of(start)
-    out.sort(key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))
-    return out[: task.effort.goals]
+    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[: task.effort.goals]
 
 
 def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
@@ -163,24 +174,20 @@ def other_ends(
     wanted = _tip_goal(goal)
     if wanted is None or task.chart.load is not None:
         return []
-    here, found, robot = task.chart.of(start), [], task.chart.space.robot
     postures: list[Equilibrium] = []
     for place in wanted.places()[: task.effort.goal_places]:
         asked = _asked(task, start, place, clock)
         with suppress(SolveError):  # none in so short a time
-            answers = inverse_kinematics(robot, place.position, all_solutions=True, **asked)
+            answers = inverse_kinematics(task.chart.space.robot, place.position, all_solutions=True, **asked)
             postures += [answer.equilibrium for answer in answers]
-    for e in postures:
-        try:
-            _allowed(task, "goal", e)
-        except SolveError:
-            continue
-        found += [
-            end
-            for end in _turned(task, e, start.rotations, modulo_turns)
-            if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goal_apart for other in known)
-        ]
-    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[: task.effort.goals]
+    good = [e for e in postures if not _fault(task, "goal", e)]
+    found = [
+        end
+        for e in good
+        for end in _turned(task, e, start.rotations, modulo_turns)
+        if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goal_apart for other in known)
+    ]
+    return _nearest(task, start, found)
 
 
 def of_the_tip(goal: Any) -> bool:
@@ -250,10 +257,8 @@ def _beside(
             if start is None or start.margin < question.floor or not space.admissible(q):
                 continue
             search = reach(question, start)
-            if search.reached:
-                with suppress(SolveError):
-                    _allowed(task, "goal", search.posture.equilibrium)
-                    found.append(search.posture.equilibrium)
+            if search.reached and not _fault(task, "goal", search.posture.equilibrium):
+                found.append(search.posture.equilibrium)
             if len(found) == enough:
                 return found
     return found
@@ -330,19 +335,16 @@ def _in_range(space: JointSpace, name: str, rotations: Array, translations: Arra
             )
 
 
-def _allowed(task: Task, name: str, e: Equilibrium) -> None:
+def _fault(task: Task, name: str, e: Equilibrium) -> str:
+    """Why no plan leads to an equilibrium: margin or clearance is too small; empty where they are not."""
     if e.margin < task.min_margin - FINISHED:
-        raise SolveError(
-            f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}", e
-        )
-    clear = clearance_of(task, e)
-    if clear < task.clearance:
-        where = "is inside an obstacle" if clear < 0 else f"has clearance {clear * 1e3:.4g} mm"
-        raise SolveError(
-            f"no plan exists: the arm at the {name} {where} (least distance {clear * 1e3:.4g} mm); "
-            f"it must keep {task.clearance * 1e3:g} mm",
-            e,
-        )
+        return f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}"
+    clear = Outline(e).clearance(task.scene)
+    if clear >= task.clearance:
+        return ""
+    where = "is inside an obstacle" if clear < 0 else f"has clearance {clear * 1e3:.4g} mm"
+    distance = f"(least distance {clear * 1e3:.4g} mm); it must keep {task.clearance * 1e3:g} mm"
+    return f"no plan exists: the arm at the {name} {where} {distance}"
 
 
 def _turned(task: Task, e: Equilibrium, here: Array, modulo: bool) -> list[End]:

@@ -13,7 +13,6 @@ from ..equilibrium.load_continuation import JointFamily
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
-from ..errors import SolveError
 from ..robots.load import Load
 from ..stability.loaded_following import LoadedEvent, loaded_motion_along
 from ..typing import Array, Index
@@ -63,13 +62,8 @@ class LoadedFollower(Follower):
             return Branch(none, np.full(intervals.length[0].shape, np.inf), none)
         return loaded_branch(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
 
-    def ends(self, here: Step, at: float, joints: Array) -> float | None:
-        """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
-        begin = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
-        family = JointFamily(JointPath(self.robot, begin, joints, LOADED_DISCRETISATION), self.load, self.load)
-        try:
-            points = loaded_motion_along(family, replace(loaded_point(here.equilibrium), t=0.0))
-            snap = next((point for point in points if isinstance(point, LoadedEvent)), None)
-        except SolveError:
-            snap = None
-        return None if snap is None else here.at + snap.loss.t * (at - here.at)
+    def snap(self, e: Equilibrium, joints: Array) -> float | None:
+        """Share of the straight way from an equilibrium to joint values (2n,) after which it snaps."""
+        path = JointPath(self.robot, np.concatenate([e.rotations, e.translations]), joints, LOADED_DISCRETISATION)
+        points = loaded_motion_along(JointFamily(path, self.load, self.load), replace(loaded_point(e), t=0.0))
+        return next((point.loss.t for point in points if isinstance(point, LoadedEvent)), None)

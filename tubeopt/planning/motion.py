@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, positive
+from ..errors import InputError, numbers, positive
 from ..files.marks import POSITIVE, key
 from ..inverse.joints import JointSpace
 from ..inverse.way_settings import WaySearch
@@ -50,16 +50,9 @@ class RateLimits(Displayed):
         if self.tip is not None:
             object.__setattr__(self, "tip", positive("tip of the rate limits", self.tip))
         for name in OF_JOINTS:
-            try:
-                values = np.array(getattr(self, name), dtype=float)
-            except (TypeError, ValueError):
-                values = np.array([np.nan])
-            if values.ndim > 1 or not np.isfinite(values).all() or (values <= 0).any():
-                raise InputError(
-                    f"{name} of the rate limits is {getattr(self, name)!r}; it must be a number greater than 0, or one "
-                    "per tube"
-                )
-            object.__setattr__(self, name, tuple(values.tolist()) if values.ndim else float(values))
+            given, label = getattr(self, name), f"{name} of the rate limits"
+            values = tuple(positive(label, each) for each in numbers(label, given))
+            object.__setattr__(self, name, values if np.ndim(given) else values[0])
 
     def of(self, space: JointSpace) -> tuple[Array, Array]:
         """(m,) rates and (m,) accelerations of independent joints; raises InputError for another number of tubes."""

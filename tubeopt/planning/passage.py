@@ -129,14 +129,14 @@ class Follower:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
         self.count += 1
         try:
-            e = forward_kinematics(self.robot, *pair(joints), load=self.load, guess=here.equilibrium)
+            e = forward_kinematics(self.robot, *np.split(joints, 2), load=self.load, guess=here.equilibrium)
         except SolveError:
             return None
         return Step(at, e, joints) if e.stable else None
 
     def near(self, here: Step, at: float, joints: Array) -> Step | None:
         """The same, by one solve; None also where that is not enough."""
-        rotations, translations = pair(joints)
+        rotations, translations = np.split(joints, 2)
         e = one_step(self.robot, here.equilibrium, rotations, tuple(translations.tolist()))
         if e is None or not e.stable:
             return None
@@ -169,19 +169,16 @@ class Follower:
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
-        begin = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
-        points = motion_along(JointPath(self.robot, begin, joints), polish(here.equilibrium))
         try:
-            snap = next((point for point in points if isinstance(point, Event)), None)
+            share = self.snap(here.equilibrium, joints)
         except SolveError:
-            snap = None
-        return None if snap is None else here.at + snap.fold.t * (at - here.at)
+            return None
+        return None if share is None else here.at + share * (at - here.at)
 
-
-def pair(joints: Array) -> tuple[Array, Array]:
-    """Rotations and translations of joint values (2n,)."""
-    n = len(joints) // 2
-    return joints[:n], joints[n:]
+    def snap(self, e: Equilibrium, joints: Array) -> float | None:
+        """Share of the straight way from an equilibrium to joint values (2n,) after which it snaps."""
+        path = JointPath(self.robot, np.concatenate([e.rotations, e.translations]), joints)
+        return next((point.fold.t for point in motion_along(path, polish(e)) if isinstance(point, Event)), None)
 
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
@@ -252,15 +249,19 @@ def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tupl
     lost: list[tuple[float, float]] = []
     while links:
         fresh: list[Link] = []
-        for link, unbroken, off in _looked_at(follower, links):
-            short = link.other.at - link.one.at < SHORTEST or link.unbounded > follower.halvings
-            if unbroken:
-                done.append(replace(link, off=off))
-            elif follower.over or short:
-                lost.append((link.one.at, link.other.at))
-                done.append(replace(link, off=np.full_like(off, np.inf)))
-            else:
-                fresh += halves(follower, link)
+        for some, intervals in _batches(follower, links):
+            found = follower.joined(intervals)
+            told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, strict=True)
+            for link, turned, unbroken, off in told:
+                unbounded = 0 if turned else link.unbounded + 1
+                short = link.other.at - link.one.at < SHORTEST or unbounded > follower.halvings
+                if unbroken:
+                    done.append(replace(link, off=off, unbounded=unbounded))
+                elif follower.over or short:
+                    lost.append((link.one.at, link.other.at))
+                    done.append(replace(link, off=np.full_like(off, np.inf), unbounded=unbounded))
+                else:
+                    fresh += halves(follower, replace(link, unbounded=unbounded))
         links = fresh
     return sorted(done, key=lambda link: link.one.at), lost
 
@@ -275,21 +276,14 @@ def halves(follower: Follower, link: Link) -> list[Link]:
     return [replace(half, unbounded=link.unbounded) for half in parts]
 
 
-def _looked_at(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Link, bool, Array]]:
-    """Every link with whether one stable branch joins its ends, and its `off`."""
+def _batches(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Sequence[Link], Intervals]]:
+    """Links, so many at once as memory allows, with the intervals between their ends."""
     for k in range(0, len(links), BATCH):
         some = links[k : k + BATCH]
-        found = follower.joined(_intervals(follower, some))
-        told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, strict=True)
-        for link, turned, unbroken, off in told:
-            yield replace(link, unbounded=0 if turned else link.unbounded + 1), unbroken, off
-
-
-def _intervals(follower: Follower, links: Sequence[Link]) -> Intervals:
-    steps = {id(step): step for link in links for step in (link.one, link.other)}
-    number = {key: k for k, key in enumerate(steps)}
-    one, other = (np.array([number[id(getattr(link, end))] for link in links]) for end in ("one", "other"))
-    return follower.intervals([step.equilibrium for step in steps.values()], one, other)
+        steps = {id(step): step for link in some for step in (link.one, link.other)}
+        number = {key: j for j, key in enumerate(steps)}
+        one, other = (np.array([number[id(getattr(link, end))] for link in some]) for end in ("one", "other"))
+        yield some, follower.intervals([step.equilibrium for step in steps.values()], one, other)
 
 
 def _stiffness(arms: Arms) -> Array:
@@ -307,9 +301,7 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
     lost: list[tuple[float, float]] = []
     closest = math.inf
     while links:
-        for k in range(0, len(links), BATCH):
-            some = links[k : k + BATCH]
-            intervals = _intervals(follower, some)
+        for some, intervals in _batches(follower, links):
             off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
             bounds, closest = cleared(intervals, off, follower.scene, follower.wanted, closest)
             for link, bound in zip(some, bounds.tolist(), strict=True):

@@ -21,8 +21,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import Faults, actuators, build, no_time
-from .candidates import motions_near
+from .building import Faults, actuators, build, motions_near, no_time
 from .goals import End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions

@@ -18,14 +18,14 @@ from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, positive
+from ..errors import SolveError, positive
 from ..inverse.clock import LateError
 from ..inverse.task import Task
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability import find_equilibria
 from ..typing import Array, Mask
-from .goals import check_start, start_equilibrium
+from .goals import check_start, checked_places, start_equilibrium
 from .motion import DEFAULT_RATES
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked
@@ -140,17 +140,6 @@ def evaluate_reach(
                     miss[k], joints[k], tips[k] = gap, task.chart.joints(z[None])[0], z[:n]
     whole = np.array([task.chart.space.joint(q) for q in joints])
     return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], tips, examined)
-
-
-def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
-    """(N, 3) places, m; raises InputError for a table of another shape, or of what is no number."""
-    try:
-        places = np.array(targets, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is no table of numbers; it must be rows of x, y, z in m") from None
-    if places.ndim != 2 or not len(places) or places.shape[1] != 3 or not np.isfinite(places).all():
-        raise InputError(f"{name} has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
-    return places
 
 
 @dataclass(eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,9 +17,10 @@ from ..display import Displayed
 from ..errors import SolveError, positive
 from ..robots.robot import Robot
 from ..typing import Array
+from .goals import checked_places
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
-from .reach_share import ReachShare, checked_places, evaluate_reach
+from .reach_share import ReachShare, evaluate_reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,22 +94,21 @@ class RegionReach(Displayed):
     def __call__(self, robot: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all places are reached to 1, and the share."""
         found = self.evaluate(robot, own)
-        missed = np.minimum(np.maximum(found.miss - found.tolerance, 0.0) / self.options.effort.region_close, 1.0)
-        return float(missed.mean() + 1 - found.share) / 2, found.share
+        return score([found], found.share, self.options.effort.region_close)
 
     def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:
         """How many plans to places that are reached, the first ones, are proved, and how many were asked for."""
         some, proved = np.flatnonzero(found.reached)[:most], 0
         bodies, options = seen_from(self.base(own), self.obstacles), replace(self.options, objective="none")
-        for k in some:
-            goal = found.arm(robot, int(k))
-            if goal is None:
-                continue
-            try:
-                plan = plan_trajectory(
-                    robot, self.start, goal, obstacles=bodies, min_margin=self.min_margin, options=options
-                )
-            except SolveError:
-                continue
-            proved += plan.proved
+        asked: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}
+        for k in some.tolist():
+            goal = found.arm(robot, k)
+            with suppress(SolveError):
+                proved += goal is not None and plan_trajectory(robot, self.start, goal, **asked).proved
         return proved, len(some)
+
+
+def score(found: Sequence[ReachShare], share: float, close: float) -> tuple[float, float]:
+    """From 0 where all is reached to 1, by a share and how far places are missed, up to `close`, m; and the share."""
+    missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / close, 1.0) for each in found]
+    return float(np.mean(missed) + 1 - share) / 2, share

@@ -8,9 +8,8 @@ forgotten, and looked at once more as ways need it, while the points stay.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from operator import is_
 from os import PathLike
@@ -100,7 +99,7 @@ class Roadmap(Displayed):
         """(k, m) points of the map, at most `count`, whose tips are nearest to a place (3,), those first."""
         self._remember(task)
         if self.tips is None:
-            self.tips = replace(task, clock=Clock(math.inf)).arms(self.points).tip
+            self.tips = task.chart.arms(self.points, 0.0).tip
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 

@@ -56,18 +56,11 @@ def building(task: Task) -> float:
     return own + bodies + task.effort.smoothing_build_node * nodes
 
 
-def densify(task: Task, points: Array) -> list[Array]:
-    """Every straight motion of a way as evenly spaced points of the chart (k, m)."""
-    out = []
-    for a, b in pairwise(points):
-        out.append(np.concatenate([a[None], task.between(a, b), b[None]]))
-    return out
-
-
 def joint_curves(task: Task, points: Array) -> list[Array]:
     """The joint values of every straight motion of a way (k, m), evenly spaced and as close as it takes to check it."""
     out = []
-    for line in densify(task, points):
+    for a, b in pairwise(points):
+        line = task.line(a, b)
         pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
         for halvings in range(task.effort.smoothing_halvings + 1):
             fine = line[0] + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (line[-1] - line[0])
@@ -80,8 +73,7 @@ def joint_curves(task: Task, points: Array) -> list[Array]:
 
 def resample(task: Task, points: Array, count: int) -> Array:
     """(count, m) points of a way, evenly spaced by the length of joint motion."""
-    lines = densify(task, points)
-    z = np.concatenate([lines[0][:1], *(line[1:] for line in lines)])
+    z = np.concatenate([points[:1], *(task.line(a, b)[1:] for a, b in pairwise(points))])
     q = task.chart.joints(z) / task.scale
     # Both metrics count: where the joints hardly move, the arm may.
     step = np.linalg.norm(np.diff(q, axis=0), axis=1) + 0.3 * np.linalg.norm(np.diff(z / task.scale, axis=0), axis=1)
@@ -100,12 +92,11 @@ def smooth(
     *,
     objective: str = "length",
     extra: OwnObjective | None = None,
-    clock: Clock | None = None,
+    clock: Clock,
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
     the clock is over. How long it takes is told by objectives of time and effort only. `extra` is an own cost, of which
     the mean along the path counts beside the objective."""
-    clock = clock or Clock(20.0)
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     intervals, iterations = task.effort.smoothing_intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
@@ -179,7 +170,7 @@ def _solve(
     floor = min(task.min_margin + room[0], 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
-    least = _to_keep(program, np.asarray(program.least(x, p)), _falls(task, z, room[1]))
+    least = _to_keep(task, program, np.asarray(program.least(x, p)), z, room[1])
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
@@ -209,27 +200,23 @@ def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
-def _to_keep(program: PathProgram, least: Array, falls: Array) -> Array:
-    """(K, rows) least distances to keep, m: of those of an obstacle, all that of the closest, less by how much (K,
-    obstacles) they may fall."""
-    body, found = np.array(program.body, dtype=int), least.reshape(len(falls), -1)
+def _to_keep(task: Task, program: PathProgram, least: Array, z: Array, room: float) -> Array:
+    """(K, rows) least distances to keep, m, at knots (K, m): of those of an obstacle, all that of the closest. It may
+    fall to `room` above the clearance to keep; not at all where a knot has no more than that to spare; and it must grow
+    where there is none.
+
+    The smooth least distances of the program, `least`, are bounded by what they are now less this: where much of an arm
+    is about as close as its closest point, they are a few millimetres too small, of all knots alike.
+    """
+    arms = task.chart.arms(z, 0.0)
+    alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
+    spare = np.array([each - task.clearance for each in alone]).reshape(len(task.obstacles), len(z)).T
+    falls = spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None]))
+    body, found = np.array(program.body, dtype=int), least.reshape(len(z), -1)
     closest = np.empty_like(falls)
     for k in range(falls.shape[1]):
         closest[:, k] = found[:, body == k].min(axis=1)
     return np.asarray((closest - falls)[:, body])
-
-
-def _falls(task: Task, z: Array, room: float) -> Array:
-    """(K, obstacles) by how much, m, the distances of knots (K, m) from obstacles may fall: to `room` above the
-    clearance to keep; not at all where a knot has no more than that to spare. Negative where they must grow.
-
-    The smooth least distances of the program are bounded by what they are now less this: where much of an arm is about
-    as close as its closest point, they are a few millimetres too small, of all knots alike.
-    """
-    arms = task.chart.arms(z, 0.0)
-    alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
-    spare = np.array([least - task.clearance for least in alone]).reshape(len(task.obstacles), len(z)).T
-    return np.asarray(spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None])))
 
 
 def _bounds(

@@ -22,12 +22,12 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import passing
-from .goals import check_start, kept, start_equilibrium
+from .goals import check_start, checked_places, kept, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .question import Question, asked
+from .question import asked
 from .reach import least_miss
-from .trajectory import PlanStatistics, Trajectory
+from .trajectory import Trajectory
 
 LONGEST = 1000
 """Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
@@ -124,9 +124,14 @@ def follow_tip_path(  # noqa: PLR0913
                 if share >= furthest:
                     furthest, reason = share, why
                 break
-            made, reason = _make(question, equilibria, curve)
-            if made is not None and made.deviation is not None and made.deviation.max() <= tolerance:
-                return made
+            q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
+            made = passing(question, first, q, task.chart.of(equilibria[-1]), "tip path", len(q))
+            if isinstance(made, Trajectory):
+                off = distance_from(curve, made.tip_position)
+                if off.max() <= tolerance:
+                    return replace(made, deviation=off)
+                made = ("between its points the tip leaves the curve",)
+            reason = "; ".join(made)
             furthest, spacing = 1.0, spacing / 2
             if clock.over:
                 break
@@ -138,14 +143,9 @@ def follow_tip_path(  # noqa: PLR0913
 
 def _curve(path: ArrayLike, spline: bool, dense: int) -> Array:
     """(k, 3) dense points of the curve."""
-    try:
-        points = np.array(path, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("path must be a table of numbers, x, y, z in m, one row per point") from None
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-        raise InputError(f"path has shape {points.shape}; it must be x, y, z of at least 2 points")
-    if not np.isfinite(points).all():
-        raise InputError("path has a number that is not finite")
+    points = checked_places(path, "path")
+    if len(points) < 2:
+        raise InputError("path is 1 point; it must be at least 2 points")
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if (step <= 0).any():
         raise InputError(f"path has the same point twice in a row, at {int(np.argmin(step)) + 1}")
@@ -203,18 +203,6 @@ def _track(task: Task, first: Equilibrium, places: Array) -> tuple[list[Equilibr
     except (InputError, SolveError) as error:
         return out, str(error)
     return out, ""
-
-
-def _make(question: Question, equilibria: Sequence[Equilibrium], curve: Array) -> tuple[Trajectory | None, str]:
-    """A proved motion with these tips and how far its tip leaves the curve; else what is wrong."""
-    task = question.task
-    q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
-    found = PlanStatistics("tip path", "", len(q), 0.0, 0.0, 0, len(q), question.clock.seconds)
-    made = passing(question, equilibria[0], q, task.chart.of(equilibria[-1]), found)
-    if not isinstance(made, Trajectory):
-        return None, "; ".join(made)
-    made = replace(made, deviation=distance_from(curve, made.tip_position))
-    return made, "between its points the tip leaves the curve"
 
 
 def distance_from(curve: Array, points: Array) -> Array:
