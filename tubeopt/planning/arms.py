@@ -273,11 +273,9 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float = DEFAULT_WAY.re
     length = float(equilibrium.arc_length[-1])
     s = np.union1d(np.linspace(0.0, length, 2 + int(length / chord)), ends[(ends > 0) & (ends < length)])
     outline = Outline(equilibrium)
-    points, _ = outline.at(s)
-    bend = float(np.linalg.norm(equilibrium.curvature, axis=1).max(initial=0.0))
-    more = 1.2 * bend * np.diff(s) ** 2 / 8
+    points = outline.centreline(s)
     places = base.placed(points)
-    radius = outline.radius((s[:-1] + s[1:]) / 2) + more
+    radius = outline.radius((s[:-1] + s[1:]) / 2) + outline.bend * np.diff(s) ** 2 / 8
     return tuple(
         Capsule(tuple(a), tuple(b), float(r))
         for a, b, r in zip(places[:-1].tolist(), places[1:].tolist(), radius, strict=True)

@@ -18,7 +18,7 @@ from ..bodies.obstacles import Obstacle, nearest_distance
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, instance, numbers, positive, whole
+from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
@@ -55,9 +55,7 @@ class EntryRegion(Displayed):
 
     def __post_init__(self) -> None:
         positive("radius of the entry", self.radius, zero=True)
-        if len(numbers("box of the entry", self.box)) != 3:
-            raise InputError(f"box of the entry is {self.box!r}; it must be three numbers, along x, y and z")
-        for size in self.box:
+        for size in vector("box of the entry", self.box, 3, "along x, y and z"):
             positive("box of the entry", size, zero=True)
         if self.places is not None:
             object.__setattr__(self, "places", checked_places(self.places, "places of the entry"))

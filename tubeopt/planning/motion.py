@@ -56,17 +56,17 @@ class RateLimits(Displayed):
 
     def of(self, space: JointSpace) -> tuple[Array, Array]:
         """(m,) rates and (m,) accelerations of independent joints; raises InputError for another number of tubes."""
-        n = space.robot.n_tubes
-        out = []
-        for turn, move in (("rotation", "translation"), ("rotation_acceleration", "translation_acceleration")):
-            both = []
-            for name in (turn, move):
-                values = np.atleast_1d(np.array(getattr(self, name)))
-                if len(values) not in (1, n):
-                    raise InputError(f"{name} of the rate limits has {len(values)} numbers; it must be 1 or {n}")
-                both.append(np.broadcast_to(values, (n,)))
-            out.append(np.concatenate([both[0], [both[1][list(tubes)].min() for tubes in space.carriages]]))
-        return out[0], out[1]
+        n, table = space.robot.n_tubes, []
+        for name in OF_JOINTS:
+            values = np.atleast_1d(np.array(getattr(self, name)))
+            if len(values) not in (1, n):
+                raise InputError(f"{name} of the rate limits has {len(values)} numbers; it must be 1 or {n}")
+            table.append(np.broadcast_to(values, (n,)))
+        rates, accelerations = (
+            np.concatenate([turn, [move[list(tubes)].min() for tubes in space.carriages]])
+            for turn, move in (table[:2], table[2:])
+        )
+        return rates, accelerations
 
 
 DEFAULT_RATES = RateLimits()

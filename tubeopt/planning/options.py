@@ -79,9 +79,7 @@ class PlanOptions(Displayed):
         positive("search_seconds", self.search_seconds)
         for name in ("clearance", "max_force", "carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
-        turns: object = self.modulo_turns
-        if not isinstance(turns, bool):
-            raise InputError(f"modulo_turns is {turns!r}; it must be True or False")
+        instance("modulo_turns", self.modulo_turns, bool)
         object.__setattr__(self, "seed", whole("seed", self.seed, 0))
 
 

@@ -170,13 +170,13 @@ def _at_rest(robot: Robot, found: ReachShare, base: Frame, points: int) -> dict[
         e = found.arm(robot, k)
         if e is None:
             continue
-        line, radius = Outline(e).line(points)
+        outline = Outline(e)
+        line, radius = outline.line(points)
         # The arm is as thick up to the next point as it is at the one before: it grows thinner towards its tip.
         thick = np.maximum.accumulate(radius[::-1])[::-1]
         thick[1:] = np.maximum(thick[1:], thick[:-1])
-        bend = 1.2 * float(np.linalg.norm(e.curvature, axis=1).max(initial=0.0))
         square = (float(e.arc_length[-1]) / (points - 1)) ** 2
-        arms[k] = base.placed(line), thick, square, bend * square / 8
+        arms[k] = base.placed(line), thick, square, outline.bend * square / 8
     return arms
 
 

@@ -60,9 +60,8 @@ class Roadmap(Displayed):
         self._remember(task)
         count, ends = len(self.points), np.stack([start, *goals])
         places = np.concatenate([self.points, ends]) / task.scale
-        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)[
-            :, : 2 * task.effort.roadmap_neighbours
-        ]
+        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)
+        near = near[:, : 2 * task.effort.roadmap_neighbours]
         to_ends = np.column_stack([np.repeat(np.arange(count, len(places)), near.shape[1]), near.ravel()])
         straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
         edges = np.concatenate([self.edges, to_ends, straight])

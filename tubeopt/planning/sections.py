@@ -257,11 +257,6 @@ class Intervals:
         moved = self.drift.eased.v[:, 0] * self.moved[:, 0] ** 2
         return Jet(plain.v, plain.d + moved / 2, moved)
 
-    @property
-    def interpolated(self) -> Array:
-        """(B, n) bound of the error of `changes` by interpolation, rad, of tubes on the centreline."""
-        return np.asarray(self.arms.turn_error[self.one] + self.arms.turn_error[self.other])
-
     @cached_property
     def radius(self) -> Array:
         """(B, K) radius of the arm in each section, m."""
