@@ -75,14 +75,22 @@ class Track:
         share = np.clip((t - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)[..., None]
         return self.frame.placed(one[:, None] + share * (other - one)[:, None])
 
-    def finer(self, chosen: Sequence[int]) -> Track:
-        """The same with some links halved."""
+    def finer(self, numbers: Index) -> Track:
+        """The same with those of some links halved that are no rest and not too short to be."""
+        chosen = {k: self.links[k] for k in np.unique(numbers).tolist()}
+        moving = {
+            k: link
+            for k, link in chosen.items()
+            if link.other.at - link.one.at >= SHORTEST and (link.one.joints != link.other.joints).any()
+        }
+        if not moving:
+            return self
         try:
-            split = [half for k in chosen for half in halves(self.follower, self.links[k])]
+            split = [half for link in moving.values() for half in halves(self.follower, link)]
             more, lost = joined(self.follower, split)
         except BranchEndsError:  # not where one branch was shown
             return replace(self, whole=False)
-        kept = [link for k, link in enumerate(self.links) if k not in set(chosen)]
+        kept = [link for k, link in enumerate(self.links) if k not in moving]
         links = sorted([*kept, *more], key=lambda link: link.one.at)
         return replace(self, links=tuple(links), whole=self.whole and not lost)
 
@@ -200,20 +208,13 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
         over = one.follower.over or other.follower.over
         if not len(short) or over or not (one.whole and other.whole) or measured < wanted.clearance:
             break
-        one, other = (_finer(track, side[short]) for track, side in zip((one, other), sides, strict=True))
+        one, other = (track.finer(side[short]) for track, side in zip((one, other), sides, strict=True))
     if not (one.whole and other.whole):
         bound = np.full(len(bound), -np.inf)
     if len(times) == 1:
         times = np.append(times, times)
     bound = np.minimum(bound, most)
     return PairProof(arms, float(bound.min()), min(float(measured), most), float(when), times, bound)
-
-
-def _finer(track: Track, links: Index) -> Track:
-    """The track with those of the links halved that are no rest and not too short to be."""
-    long = [k for k in np.unique(links).tolist() if track.links[k].other.at - track.links[k].one.at >= SHORTEST]
-    moving = [k for k in long if (track.links[k].one.joints != track.links[k].other.joints).any()]
-    return track.finer(moving) if moving else track
 
 
 def _bounds(

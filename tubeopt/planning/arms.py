@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Protocol
 
 import numpy as np
+import scipy
 
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles
@@ -25,11 +26,13 @@ from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.robot import Robot, check_robot
 from ..typing import Array
 from .apart import PairProof, Track, apart, tracked
-from .clearing import Wanted
+from .clearing import Table, Wanted
 from .cross_sections import Constants
 from .motion import RateLimits
 from .passage import Follower
 from .proof import Proof, ProofStatus, verify_trajectory
+
+PLATE = Frame()
 
 CLOSE = "come as close as about"
 """How a fault of two arms begins that is one, not only nothing that is shown."""
@@ -244,8 +247,7 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
 
 def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None, effort: WaySearch) -> Track:
     wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
-    until = math.inf if clock is None else clock.began + clock.limit
-    follower = Follower(arm.robot, scene_of(()), wanted, until, effort)
+    follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(math.inf), effort)
     joints = np.concatenate([motion.rotations, motion.translations], axis=1)
     return tracked(follower, first, np.asarray(motion.time, dtype=float), joints, arm.base)
 
@@ -280,3 +282,42 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float = DEFAULT_WAY.re
         Capsule(tuple(a), tuple(b), float(r))
         for a, b, r in zip(places[:-1].tolist(), places[1:].tolist(), radius, strict=True)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Lines(Table):
+    """N arms, or one at N instants: points (N, P, 3) and radii (N, P), m; times (N,), s, where they count."""
+
+    points: Array
+    radius: Array
+    time: Array = field(default_factory=lambda: np.zeros(1))
+
+    @staticmethod
+    def of(equilibria: Sequence[Equilibrium], count: int, base: Frame = PLATE) -> Lines:
+        """Those of equilibria of a robot whose plate stands somewhere, with so many points along each."""
+        points, radius = zip(*(Outline(e).line(count) for e in equilibria), strict=True)
+        return Lines(np.array(points), np.array(radius)).placed(base)
+
+    def placed(self, frame: Frame) -> Lines:
+        """The same, of plates that stand in a frame."""
+        return replace(self, points=frame.placed(self.points))
+
+    def later(self, delay: float) -> Lines:
+        """The same, so many s later."""
+        return replace(self, time=self.time + delay)
+
+    def at_times(self, times: Array) -> Lines:
+        """The same at other times (T,), linear between instants, at rest before and after."""
+        row = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 1)
+        after = np.minimum(row + 1, len(self.time) - 1)
+        step = np.where(after > row, self.time[after] - self.time[row], 1.0)
+        share = np.clip((times - self.time[row]) / step, 0.0, 1.0)[:, None]
+        points, radius = (
+            a[row] + share.reshape(-1, *[1] * (a.ndim - 1)) * (a[after] - a[row]) for a in (self.points, self.radius)
+        )
+        return Lines(points, radius, times)
+
+    def gaps(self, other: Lines) -> Array:
+        """(T,) distances between the surfaces of two arms at the same instants, m."""
+        both = zip(self.points, self.radius, other.points, other.radius, strict=True)
+        return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in both])

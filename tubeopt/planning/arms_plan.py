@@ -9,8 +9,8 @@ arms allows (on fixed paths, delayed: Akella and Hutchinson 2002), and all is pr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import combinations, islice, permutations
 from typing import Any
 
@@ -24,11 +24,12 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
 from ..inverse.clock import Clock
 from ..inverse.question import prepared
-from ..inverse.way_settings import DEFAULT_WAY
+from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .arms import (
     ArmsProof,
+    Lines,
     PlacedRobot,
     at_rest,
     between_plates,
@@ -39,12 +40,14 @@ from .arms import (
     plate_of,
     verify_arms,
 )
-from .arms_clock import Lines, Move, moving, sooner
 from .goals import goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
 from .trajectory import Trajectory
+
+Move = tuple[int, Trajectory]
+"""Of an arm, from time 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +105,7 @@ class ArmsPlan(Displayed):
         between them."""
         t = np.asarray(times, dtype=float)
         lines = [
-            moving(arm, each, DEFAULT_WAY.delay_points).at_times(t)
+            _moving(arm, each, DEFAULT_WAY.delay_points).at_times(t)
             for arm, each in zip(self.arms, self.trajectories, strict=True)
         ]
         return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
@@ -177,7 +180,7 @@ def plan_arms(
     order, moves = _one_by_one(known, first, planned, clock)
     asks: dict[str, Any] = {"starts": first, "obstacles": bodies, "clearance": options.clearance}
     asks |= {"min_margin": min_margin - 1e-6, "clock": clock, "effort": options.effort}
-    for motions in sooner(known, first, moves, options.clearance, options.effort):
+    for motions in _sooner(known, first, moves, options.clearance, options.effort):
         proof = verify_arms(known, motions, **asks)
         if proof.holds or clock.over:
             break
@@ -261,3 +264,65 @@ def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Arr
     q[n:] += 0.9 * (space.lower[n:] - q[n:])
     rotations, translations = space.split(space.nearest(q))
     return rotations, np.array(translations)
+
+
+def _sooner(
+    arms: Sequence[PlacedRobot],
+    first: Sequence[Equilibrium],
+    moves: Sequence[Move],
+    clearance: float,
+    effort: WaySearch,
+) -> Iterator[tuple[Trajectory, ...]]:
+    """Motions on one clock, each move begun as early as those before it leave room; then with more room; at last one
+    after the other."""
+    lines = [_moving(arms[k], motion, effort.delay_points) for k, motion in moves]
+    for room in (effort.delay_room, 4 * effort.delay_room, np.inf):
+        whole = [Lines.of([e], effort.delay_points, arm.base) for arm, e in zip(arms, first, strict=True)]
+        parts: list[list[Trajectory]] = [[] for _ in arms]
+        for (k, motion), line in zip(moves, lines, strict=True):
+            earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
+            delays = np.linspace(earliest, latest, effort.delays)[:-1].tolist() if np.isfinite(room) else []
+            others = [each for j, each in enumerate(whole) if j != k]
+            moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room, effort))
+            at = next(moved, latest)
+            whole[k] = Lines.joined([whole[k], line.later(at)])  # with rest in between
+            parts[k].append(replace(motion, time=motion.time + at))
+        yield tuple(_joined(each) for each in parts)
+
+
+def _moving(arm: PlacedRobot, motion: Trajectory, count: int) -> Lines:
+    """An arm at all samples of its motion, in the frame that arms share."""
+    return replace(Lines.of(motion.arms, count, arm.base), time=motion.time)
+
+
+def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effort: WaySearch) -> bool:
+    """Whether an arm that begins to move at a time keeps its distance from the others until they rest, as they did when
+    it was planned for."""
+    for other in others:
+        if other.time[-1] > since:
+            times = np.linspace(since, other.time[-1], effort.delay_instants)
+            if line.at_times(times).gaps(other.at_times(times)).min() < room:
+                return False
+    return True
+
+
+def _joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Motions of one robot, each from where the one before ends, as one, with rest in between."""
+    whole = parts[0]
+    for part in parts[1:]:
+        rests = part.time[0] > whole.time[-1]
+        kept = slice(0 if rests else 1, None)
+        one, other = whole.statistics, part.statistics
+        summed = {
+            each.name: getattr(one, each.name) + getattr(other, each.name)
+            for each in fields(one)
+            if not isinstance(getattr(one, each.name), str)
+        }
+        tables = ("time", "rotations", "translations", "tip_position", "margin")
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(whole, name), getattr(part, name)[kept]]) for name in tables
+        }
+        turns = tuple(a + b for a, b in zip(whole.turns, part.turns, strict=True))
+        arms, summary = (*whole.arms, *part.arms[kept]), replace(other, **summed)
+        whole = replace(whole, **joined, arms=arms, end=part.end, turns=turns, statistics=summary)
+    return whole

@@ -24,7 +24,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array
-from .arms_clock import Lines
+from .arms import Lines
 from .goals import TipGoal, checked_places, goal_seen, of_the_tip, start_equilibrium
 from .motion import RateLimits
 from .options import DEFAULT_PLAN, PlanOptions

@@ -23,8 +23,7 @@ from .arms import PlacedRobot
 from .arms_plan import plan_arms
 from .goals import checked_places
 from .options import DEFAULT_PLAN, PlanOptions
-from .reach_share import ReachShare
-from .region import RegionReach, score
+from .reach_share import ReachShare, RegionReach, score
 
 
 @dataclass(frozen=True, eq=False)

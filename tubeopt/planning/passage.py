@@ -7,7 +7,6 @@ stable branch joins two neighbours, or where the bound of the clearance is not s
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,17 +17,24 @@ import numpy as np
 from ..bodies.scene import Scene
 from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics, one_step
+from ..equilibrium.load_continuation import JointFamily
+from ..equilibrium.load_problem import LOADED_DISCRETISATION
+from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
+from ..inverse.clock import Clock
 from ..inverse.way_settings import WaySearch
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import Event, motion_along
+from ..stability.loaded_following import LoadedEvent, loaded_motion_along
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared
 from .cross_sections import Constants
+from .loaded_branch import loaded_branch
+from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import SWAPPED, Arms, Intervals
 
 SHORTEST = 1e-9
@@ -90,12 +96,12 @@ class BranchEndsError(Exception):
 
 @dataclass(eq=False)
 class Follower:
-    """Follows a robot past bodies; until a moment of `time.perf_counter`."""
+    """Follows a robot past bodies, until the clock is over."""
 
     robot: Robot
     scene: Scene
     wanted: Wanted
-    until: float
+    clock: Clock
     effort: WaySearch
     load: Load | None = None
     count: int = 0
@@ -123,7 +129,7 @@ class Follower:
     @property
     def over(self) -> bool:
         """Whether there is no more time, or no more equilibria to spend."""
-        return self.count >= self.effort.proof_equilibria or time.perf_counter() > self.until
+        return self.count >= self.effort.proof_equilibria or self.clock.over
 
     def step(self, here: Step, at: float, joints: Array) -> Step | None:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
@@ -179,6 +185,52 @@ class Follower:
         """Share of the straight way from an equilibrium to joint values (2n,) after which it snaps."""
         path = JointPath(self.robot, np.concatenate([e.rotations, e.translations]), joints)
         return next((point.fold.t for point in motion_along(path, polish(e)) if isinstance(point, Event)), None)
+
+
+@dataclass(eq=False)
+class LoadedFollower(Follower):
+    """Follows a robot that bears a load past bodies."""
+
+    load: Load = field(default_factory=Load)
+
+    @property
+    def halvings(self) -> int:
+        """None where nothing bounds anything."""
+        return 0 if uncovered(self.load) else super().halvings
+
+    @property
+    def says(self) -> str:
+        """What can be proved nowhere, in words; empty where nothing is known to stand against it."""
+        what = uncovered(self.load)
+        return f"what lies between equilibria under {what} is not bounded" if what else ""
+
+    @cached_property
+    def pull(self) -> Pull:
+        """The load on the cross-sections."""
+        return Pull.of(self.robot, self.load)
+
+    def near(self, here: Step, at: float, joints: Array) -> Step | None:
+        """The same: small changes of joints are one solve."""
+        return self.step(here, at, joints)
+
+    def intervals(self, equilibria: Sequence[Equilibrium], one: Index, other: Index) -> Intervals:
+        """Those between some of a list of equilibria."""
+        if uncovered(self.load):
+            return super().intervals(equilibria, one, other)
+        return LoadedIntervals.of(LoadedArms.of(self.constants, equilibria, pull=self.pull), one, other)
+
+    def joined(self, intervals: Intervals) -> Branch:
+        """What is known between neighbours: nothing of a load that the bounds do not cover."""
+        if not isinstance(intervals, LoadedIntervals):
+            none = np.zeros(len(intervals.one), dtype=bool)
+            return Branch(none, np.full(intervals.length[0].shape, np.inf), none)
+        return loaded_branch(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
+
+    def snap(self, e: Equilibrium, joints: Array) -> float | None:
+        """Share of the straight way from an equilibrium to joint values (2n,) after which it snaps."""
+        path = JointPath(self.robot, np.concatenate([e.rotations, e.translations]), joints, LOADED_DISCRETISATION)
+        points = loaded_motion_along(JointFamily(path, self.load, self.load), replace(loaded_point(e), t=0.0))
+        return next((point.loss.t for point in points if isinstance(point, LoadedEvent)), None)
 
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
