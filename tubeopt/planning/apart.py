@@ -120,12 +120,6 @@ class Side(Table):
         """(N,) squares of their length, m^2."""
         return np.asarray(((self.points[:, 1] - self.points[:, 0]) ** 2).sum(-1).max(1))
 
-    def sagitta(self, track: Track) -> Array:
-        """(N,) how far the arm bends off them, m."""
-        at, intervals = (self.link, self.section), track.intervals
-        long = np.maximum(*intervals.length)[at] * (self.x[:, 1] - self.x[:, 0])
-        return np.asarray(intervals.bending.most[at] * long**2 / 8)
-
     def halved(self, track: Track, t: Array) -> tuple[Side, Side]:
         """Both halves along the arm."""
         middle = self.x.mean(1)
@@ -201,6 +195,7 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
     measured, when = np.inf, 0.0
     for _ in range(one.follower.effort.proof_arms_rounds):
         times = np.union1d(one.times, other.times)
+        times = times if len(times) > 1 else np.repeat(times, 2)
         bound, sides, closest, then = _bounds((one, other), times, wanted, measured)
         if closest < measured:
             measured, when = closest, then
@@ -211,8 +206,6 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
         one, other = (track.finer(side[short]) for track, side in zip((one, other), sides, strict=True))
     if not (one.whole and other.whole):
         bound = np.full(len(bound), -np.inf)
-    if len(times) == 1:
-        times = np.append(times, times)
     bound = np.minimum(bound, most)
     return PairProof(arms, float(bound.min()), min(float(measured), most), float(when), times, bound)
 
@@ -222,8 +215,6 @@ def _bounds(
 ) -> tuple[Array, list[Index], float, float]:
     """(M,) lower bounds of the distance in the whiles between times, the link of either arm there, the least distance
     that was measured, m, and when."""
-    if len(times) == 1:
-        times = np.append(times, times)
     t = np.stack([times[:-1], times[1:]], axis=1)
     links = [track.link_at(t.mean(1)) for track in tracks]
     cells, when = _first(tracks, t, links), float(times[0])
@@ -234,7 +225,8 @@ def _bounds(
         distance = np.sqrt((gaps**2).sum(-1))
         thick = sum(track.intervals.radius[s.link, s.section] for track, s in zip(tracks, cells.sides, strict=True))
         off = sum(track.off[s.link, s.section] for track, s in zip(tracks, cells.sides, strict=True))
-        bend = np.stack([side.sagitta(track) for track, side in zip(tracks, cells.sides, strict=True)])
+        bows = (track.intervals.sagitta(s.link, s.section, s.x) for track, s in zip(tracks, cells.sides, strict=True))
+        bend = np.stack(list(bows))
         along = [side.along() for side in cells.sides]
         spread = np.stack([*along, ((gaps[..., 1, :] - gaps[..., 0, :]) ** 2).sum(-1).max((1, 2))])
         least = distance.min((1, 2, 3))

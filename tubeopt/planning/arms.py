@@ -25,7 +25,7 @@ from ..inverse.outline import Outline
 from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.robot import Robot, check_robot
 from ..typing import Array
-from .apart import PairProof, Track, apart, tracked
+from .apart import PairProof, apart, tracked
 from .clearing import Table, Wanted
 from .cross_sections import Constants
 from .motion import RateLimits
@@ -206,14 +206,13 @@ def verify_arms(  # noqa: PLR0913
     for k, (arm, motion, begin) in enumerate(zip(known, motions, begins, strict=True)):
         others = [plate for j, plate in enumerate(plates) if j != k]
         with of_arm(known, k):
-            time, rotations, translations = _tables(motion)
-            first = begin or forward_kinematics(arm.robot, rotations[0], translations[0])
+            time, *joints = _tables(motion)
+            first = begin or forward_kinematics(arm.robot, *(part[0] for part in joints))
             proofs.append(
                 verify_trajectory(
                     arm.robot,
                     time,
-                    rotations,
-                    translations,
+                    *joints,
                     start=first,
                     obstacles=seen_from(arm.base, [*bodies, *others]),
                     min_margin=min_margin,
@@ -223,7 +222,9 @@ def verify_arms(  # noqa: PLR0913
                     effort=effort,
                 )
             )
-        tracks.append(_track(arm, motion, first, clock, effort))
+        wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
+        follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(math.inf), effort)
+        tracks.append(tracked(follower, first, time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
@@ -243,13 +244,6 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
     if any(part.ndim < 1 or not len(part) for part in found):
         raise InputError("motion has no rows; it must have one for each time, one time at least")
     return found[0], found[1], found[2]
-
-
-def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None, effort: WaySearch) -> Track:
-    wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
-    follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(math.inf), effort)
-    joints = np.concatenate([motion.rotations, motion.translations], axis=1)
-    return tracked(follower, first, np.asarray(motion.time, dtype=float), joints, arm.base)
 
 
 def _between(arms: Sequence[PlacedRobot], found: PairProof, clearance: float) -> list[str]:

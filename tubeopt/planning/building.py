@@ -59,7 +59,7 @@ def motions_near(question: Question, first: Equilibrium, points: Array) -> list[
     for name in ("length", "time") if aim == "time" else (aim,):
         if aim == "none" or own.left < effort.least_smoothing or not _worth_smoothing(question, curves):
             break
-        best = smooth(task, first, points, (limits.rate, limits.acceleration), objective=name, extra=extra, clock=own)
+        best = smooth(task, first, points, limits, (name, extra), own)
         if best is not None:
             exact = name == "margin" or extra is not None
             way = best.motion.sampled(task.scale, effort)[1], best.points[-1]

@@ -91,13 +91,11 @@ class Sizes(Table):
     def of(cells: Cells, intervals: Intervals, off: Array) -> Sizes:
         """Those of cells of intervals whose arms are off the straight line in time by `off` (B, K)."""
         at = cells.which, cells.section
-        long = np.maximum(*intervals.length)[at] * (cells.x[:, 1] - cells.x[:, 0])
         along = ((cells.points[:, 1] - cells.points[:, 0]) ** 2).sum(-1).max(1)
         time = ((cells.points[:, :, 1] - cells.points[:, :, 0]) ** 2).sum(-1).max(1)
         shape = np.maximum(*(intervals.arms.shape_error[e] for e in (intervals.one, intervals.other)))
-        return Sizes(
-            along, time, intervals.bending.most[at] * long**2 / 8, off[at] + shape[cells.which], intervals.radius[at]
-        )
+        bend = intervals.sagitta(*at, cells.x)
+        return Sizes(along, time, bend, off[at] + shape[cells.which], intervals.radius[at])
 
     def bound(self, distance: Array) -> Array:
         """(N,) lower bounds of the clearance without `off`, m, where (N,) is the least distance at corners."""

@@ -37,11 +37,7 @@ class LoadedChart(Chart):
         return super().of(known)
 
     def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
-        """The loaded equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,).
-
-        Raises:
-            LateError: the clock is over before all of them are known.
-        """
+        """As those of `Chart`, under the load."""
         plain, shift = super().arms(z, 0.0, clock), self.translations(z)
         floor, found = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
         for k in np.flatnonzero(plain.stable).tolist():

@@ -96,7 +96,7 @@ class BranchEndsError(Exception):
 
 @dataclass(eq=False)
 class Follower:
-    """Follows a robot past bodies, until the clock is over."""
+    """Follows a robot past bodies, maybe one that bears a load, until the clock is over."""
 
     robot: Robot
     scene: Scene
@@ -116,15 +116,16 @@ class Follower:
         """What no joint changes of the robot."""
         return Constants.of(self.robot)
 
-    @property
-    def halvings(self) -> int:
-        """Of an interval in which nothing bounds how tubes turn, before it is given up."""
-        return self.effort.proof_halvings
-
-    @property
+    @cached_property
     def says(self) -> str:
         """What can be proved nowhere, in words; empty where nothing is known to stand against it."""
-        return ""
+        what = "" if self.load is None else uncovered(self.load)
+        return f"what lies between equilibria under {what} is not bounded" if what else ""
+
+    @property
+    def halvings(self) -> int:
+        """Of an interval in which nothing bounds how tubes turn, before it is given up; none where nothing does."""
+        return 0 if self.says else self.effort.proof_halvings
 
     @property
     def over(self) -> bool:
@@ -142,6 +143,8 @@ class Follower:
 
     def near(self, here: Step, at: float, joints: Array) -> Step | None:
         """The same, by one solve; None also where that is not enough."""
+        if self.load is not None:  # under which small changes of joints are one solve
+            return self.step(here, at, joints)
         rotations, translations = np.split(joints, 2)
         e = one_step(self.robot, here.equilibrium, rotations, tuple(translations.tolist()))
         if e is None or not e.stable:
@@ -167,10 +170,18 @@ class Follower:
 
     def intervals(self, equilibria: Sequence[Equilibrium], one: Index, other: Index) -> Intervals:
         """Those between some of a list of equilibria."""
-        return Intervals.of(Arms.of(self.constants, equilibria), one, other)
+        if self.load is None or self.says:
+            return Intervals.of(Arms.of(self.constants, equilibria), one, other)
+        arms = LoadedArms.of(self.constants, equilibria, pull=Pull.of(self.robot, self.load))
+        return LoadedIntervals.of(arms, one, other)
 
     def joined(self, intervals: Intervals) -> Branch:
-        """What is known between neighbours."""
+        """What is known between neighbours: nothing of a load that the bounds do not cover."""
+        if isinstance(intervals, LoadedIntervals):
+            return loaded_branch(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
+        if self.says:
+            none = np.zeros(len(intervals.one), dtype=bool)
+            return Branch(none, np.full(intervals.length[0].shape, np.inf), none)
         return branch(intervals, _stiffness(intervals.arms))
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
@@ -183,52 +194,11 @@ class Follower:
 
     def snap(self, e: Equilibrium, joints: Array) -> float | None:
         """Share of the straight way from an equilibrium to joint values (2n,) after which it snaps."""
-        path = JointPath(self.robot, np.concatenate([e.rotations, e.translations]), joints)
-        return next((point.fold.t for point in motion_along(path, polish(e)) if isinstance(point, Event)), None)
-
-
-@dataclass(eq=False)
-class LoadedFollower(Follower):
-    """Follows a robot that bears a load past bodies."""
-
-    load: Load = field(default_factory=Load)
-
-    @property
-    def halvings(self) -> int:
-        """None where nothing bounds anything."""
-        return 0 if uncovered(self.load) else super().halvings
-
-    @property
-    def says(self) -> str:
-        """What can be proved nowhere, in words; empty where nothing is known to stand against it."""
-        what = uncovered(self.load)
-        return f"what lies between equilibria under {what} is not bounded" if what else ""
-
-    @cached_property
-    def pull(self) -> Pull:
-        """The load on the cross-sections."""
-        return Pull.of(self.robot, self.load)
-
-    def near(self, here: Step, at: float, joints: Array) -> Step | None:
-        """The same: small changes of joints are one solve."""
-        return self.step(here, at, joints)
-
-    def intervals(self, equilibria: Sequence[Equilibrium], one: Index, other: Index) -> Intervals:
-        """Those between some of a list of equilibria."""
-        if uncovered(self.load):
-            return super().intervals(equilibria, one, other)
-        return LoadedIntervals.of(LoadedArms.of(self.constants, equilibria, pull=self.pull), one, other)
-
-    def joined(self, intervals: Intervals) -> Branch:
-        """What is known between neighbours: nothing of a load that the bounds do not cover."""
-        if not isinstance(intervals, LoadedIntervals):
-            none = np.zeros(len(intervals.one), dtype=bool)
-            return Branch(none, np.full(intervals.length[0].shape, np.inf), none)
-        return loaded_branch(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
-
-    def snap(self, e: Equilibrium, joints: Array) -> float | None:
-        """Share of the straight way from an equilibrium to joint values (2n,) after which it snaps."""
-        path = JointPath(self.robot, np.concatenate([e.rotations, e.translations]), joints, LOADED_DISCRETISATION)
+        begin = np.concatenate([e.rotations, e.translations])
+        if self.load is None:
+            plain = motion_along(JointPath(self.robot, begin, joints), polish(e))
+            return next((point.fold.t for point in plain if isinstance(point, Event)), None)
+        path = JointPath(self.robot, begin, joints, LOADED_DISCRETISATION)
         points = loaded_motion_along(JointFamily(path, self.load, self.load), replace(loaded_point(e), t=0.0))
         return next((point.loss.t for point in points if isinstance(point, LoadedEvent)), None)
 

@@ -37,7 +37,7 @@ from ..typing import Array, Sentence
 from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .motion import RateLimits
-from .passage import SHORTEST, Follower, LoadedFollower, Passage, Step, follow
+from .passage import SHORTEST, Follower, Passage, Step, follow
 
 
 class ProofStatus(Sentence):
@@ -192,8 +192,7 @@ def verify_trajectory(  # noqa: PLR0913
         raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     wanted = Wanted(clearance + moved, effort.proof_accuracy, effort.proof_cells)
-    what = robot, scene_of(bodies), wanted, clock or Clock(math.inf), effort
-    follower = Follower(*what) if load is None else LoadedFollower(*what, load=load)
+    follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(math.inf), effort, load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
     if forced is not None:

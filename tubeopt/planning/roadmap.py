@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from operator import is_
 from os import PathLike
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 import scipy
 
 from ..bodies.obstacles import Obstacle
+from ..bodies.scene import Same
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..inverse.clock import Clock, LateError
@@ -106,9 +106,9 @@ class Roadmap(Displayed):
         """Forget what was found of edges where another question is asked."""
         if not np.array_equal(task.chart.parameters, self.parameters):
             raise InputError("the roadmap is of another robot")
-        asks = (task.obstacles, task.min_margin, task.clearance, task.floor, task.margin_room, task.clearance_room)
-        same = len(self.asked_with) == len(asks) and self.asked_with[1:] == asks[1:]
-        if not (same and len(self.asked_with[0]) == len(asks[0]) and all(map(is_, self.asked_with[0], asks[0]))):
+        rooms = task.margin_room, task.clearance_room
+        asks = (Same(task.obstacles), task.min_margin, task.clearance, task.floor, *rooms)
+        if asks != self.asked_with:
             self.known.clear()
         self.asked_with = asks
 

@@ -276,6 +276,11 @@ class Intervals:
             points.append(self.arms.points(e[which], low + x * (high - low)))
         return points[0], points[1]
 
+    def sagitta(self, which: Index, section: Index, x: Array) -> Array:
+        """(N,) how far arms bend off straight lines between fractions x (N, 2) of sections of intervals `which`, m."""
+        long = np.maximum(*self.length)[which, section] * (x[:, 1] - x[:, 0])
+        return np.asarray(self.bending.most[which, section] * long**2 / 8)
+
     @property
     def parts(self) -> tuple[tuple[Index, Array], tuple[Index, Array]]:
         """At either end equilibria and arc lengths (B, K, PARTS + 1), of the ends of PARTS stretches of a section."""

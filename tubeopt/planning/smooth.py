@@ -22,6 +22,7 @@ from .path_program import (
     path_cost,
     path_program,
 )
+from .timing import Limits
 from .tracking import Tracked, track
 
 OBJECTIVES = ("length", "time", "effort", "margin")
@@ -60,11 +61,9 @@ def joint_curves(task: Task, points: Array) -> list[Array]:
     """The joint values of every straight motion of a way (k, m), evenly spaced and as close as it takes to check it."""
     out = []
     for a, b in pairwise(points):
-        line = task.line(a, b)
-        pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
+        pieces = (len(task.line(a, b)) - 1) * 2 ** (task.fineness(a, b) or 0)
         for halvings in range(task.effort.smoothing_halvings + 1):
-            fine = line[0] + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (line[-1] - line[0])
-            q = task.chart.joints(fine)
+            q = task.chart.joints(a + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (b - a))
             if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= task.effort.smoothing_bend:
                 break
         out.append(q)
@@ -85,18 +84,12 @@ def resample(task: Task, points: Array, count: int) -> Array:
 
 
 def smooth(
-    task: Task,
-    start: Equilibrium,
-    points: Array,
-    limits: tuple[Array, Array],
-    *,
-    objective: str = "length",
-    extra: OwnObjective | None = None,
-    clock: Clock,
+    task: Task, start: Equilibrium, points: Array, limits: Limits, aim: tuple[str, OwnObjective | None], clock: Clock
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
-    the clock is over. How long it takes is told by objectives of time and effort only. `extra` is an own cost, of which
-    the mean along the path counts beside the objective."""
+    the clock is over. How long it takes is told by objectives of time and effort only. `aim`: the objective, and an own
+    cost, of which the mean along the path counts beside it."""
+    objective, extra = aim
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     intervals, iterations = task.effort.smoothing_intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
@@ -105,7 +98,7 @@ def smooth(
         near = _near(task, z)
         if task.chart.size > task.effort.smoothing_operations or clock.left < clock.crowding * building(near):
             return None
-        found = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
+        found = _solve(near, z, share, limits, (objective, own), room, clock)
         if found is None:
             return None
         iterations += found.iterations
@@ -129,23 +122,16 @@ def _near(task: Task, z: Array) -> Task:
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
 
 
-def _solve(
-    task: Task,
-    z: Array,
-    share: Array,
-    limits: tuple[Array, Array],
-    aim: tuple[str, tuple[Expression, float] | None],
-    room: tuple[float, float],
-    clock: Clock,
-) -> Smoothed | None:
-    """The program's solution from knots (K, m) in the chart.
+Aim = tuple[str, tuple[Expression, float] | None]
+"""The objective, and an own cost with its weight."""
 
-    `aim`: the objective, and an own cost with its weight.  `room`: above the margin and the clearance (m) to keep, at
-    knots.
-    """
+
+def _solve(task: Task, z: Array, share: Array, limits: Limits, aim: Aim, room: Array, clock: Clock) -> Smoothed | None:
+    """The program's solution from knots (K, m) in the chart, with so much room (2,) above the margin and the clearance
+    (m) to keep, at knots."""
     objective, extra = aim
     space, n = task.chart.space, task.chart.space.robot.n_tubes
-    scale, (rate, acceleration) = task.scale, limits
+    scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
         task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, task.effort, extra
     )
@@ -167,22 +153,21 @@ def _solve(
         twist=np.maximum(task.effort.smoothing_twist, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
     )
-    floor = min(task.min_margin + room[0], 0.998)
+    floor = min(task.min_margin + float(room[0]), 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
-    least = _to_keep(task, program, np.asarray(program.least(x, p)), z, room[1])
+    least = _to_keep(task, program, np.asarray(program.least(x, p)), z, float(room[1]))
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
     if not (stats["success"] or stats["return_status"] in UNFINISHED):
         return None
-    x = np.asarray(result["x"]).ravel()
-    size = q.size
-    joints, rates = (x[k * size : (k + 1) * size].reshape(q.shape) * scale for k in (0, 1))
-    tips = x[2 * size : 2 * size + n * len(q)].reshape(len(q), n)
-    duration = float(np.sqrt(x[-2])) * unit
+    sizes = np.cumsum([q.size, q.size, n * len(q)])
+    *moved, tips, (square, _) = np.split(np.asarray(result["x"]).ravel(), sizes)
+    joints, rates = (each.reshape(q.shape) * scale for each in moved)
+    duration = float(np.sqrt(square)) * unit
     motion = cubic(time * duration, joints, rates / duration)
-    return Smoothed(motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"]))
+    return Smoothed(motion, np.column_stack([tips.reshape(-1, n), joints[:, n:]]), int(stats["iter_count"]))
 
 
 def begin_rates(q: Array, time: Array) -> Array:
