@@ -266,7 +266,7 @@ def _within(body: Any, points: Array, least: Array) -> Array:
     return np.asarray(body.signed_distance(points))
 
 
-class _Same:
+class Same:
     """Bodies as a key: the same ones, not equal ones, which a mesh would take long to compare."""
 
     def __init__(self, bodies: Sequence[Any]) -> None:
@@ -277,14 +277,14 @@ class _Same:
         return hash(self._identity)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self._identity == other._identity
+        return isinstance(other, Same) and self._identity == other._identity
 
 
 @lru_cache(maxsize=8)
-def _scene(key: _Same) -> Scene:
+def _scene(key: Same) -> Scene:
     return Scene(key.bodies)
 
 
 def scene_of(bodies: Sequence[Any]) -> Scene:
     """The scene of bodies, its trees built once for the same bodies."""
-    return _scene(_Same(bodies))
+    return _scene(Same(bodies))
