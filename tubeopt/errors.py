@@ -94,9 +94,9 @@ class Settings(Displayed):
                 positive(each.name, value)
 
 
-def instance(name: str, value: Any, wanted: type) -> None:
-    """Raise InputError naming `name` unless `value` is a `wanted`."""
-    if not isinstance(value, wanted):
+def instance(name: str, value: Any, wanted: type, *, optional: bool = False) -> None:
+    """Raise InputError naming `name` unless `value` is a `wanted`; where it is optional, None will do."""
+    if not (isinstance(value, wanted) or (optional and value is None)):
         article = "an" if wanted.__name__[0] in "AEIOU" else "a"
         raise InputError(f"{name} is {value!r}; it must be {article} {wanted.__name__}")
 

@@ -392,9 +392,9 @@ def test_arguments_of_another_kind_are_named() -> None:
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"obstacles": body}, r"obstacles is Sphere.*it must be a sequence of bodies"),
         ({"obstacles": [3]}, r"obstacle 1 is 3; it must be a body"),
-        ({"rate_limits": {"rotation": 1}}, r"rate_limits is .*; it must be of class RateLimits"),
-        ({"options": {"seed": 1}}, r"options is .*; it must be of class PlanOptions"),
-        ({"limits": 3}, r"limits is 3; it must be of class JointLimits"),
+        ({"rate_limits": {"rotation": 1}}, r"rate_limits is .*; it must be a RateLimits"),
+        ({"options": {"seed": 1}}, r"options is .*; it must be a PlanOptions"),
+        ({"limits": 3}, r"limits is 3; it must be a JointLimits"),
     ]
     for argument, message in wrong:
         for ask in (plan_trajectory, follow_tip_path):

@@ -47,6 +47,18 @@ class Obstacle(Protocol):
     def __hash__(self) -> int: ...
 
 
+def checked_obstacles(obstacles: Any) -> tuple[Obstacle, ...]:
+    """The obstacles as a tuple; raises InputError for what is no sequence of bodies."""
+    try:
+        bodies = tuple(obstacles)
+    except TypeError:
+        raise InputError(f"obstacles is {obstacles!r}; it must be a sequence of bodies, as [Sphere(...)]") from None
+    for k, body in enumerate(bodies):
+        if not hasattr(body, "signed_distance"):
+            raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.bodies")
+    return bodies
+
+
 def root(square: Any) -> Any:
     """The square root, smooth at 0."""
     return (square + SMOOTH**2) ** 0.5

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from ..display import Displayed
-from ..errors import InputError, SolveError, positive, whole
+from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -321,8 +321,7 @@ def _searched(
 
 
 def _check(task: DesignTask) -> None:
-    if not isinstance(task, DesignTask):
-        raise InputError(f"task is {task!r}; it must be a DesignTask")
+    instance("task", task, DesignTask)
     if task.has_poses:
         raise InputError(
             "the task has poses; a search without derivatives takes requirements on tubes and certificates"

@@ -12,18 +12,17 @@ from typing import Protocol
 import numpy as np
 
 from ..bodies.frames import Frame
-from ..bodies.obstacles import Capsule, Obstacle, Sphere
+from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles
 from ..bodies.placed import seen_from
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, vector
-from ..inverse.arguments import check_robot, checked_obstacles, kind_of
+from ..errors import InputError, instance, vector
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..inverse.way_settings import DEFAULT_WAY, WaySearch
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..typing import Array
 from .apart import PairProof, Track, apart, tracked
 from .clearing import Wanted
@@ -52,7 +51,7 @@ class PlacedRobot(Displayed):
 
     def __post_init__(self) -> None:
         check_robot(self.robot)
-        kind_of("base", self.base, Frame)
+        instance("base", self.base, Frame)
         vector("origin of the base", self.base.origin, 3, "x, y, z")
         axes = np.asarray(self.base.axes, dtype=float)
         if axes.shape != (3, 3) or not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0:
@@ -121,7 +120,7 @@ def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
     except TypeError:
         raise InputError(f"arms is {arms!r}; it must be a list of PlacedRobot") from None
     for k, arm in enumerate(found):
-        kind_of(f"arm {k + 1}", arm, PlacedRobot)
+        instance(f"arm {k + 1}", arm, PlacedRobot)
     if len(found) < 2:
         raise InputError(f"arms has {len(found)}; several robots are at least 2")
     return found

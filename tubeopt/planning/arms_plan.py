@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError
-from ..inverse.arguments import checked_obstacles, kind_of
+from ..errors import InputError, SolveError, instance
 from ..inverse.clock import Clock
 from ..inverse.question import prepared
 from ..inverse.way_settings import DEFAULT_WAY
@@ -148,7 +147,7 @@ def plan_arms(
     known = checked_arms(arms)
     one_each("starts", starts, known)
     one_each("goals", goals, known)
-    kind_of("options", options, PlanOptions)
+    instance("options", options, PlanOptions)
     if options.roadmap is not None or options.max_force:
         raise InputError("roadmap and max_force are of one robot; a plan of several arms has none")
     clock, bodies = Clock(options.time_limit), checked_obstacles(obstacles)

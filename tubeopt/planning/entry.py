@@ -18,8 +18,7 @@ from ..bodies.obstacles import Obstacle, nearest_distance
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, numbers, positive, whole
-from ..inverse.arguments import kind_of
+from ..errors import InputError, SolveError, instance, numbers, positive, whole
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..inverse.task import Task
@@ -142,7 +141,7 @@ def plan_from_region(
         >>> plan.proved
         True
     """
-    kind_of("region", region, EntryRegion)
+    instance("region", region, EntryRegion)
     task, clock = asked(robot, obstacles, options=options, **given)
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)

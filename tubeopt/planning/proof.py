@@ -17,21 +17,20 @@ from time import perf_counter as time_now
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
-from ..errors import InputError, finite, positive
-from ..inverse.arguments import check_robot, checked_obstacles, kind_of
+from ..errors import InputError, finite, instance, positive
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.limits import JointLimits
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
@@ -180,10 +179,10 @@ def verify_trajectory(  # noqa: PLR0913
     """
     check_robot(robot)
     bodies = checked_obstacles(obstacles)
-    kind_of("limits", limits, JointLimits, optional=True)
-    kind_of("rate_limits", rate_limits, RateLimits, optional=True)
-    kind_of("start", start, Equilibrium, optional=True)
-    kind_of("effort", effort, WaySearch)
+    instance("limits", limits, JointLimits, optional=True)
+    instance("rate_limits", rate_limits, RateLimits, optional=True)
+    instance("start", start, Equilibrium, optional=True)
+    instance("effort", effort, WaySearch)
     alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..bodies.obstacles import Obstacle
-from ..errors import InputError, SolveError, finite
-from ..inverse.arguments import check_robot, checked_obstacles, kind_of
+from ..bodies.obstacles import Obstacle, checked_obstacles
+from ..errors import InputError, SolveError, finite, instance
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
 from ..inverse.joints import JointSpace
@@ -18,7 +17,7 @@ from ..inverse.question import prepared
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..stability.deflection import under_any_force
 from ..typing import Array
 from .loaded_chart import LoadedChart
@@ -51,11 +50,11 @@ def asked(
     Raises:
         InputError: arguments of another kind, or with numbers that make no sense.
     """
-    kind_of("options", options, PlanOptions)
+    instance("options", options, PlanOptions)
     clock = Clock(options.time_limit)
     check_robot(robot)
-    kind_of("limits", limits, JointLimits, optional=True)
-    kind_of("rate_limits", rate_limits, RateLimits)
+    instance("limits", limits, JointLimits, optional=True)
+    instance("rate_limits", rate_limits, RateLimits)
     bodies = checked_obstacles(obstacles)
     if options.extra_cost is not None:
         path_cost(options.extra_cost, robot.n_tubes)
@@ -73,7 +72,7 @@ def asked(
 
 def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     """The chart of a robot that bears a load; raises InputError where no plan could be proved."""
-    kind_of("load", load, Load)
+    instance("load", load, Load)
     what = uncovered(load)
     if what:
         raise InputError(f"load has {what}, under which no motion can be proved")
