@@ -8,9 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from ..block.own import OwnObjective
-from ..errors import InputError, choice, finite, positive, vector
+from ..errors import InputError, choice, finite, numbers, positive, vector
 from ..files.marks import POSITIVE, OneOf, unit
-from .checks import row
 
 KINDS = {
     "tip_curvature": ("tip curvature", "1/m", 1.0, -1),
@@ -104,7 +103,7 @@ class Objective:
                 raise InputError(
                     "translations belong to the objectives tip_curvature and turning_radius, and to no other"
                 )
-            object.__setattr__(self, "translations", row("translations of the objective", self.translations))
+            object.__setattr__(self, "translations", numbers("translations of the objective", self.translations))
 
     @property
     def words(self) -> str:

@@ -14,10 +14,10 @@ from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
-from ..errors import InputError, finite, positive, whole
+from ..errors import InputError, finite, positive, vector, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
 from ..typing import Array
-from .checks import Rows, items, table, triple
+from .checks import Rows, items, table
 from .drawn import ALONG, SHARES
 
 
@@ -60,9 +60,9 @@ class SnapFree:
         if self.max_force and self.box is not None:
             raise InputError("max_force and box are given; under a force a certificate is for given translations")
         if self.translations is not None:
-            object.__setattr__(self, "translations", table("translations of the certificate", self.translations, 0))
+            object.__setattr__(self, "translations", table("translations of the certificate", self.translations))
         if self.box is not None:
-            rows = table("box of translations", self.box, 0)
+            rows = table("box of translations", self.box)
             if len(rows) != 2:
                 raise InputError(
                     f"box of translations has {len(rows)} rows; it must have 2, the least and the greatest"
@@ -199,10 +199,11 @@ class Target:
     direction_tolerance: Annotated[float, unit("deg"), POSITIVE, "largest angle to the direction"] = np.radians(2.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", triple("position of a target", self.position))
+        position = vector("position of a target", self.position, 3, "x, y, z")
+        object.__setattr__(self, "position", tuple(position.tolist()))
         positive("tolerance of a target", self.tolerance)
         if self.direction is not None:
-            d = np.array(triple("direction of a target", self.direction))
+            d = vector("direction of a target", self.direction, 3, "x, y, z")
             size = float(np.linalg.norm(d))
             if size == 0:
                 raise InputError("direction of a target is 0, 0, 0; it must point somewhere")
@@ -237,7 +238,8 @@ class Coverage:
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
-            object.__setattr__(self, name, triple(f"{name} corner of the workspace box", getattr(self, name)))
+            corner = vector(f"{name} corner of the workspace box", getattr(self, name), 3, "x, y, z")
+            object.__setattr__(self, name, tuple(corner.tolist()))
         if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
             raise InputError("the workspace box is crossed; its lower corner must not be above its upper corner")
         positive("tolerance of the workspace box", self.tolerance)
@@ -253,7 +255,7 @@ class Poses:
 
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):
-            object.__setattr__(self, name, table(f"{name} of the poses", getattr(self, name), 0))
+            object.__setattr__(self, name, table(f"{name} of the poses", getattr(self, name)))
         if len(self.rotations) != len(self.translations):
             raise InputError("poses have as many rows of rotations as of translations")
 

@@ -14,12 +14,12 @@ from ..errors import InputError, SolveError, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
-from ..solvers.parallel.executors import executor
+from ..solvers.parallel.executors import executor, run_all
+from ..typing import Progress
 from .exchange import robot_at
 from .multistart import multistart
 from .objectives import key_of
 from .optimize import settle
-from .pool import Progress, run_all
 from .program import compile_task, objective_value, state_at
 from .requirements import Length, Nesting, Strain, Wall
 from .task import DesignTask

@@ -15,10 +15,9 @@ from ..errors import InputError, SolveError, choice, positive, vector, whole
 from ..files.marks import NOT_NEGATIVE, OneOf, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import OfCrossSection, Tube
-from ..solvers.parallel.executors import executor
+from ..solvers.parallel.executors import executor, run_all
 from ..stability import snap_free_certificate
-from ..typing import Array
-from .pool import Progress, run_all
+from ..typing import Array, Progress
 
 
 @dataclass(frozen=True)
