@@ -135,9 +135,7 @@ def answer_at(
 
 def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointWay:
     """A way through independent joint values (m,)."""
-    table = np.array([space.joint(q) for q in points])
-    n = space.robot.n_tubes
-    return JointWay(origin, table[:, :n], table[:, n:])
+    return JointWay(origin, *np.split(np.array([space.joint(q) for q in points]), 2, axis=1))
 
 
 def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> InverseSolution:
