@@ -15,13 +15,12 @@ from ..errors import SolveError, choice, instance, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
-from ..typing import Array, Sentence
+from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
 from .exchange import carry, certified_at, robot_at, violations
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
-from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
 from .rechecks import Check
 from .relaxation import InfeasibleDesignError, smallest_relaxations

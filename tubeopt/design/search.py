@@ -16,12 +16,11 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
-from ..typing import Array
+from ..typing import Array, Progress
 from .exchange import robot_at
 from .multistart import multistart, rank
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
-from .pool import Progress
 from .program import Program, compile_task
 from .requirements import SnapFree
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation
