@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
@@ -115,6 +115,26 @@ def padded(coefficients: Sequence[Sequence[float]], width: int = 1) -> Array:
     for row, panel in zip(out, coefficients, strict=True):
         row[: len(panel)] = panel
     return out
+
+
+def vary(quantities: Iterable[Any]) -> bool:
+    """Whether any of these is a series."""
+    return any(isinstance(quantity, Series) for quantity in quantities)
+
+
+def values(quantity: Quantity, s: Array) -> Array:
+    """(N,) values of a quantity at arc lengths (N,), m."""
+    return quantity(s) if isinstance(quantity, Series) else np.full(len(s), quantity)
+
+
+def at(quantity: Quantity, s: float) -> float:
+    """Its value at one arc length, m."""
+    return quantity.value(s) if isinstance(quantity, Series) else quantity
+
+
+def stretched(quantity: Any, factor: float) -> Any:
+    """A quantity, or none, along a stretch that is `factor` times as long."""
+    return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
 
 
 def times(quantity: Quantity, factor: float) -> Quantity:
