@@ -15,7 +15,7 @@ from ..robots.assembly import Assembly
 from ..robots.series import Quantity, at, vary
 from ..robots.tubes import stretches
 from ..typing import Array
-from .result import Equilibrium, Verification, refuse_load
+from .result import Equilibrium, Verification, refuse_load, small_turn
 
 TOLERANCE = 1e-12
 
@@ -40,13 +40,11 @@ def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
         torsion = state[n : 2 * n] / section.tubes(stop)[1]
         loose = max(loose, float(np.abs(torsion[ends]).max(initial=0.0)))
     turn = state[2 * n : 2 * n + 9].reshape(3, 3).T @ equilibrium.tip_rotation
-    # For a small turn the antisymmetric part of R is the turn vector; arccos of the trace would lose half the digits.
-    vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
     return replace(
         equilibrium,
         verification=Verification(
             tip_position=float(np.linalg.norm(state[2 * n + 9 :] - equilibrium.tip_position)),
-            tip_rotation=float(np.linalg.norm(vector)),
+            tip_rotation=float(np.linalg.norm(small_turn(turn))),
             rotation=worst,
             end_torsion=loose,
             base_rotation=float(np.abs(base).max(initial=0.0)),
