@@ -15,7 +15,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, positive, vector
+from ..errors import InputError, positive, triple
 from ..files.marks import POSITIVE, unit
 from ..typing import Array
 from .scene import scene_of
@@ -69,12 +69,6 @@ def as_points(points: ArrayLike) -> Array:
     if array.shape[-1:] != (3,):
         raise InputError(f"points have shape {array.shape}; the last axis must hold x, y, z")
     return array
-
-
-def triple(name: str, value: ArrayLike) -> Point3:
-    """x, y, z as numbers; raises InputError naming them."""
-    x, y, z = vector(name, value, 3, "x, y, z").tolist()
-    return x, y, z
 
 
 class Measured:
@@ -346,6 +340,13 @@ class Box(Measured):
         nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
         outside = np.maximum(beyond, 0.0) * side
         return np.where((beyond.max(-1) > 0)[..., None], unit_vectors(outside, np.array([0.0, 0.0, 1.0])), nearest)
+
+
+def distance_of_numbers(body: Obstacle, x: Any, y: Any, z: Any, refusal: str) -> Array:
+    """The `distance` of a body that has no formula for it; raises InputError with the `refusal` for symbols."""
+    if not all(isinstance(value, (int, float, np.ndarray)) for value in (x, y, z)):
+        raise InputError(refusal)
+    return body.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
 
 
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:

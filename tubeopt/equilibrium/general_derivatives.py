@@ -87,12 +87,8 @@ class Linearised:
         problem = solution.problem
         assert problem.here is not None
         assert problem.assembly.lengthwise is not None
-        self.problem, self.solution, self.here, self.table = (
-            problem,
-            solution,
-            problem.here,
-            problem.assembly.lengthwise,
-        )
+        self.problem, self.solution = problem, solution
+        self.here, self.table = problem.here, problem.assembly.lengthwise
         self.robot, self.t, self.length = equilibrium.robot, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
         self.shape = len(self.length), self.t.degree, self.n

@@ -10,7 +10,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..typing import Array, Mask
-from .series import breaks_of, on_panels
+from .series import breaks_of, on_panels, zeros
 from .tubes import Tube, stretches
 
 QUANTITIES = ("bending_stiffness", "torsional_stiffness", "x", "y", "z", "wound")
@@ -186,10 +186,7 @@ def _zeros(x: Array, y: Array) -> list[float]:
         return []
     size = max(len(x), len(y))
     bend = sum(f * np.pad(c, (0, size - len(c))) for f, c in ((np.cos(angle), x), (np.sin(angle), y)))
-    bend = chebyshev.chebtrim(bend, 1e-14 * float(np.abs(bend).max()))
-    roots = chebyshev.chebroots(bend) if len(bend) > 1 else np.zeros(0)
-    real = roots.real[np.abs(roots.imag) < 1e-9]
-    return sorted(real[np.abs(real) < 1 - 1e-9].tolist())
+    return sorted(zeros(np.asarray(bend), 1e-9).tolist())
 
 
 def _degree(coefficients: Array) -> int:

@@ -41,12 +41,6 @@ class Steps:
     twist: Array
     wound: Array
 
-    @property
-    def compliance(self) -> Array:
-        """(n, C) int ds / GJ from the held end to where stretches begin, 1/(N m)."""
-        lengths = np.diff(self.cuts, axis=1, prepend=0.0)
-        return np.cumsum(lengths / self.torsional, axis=1) - lengths / self.torsional
-
 
 def steps_of(tubes: Sequence[Tube]) -> Steps:
     """The stretches of tubes; of those that vary along a piece, to some 0.01 % of their length."""

@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 
 from ...errors import InputError
 from ...robots.pieces import Piece
-from ...robots.series import Quantity, Series, breaks_of, on_panels, stretched, times, values, vary
+from ...robots.series import Quantity, Series, breaks_of, on_panels, stretched, times, values, vary, zeros
 from ...robots.tubes import Tube
 from ...typing import Array
 from .springback import Springback
@@ -84,9 +84,7 @@ def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
     found = set(breaks.tolist())
     for quantity in (x, y):
         for (low, high), coefficients in zip(pairwise(breaks), on_panels(quantity, breaks), strict=True):
-            trimmed = chebyshev.chebtrim(coefficients, 1e-14 * float(np.abs(coefficients).max()))
-            roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
-            inside = roots.real[(np.abs(roots.imag) < 1e-7) & (np.abs(roots.real) < 1 - 1e-9)]
+            inside = zeros(coefficients, 1e-7)
             found |= {float((low + high) / 2 + r * (high - low) / 2) for r in inside}
     return sorted(found)
 
