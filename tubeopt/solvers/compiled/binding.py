@@ -201,7 +201,7 @@ def solve_compiled(
     room = room_of(kernel)
     room.fields["loading"] = time.perf_counter() - began
     memory, alpha, shift, guess = _pack(rotations, translations, start)
-    status = kernel.functions.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
+    status = kernel.functions.solve(tubes, alpha, shift, guess, *room.at)
     room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
     return room.fields if status == SOLVED else None
 
@@ -304,5 +304,5 @@ def solve_many_compiled(
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (address(a) for a in (alpha, shift, table, declined))
     whole = (0, None) if arms is None else (arms.shape[2], address(arms))
-    kernel.functions.solve_many(tubes, kernel.method, count, *places, *whole, *room.at)
+    kernel.functions.solve_many(tubes, count, *places, *whole, *room.at)
     return table, declined.astype(bool)
