@@ -18,7 +18,7 @@ from ...robots.path_file import load_waypoints as load_path
 from ...robots.robot import Robot
 from ...stability import Path, Snap, follow
 from ...typing import Array
-from .session import Session, check, moved_to, record
+from .session import Session, check, moved_to, record, strides
 
 TURN_SPEED = np.radians(45.0)
 """Speed (rad/s) of the fastest tube where a file gives no times."""
@@ -105,9 +105,8 @@ def passed(session: Session) -> Waypoints:
 
 def paced(rotations: Array, translations: Array) -> Array:
     """(T,) times at which waypoints are passed at `TURN_SPEED` and `SLIDE_SPEED`, s."""
-    turn = np.abs(np.diff(rotations, axis=0)).max(1, initial=0.0) / TURN_SPEED
-    slide = np.abs(np.diff(translations, axis=0)).max(1, initial=0.0) / SLIDE_SPEED
-    return np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(turn, slide), 1e-3))])
+    seconds = strides(rotations, translations, turn=TURN_SPEED, slide=SLIDE_SPEED)
+    return np.concatenate([[0.0], np.cumsum(np.maximum(seconds, 1e-3))])
 
 
 @lru_cache(maxsize=4)

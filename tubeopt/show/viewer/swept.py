@@ -14,6 +14,7 @@ from ...typing import Array
 from ..arm_surfaces import Centreline
 from ..surfaces import Surface
 from .playback import Playback, snaps_between, state_at
+from .session import strides
 
 STEP = np.radians(20.0)
 """Largest turn of a tube between shapes whose common hull is taken."""
@@ -70,9 +71,8 @@ def swept_volume(playback: Playback) -> Swept:
 def _runs(playback: Playback) -> list[list[Equilibrium]]:
     """Shapes close together in time, in runs that no snap interrupts."""
     points = playback.waypoints
-    turn = np.abs(np.diff(points.rotations, axis=0)).max(1, initial=0.0) / STEP
-    slide = np.abs(np.diff(points.translations, axis=0)).max(1, initial=0.0) / SLIDE
-    count = np.maximum(np.ceil(np.maximum(turn, slide)), 1).astype(int)
+    steps = strides(points.rotations, points.translations, turn=STEP, slide=SLIDE)
+    count = np.maximum(np.ceil(steps), 1).astype(int)
     count = np.maximum(1, np.floor(count * min(1.0, MOST_SHAPES / max(count.sum(), 1)))).astype(int)
     times = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(points.time, points.time[1:], count, strict=False)]
     runs: list[list[Equilibrium]] = [[playback.path.equilibria[0]]]
