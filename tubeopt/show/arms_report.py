@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -144,9 +143,9 @@ class ArmsReport(Report[ArmsPlan]):
         """The arms and their distances, still and moving, and as a page that plays where viser is installed."""
         shown = {"arms": drawing("arms.plot_arms", self.answer), "arms.gif": drawing("arms.animate_arms", self.answer)}
         if find_spec("viser") is not None:
-            from .viewer.arms import save_arms_page
+            from .viewer.export import arms_page
 
-            shown["arms.html"] = partial(save_arms_page, self.answer)
+            shown["arms.html"] = lambda path: write_text(path, arms_page(self.answer))
         return shown
 
     def conclude(self) -> None:

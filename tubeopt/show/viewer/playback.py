@@ -84,21 +84,16 @@ def without_times(robot: Robot, way: Way) -> Waypoints:
 
 
 def recorded(session: Session) -> Waypoints:
-    """What a session has recorded, as waypoints that are passed at the speeds of a file without times.
+    """What a session has recorded, where the robot stood still but once, as waypoints that are passed at the speeds of
+    a file without times.
 
     Raises:
         InputError: nothing was recorded, or the robot did not move.
     """
-    way = passed(session) if session.recording else None
-    if way is None or len(way.time) < 2:
-        raise InputError("nothing was recorded: tick 'record what the robot passes', and move it")
-    return way
-
-
-def passed(session: Session) -> Waypoints:
-    """The joint values of a recording that is not empty, where it stands still but once."""
-    rows = np.array(session.recording)
+    rows = np.array(session.recording or [np.zeros(2 * session.robot.n_tubes)])
     moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)
+    if moved.sum() < 2:
+        raise InputError("nothing was recorded: tick 'record what the robot passes', and move it")
     rotations, translations = np.split(rows[moved], 2, axis=1)
     return Waypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
 
