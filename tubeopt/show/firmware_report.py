@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Group
+from rich.console import RenderableType
 
 from ..errors import SolveError
 from ..runs.firmware_study import LedHeating
@@ -13,7 +13,7 @@ from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.feedback import Contribution, Feedback
 from .heat_report import missed
 from .quantities import Quantity, line, within
-from .report import Report, grid, remarks, two_columns
+from .report import Report, grid, remarks
 
 CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
     Quantity("name", "what is not known"),
@@ -73,17 +73,16 @@ class LedHeatingReport(Report[LedHeating]):
     def title(self) -> str:
         return self.answer.plan.rig.name or "rig"
 
-    def table(self) -> Group:
-        """The law, what moves the temperature, and what to buy."""
+    def below(self) -> list[RenderableType]:
+        """What moves the temperature, and what to buy."""
         answer = self.answer
         moved = [(item.name.replace("_", " "), f"{item.deviation:.2f} K") for item in answer.feedback.contributions[:6]]
         bought = [(part.name, part.rating, part.why) for part in parts_list(answer.plan, answer.wiring)]
-        return Group(
-            two_columns(self.title(), self.rows()),
+        return [
             grid(("not known", "moves the hold by >"), moved, title="what moves the temperature (standard deviation)"),
             grid(("part", "rating", "why"), bought, title="what to build it of"),
             *remarks(answer.plan.problems, what="problem"),
-        )
+        ]
 
     def save(self, directory: Path) -> list[Path]:
         """Write law.json and the sketch."""

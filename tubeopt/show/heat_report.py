@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..errors import SolveError
@@ -23,7 +22,7 @@ from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
 from ..shaping.heating.trials import TrialFit
 from .quantities import Quantity, line, within
-from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, to_text
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of the temperatures of uncertain rigs that are told."""
@@ -133,21 +132,8 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("duty", "0 to 255, one for every slot", lambda p: p.duty),
 )  # fmt: skip
 
-TABLE = tuple(
-    quantity
-    for quantity in PLAN
-    if quantity.key
-    in (
-        "state_of_charge_percent",
-        "battery_V",
-        "feasible",
-        "broken",
-        "lowest_degC",
-        "highest_degC",
-        "hottest_degC",
-        "duty",
-    )
-)
+OF_A_TABLE = {"state_of_charge_percent", "battery_V", "feasible", "broken", "lowest_degC", "highest_degC",
+              "hottest_degC", "duty"}  # fmt: skip
 """What is told of the table for a state of charge."""
 
 OF_THE_BAND: tuple[Quantity[Band], ...] = (
@@ -171,7 +157,8 @@ HEATING: tuple[Quantity[Heating], ...] = (
     *within(PLAN, lambda a: a.plan),
     Quantity("band", "what uncertain rigs do, where that was asked for", lambda a: None if a.band is None else a,
              of=BAND, optional=True),
-    Quantity("tables", "the same for other states of charge", lambda a: list(a.tables), of=TABLE),
+    Quantity("tables", "the same for other states of charge", lambda a: list(a.tables),
+             of=[quantity for quantity in PLAN if quantity.key in OF_A_TABLE]),
 )  # fmt: skip
 
 
@@ -197,10 +184,10 @@ class HeatingReport(Report[Heating]):
             told.append((f"loss +-{100 * self.answer.uncertainty.loss:g} %", words))
         return told
 
-    def table(self) -> Group:
-        """The rows, the tables by charge, problems, and what would help."""
+    def below(self) -> list[RenderableType]:
+        """The tables by charge, problems, and what would help."""
         plan, tables = self.answer.plan, self.answer.tables
-        parts: list[Any] = [two_columns(self.title(), self.rows())]
+        parts: list[RenderableType] = []
         if tables:
             cells = [
                 (
@@ -217,7 +204,7 @@ class HeatingReport(Report[Heating]):
         parts += remarks((_cure_words(cure) for cure in plan.cures), what="what would help")
         if not plan.feasible and not plan.cures:
             parts += remarks(["none of the changes that were tried helps"])
-        return Group(*parts)
+        return parts
 
     def save(self, directory: Path) -> list[Path]:
         """Write the plan's schedule.csv, schedule.h and plan.json, and a table and a header for every charge."""
@@ -323,11 +310,13 @@ class TrialFitReport(Report[TrialFit]):
     quantities = TRIAL_FIT
     file = "calibration.json"
 
-    def table(self) -> Group:
-        """The factor, and where the trials ended."""
-        f = self.answer
-        doubts = ["the trials contradict one another or the rig file"] if f.surprise < UNLIKELY else []
-        return Group(two_columns(f.rig.name or "rig", self.rows()), *remarks(doubts, what="remark"))
+    def title(self) -> str:
+        return self.answer.rig.name or "rig"
+
+    def below(self) -> list[RenderableType]:
+        """Whether there is reason for doubt."""
+        doubts = ["the trials contradict one another or the rig file"] if self.answer.surprise < UNLIKELY else []
+        return [*remarks(doubts, what="remark")]
 
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and the calibrated rig.yaml."""

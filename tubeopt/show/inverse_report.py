@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..equilibrium.file import save_equilibrium
@@ -210,13 +210,12 @@ class TargetTableReport(Report[TargetTable]):
     command = "ik --targets"
     quantities = TARGETS
 
-    def table(self) -> Group:
-        """How many targets were reached, and why others were not."""
+    def below(self) -> list[RenderableType]:
+        """Why targets were not reached."""
         notes = [(r, _why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
         notes += [(r, f"leaps: {r.solution.leaps}") for r in self.answer.rows if r.solution and r.solution.leaps]
-        texts = [Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]]
-        texts += [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
-        return Group(two_columns(self.title(), self.rows()), *texts)
+        more = [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
+        return [*(Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]), *more]
 
     def save(self, directory: Path) -> list[Path]:
         """Write solutions.csv: a row per target, empty cells where there is no answer."""

@@ -23,8 +23,8 @@ from ..shaping.mold.prediction import predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.robot import RobotMold
 from ..shaping.mold.springback import Calibration, Springback
-from .quantities import Quantity, within
-from .report import Drawing, Report, drawing, grid, remarks, two_columns
+from .quantities import Quantity, with_unit, within
+from .report import Drawing, Report, drawing, grid, remarks
 
 CLAMP: tuple[Quantity[Clamp], ...] = (
     Quantity("end", "proximal or distal"),
@@ -157,14 +157,8 @@ SUFFIXES = {"m": "mm", "1": "percent", "K": "K"}
 
 
 def _check(check: Check) -> dict[str, Any]:
-    unit = SUFFIXES[check.unit]
-    limit = "at_most" if check.at_most else "at_least"
-    return {
-        "what": check.name,
-        f"value_{unit}": check.value * per_si(unit),
-        f"{limit}_{unit}": check.limit * per_si(unit),
-        "passed": check.passed,
-    }
+    values = {"value": check.value, "at_most" if check.at_most else "at_least": check.limit}
+    return {"what": check.name, **with_unit(SUFFIXES[check.unit], values), "passed": check.passed}
 
 
 def _trials(c: Calibration) -> list[dict[str, float]]:
@@ -226,8 +220,8 @@ class CalibrationReport(Report[Calibration]):
         ]
         return super().rows() + yields
 
-    def table(self) -> Group:
-        return Group(two_columns("spring-back", self.rows()), *remarks(self.answer.remarks, what="remark"))
+    def title(self) -> str:
+        return "spring-back"
 
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and springback.yaml."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group, RenderableType
+from rich.console import RenderableType
 from rich.text import Text
 
 from ..bodies.frames import Frame, roll_of
@@ -21,7 +21,7 @@ from ..runs.pair_study import PairAnswer
 from ..typing import Array
 from .design_report import CHECK, DIMENSION, DIMENSIONS, before_after, checked_again, dimension_rows
 from .quantities import Quantity, line
-from .report import Drawing, Report, drawing, grid, two_columns
+from .report import Drawing, Report, drawing, grid
 from .words import at_least
 
 
@@ -119,14 +119,14 @@ class PairReport(Report[PairAnswer]):
     def title(self) -> str:
         return " and ".join(self.answer.names)
 
-    def table(self) -> Group:
-        """The answer as tables: summary, and of each arm its dimensions and what was checked again."""
-        parts: list[RenderableType] = [two_columns(self.title(), self.rows())]
+    def below(self) -> list[RenderableType]:
+        """Of each arm its dimensions and what was checked again; the remarks."""
+        parts: list[RenderableType] = []
         for arm in _arms(self.answer):
             rows = dimension_rows(arm.solution)
             parts.append(grid(DIMENSIONS, rows, title=f"dimensions of {arm.name}", key=True))
             parts.append(checked_again(arm.solution))
-        return Group(*parts, *(Text(f"  {words}") for words in self.answer.remarks))
+        return [*parts, *(Text(f"  {words}") for words in self.answer.remarks)]
 
     def save(self, directory: Path) -> list[Path]:
         """Write arm_1/robot.yaml and arm_2/robot.yaml, the pairs of places, and design_pair.json."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from rich.console import Group
+from rich.console import RenderableType
 
 from ..shaping.mold.lattice import Peg
 from ..shaping.mold.peg_files import write_pegs
 from ..shaping.mold.pegs import PegBoard
 from .quantities import Quantity
-from .report import Report, grid, remarks, two_columns
+from .report import Report, grid
 
 PEG: tuple[Quantity[Peg], ...] = (
     Quantity("hole", "row from below by letter, place in the row from the left"),
@@ -50,8 +50,8 @@ class PegReport(Report[PegBoard]):
     def title(self) -> str:
         return f"{len(self.answer.pegs)} pegs for tube {self.answer.number}"
 
-    def table(self) -> Group:
-        """The numbers, where every peg goes, then the remarks."""
+    def below(self) -> list[RenderableType]:
+        """Where every peg goes, then the remarks."""
         heads = ("hole", "angle", "side", "along mm", "push N", "colder K")
         rows = [
             (
@@ -64,9 +64,7 @@ class PegReport(Report[PegBoard]):
             )
             for peg, dip in zip(self.answer.pegs, self.answer.heat.dip, strict=True)
         ]
-        return Group(
-            two_columns(self.title(), self.rows()), grid(heads, rows), *remarks(self.answer.remarks, what="remark")
-        )
+        return [grid(heads, rows), *super().below()]
 
     def save(self, directory: Path) -> list[Path]:
         """Write pegs.json, pegs.csv, board.dxf, board.svg and the board's programs."""

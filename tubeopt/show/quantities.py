@@ -153,6 +153,11 @@ def in_units(value: Any, unit: str) -> Any:
     return value if factor == 1 else value * factor
 
 
+def with_unit(unit: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values in SI with a unit of their own, which their keys then end in."""
+    return {f"{name}_{unit}" if unit else name: in_units(value, unit) for name, value in values.items()}
+
+
 def _parts(found: Any, quantities: Sequence[Quantity[Any]]) -> Any:
     if found is None:
         return None

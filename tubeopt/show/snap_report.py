@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from .. import stability
@@ -189,9 +189,8 @@ class PathReport(Report[stability.Path]):
         count = counted(len(path.snaps), "snap", none="no snap")
         return f"{path.equilibria[0].robot.name or 'robot'}: {len(path.equilibria)} waypoints, {count}"
 
-    def table(self) -> Group:
-        """How far it went, and a row per snap."""
-        head = two_columns(self.title(), self.rows())
+    def below(self) -> list[RenderableType]:
+        """A row per snap."""
         cells = [
             (
                 f"{snap.index + 1} to {snap.index + 2}",
@@ -204,7 +203,7 @@ class PathReport(Report[stability.Path]):
             for snap in self.answer.snaps
         ]
         columns = ("waypoints", "at (%) >", "rotations (deg)", "translations (mm)", "tip jump (mm) >", "energy (mJ) >")
-        return Group(head, grid(columns, cells, title="snaps")) if cells else Group(head)
+        return [grid(columns, cells, title="snaps")] if cells else []
 
     def save(self, directory: Path) -> list[Path]:
         """Write path.csv and snaps.json."""
