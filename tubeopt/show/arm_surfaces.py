@@ -15,6 +15,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..equilibrium.result import Equilibrium
+from ..inverse.outline import outer_radius
 from ..robots.series import Series, extremes
 from ..robots.tubes import Tube, stretches
 from ..typing import Array
@@ -125,11 +126,10 @@ class Bundle:
 
 def bundles(equilibrium: Equilibrium) -> list[Bundle]:
     """What is visible, with the tubes of a segment together; of a concentric robot every tube for itself."""
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
     groups: dict[tuple[float, float], list[int]] = {}
     for each in visible(equilibrium):
         groups.setdefault((each.start, each.end), []).append(each.tube)
-    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + assembly.offset
+    radius = outer_radius(equilibrium.robot)
     return [
         Bundle(tuple(sorted(tubes)), start, end, float(radius[tubes].max())) for (start, end), tubes in groups.items()
     ]

@@ -117,8 +117,6 @@ def between_arms(plan: ArmsPlan) -> str:
 
 
 class ArmsReport(Report[ArmsPlan]):
-    """What is said and saved about the motions of several robots."""
-
     command = "plan-arms"
     quantities = ARMS
     file = "plan_arms.json"

@@ -220,8 +220,6 @@ def before_after(s: DesignSolution, name: str) -> Drawing:
 
 
 class DesignReport(Report[DesignAnswer]):
-    """What is said and saved about a design."""
-
     command = "design"
     quantities = DESIGN
     file = "design.json"

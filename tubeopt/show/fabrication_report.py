@@ -53,8 +53,6 @@ def _faults(a: Fabrication) -> list[str]:
 
 
 class FabricationReport(Report[Fabrication]):
-    """What is said and saved about making a robot's tubes."""
-
     command = "fabricate"
     quantities = FABRICATION
     file = "fabrication.json"

@@ -63,8 +63,6 @@ LED_HEATING: tuple[Quantity[LedHeating], ...] = (
 
 
 class LedHeatingReport(Report[LedHeating]):
-    """What is said and saved about a heating that a sensor leads."""
-
     command = "heat firmware"
     quantities = LED_HEATING
     file = "law.json"

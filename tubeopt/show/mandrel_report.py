@@ -49,8 +49,6 @@ MANDREL: tuple[Quantity[Mandrel], ...] = (
 
 
 class MandrelReport(Report[Mandrel]):
-    """What is said and saved about the mandrel for one tube of a robot."""
-
     command = "mold mandrel"
     quantities = MANDREL
     file = "mandrel.json"

@@ -38,8 +38,6 @@ PLACEMENT: tuple[Quantity[Placement], ...] = (
 
 
 class PlacementReport(Report[Placement]):
-    """What is said and saved about where to measure."""
-
     command = "measure"
     quantities = PLACEMENT
     file = "report.json"

@@ -110,8 +110,6 @@ def pairs_of_places(share: PairShare, places: Sequence[Array]) -> str:
 
 
 class PairReport(Report[PairAnswer]):
-    """What is said and saved about two robots that were sized together."""
-
     command = "design-pair"
     quantities = PAIR
     file = "design_pair.json"

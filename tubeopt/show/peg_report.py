@@ -40,8 +40,6 @@ PEGS: tuple[Quantity[PegBoard], ...] = (
 
 
 class PegReport(Report[PegBoard]):
-    """What is said and saved about the pegs for one tube of a robot."""
-
     command = "mold pegs"
     quantities = PEGS
     file = "pegs.json"

@@ -53,8 +53,6 @@ def _nested(robot: Robot) -> list[tuple[Tube, float | None]]:
 
 
 class RobotReport(Report[AnyRobot]):
-    """What is said and saved about a robot."""
-
     command = "robot show"
     quantities = ROBOT
     file = "robot.json"

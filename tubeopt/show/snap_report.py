@@ -243,11 +243,6 @@ def _snapping_fraction(a: RobotMap) -> float:
     return float(wide @ np.isfinite(a.map.boundary).all(1)) / (4 * np.pi)
 
 
-def _nearest_words(a: RobotMap) -> str | None:
-    nearest = _nearest(a)
-    return None if nearest is None else f"at {degrees(nearest, '.6f')}"
-
-
 MAP: tuple[Quantity[RobotMap], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     line("axes", "rotations of tubes {tubes[0]} and {tubes[1]} from -180 to 180 deg, {samples} points each"),
@@ -263,7 +258,7 @@ MAP: tuple[Quantity[RobotMap], ...] = (
     Quantity("snapping_fraction", "part of all directions from home in which a snap is met", _snapping_fraction,
              label="snaps on the way", words=lambda a: f"in {100 * _snapping_fraction(a):.1f} % of all directions"),
     Quantity("nearest_snap_deg", "the snap that needs the least turning", _nearest, label="the nearest snap",
-             words=_nearest_words),
+             words="at {nearest_snap_deg:.6f} deg"),
     Quantity("directions_deg", "from the axis of the first tube", lambda a: a.map.directions),
     Quantity("boundary_deg", "rotations of the first snap in every direction", lambda a: a.map.boundary),
 )  # fmt: skip

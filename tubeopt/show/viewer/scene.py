@@ -40,7 +40,6 @@ FORCE_COLOUR = (220, 120, 30)
 FORCE = "/force"
 SHORTEST_ARROW = 1e-6
 """Of a force that is drawn, m."""
-SWEPT_COLOUR = (120, 90, 200)
 MARK = 0.2
 """Size of a mark that is dragged, over the longest curved part of a tube."""
 
@@ -233,11 +232,6 @@ def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
         )
         for k, body in enumerate(obstacles)
     ]
-
-
-def swept_part(surface: Surface) -> Part:
-    """A swept volume."""
-    return Part("volume", surface, SWEPT_COLOUR, 0.25)
 
 
 SIDES = {

@@ -10,6 +10,7 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
+from ...inverse.outline import outer_radius
 from ...typing import Array
 from ..arm_surfaces import Centreline
 from ..surfaces import Surface
@@ -29,6 +30,7 @@ SIDES = 10
 """Corners of each cross-section: the hull lies within 5 % of the radius inside the round tube."""
 
 MOST_SHAPES = 160
+COLOUR, OPACITY = (120, 90, 200), 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +91,5 @@ def _rings(equilibrium: Equilibrium) -> Array:
     """(PIECES + 1, SIDES, 3) corners of cross-sections along the arm, as wide as the widest tube there, m."""
     line = Centreline(equilibrium)
     s = np.linspace(0.0, line.length, PIECES + 1)
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    outer = np.array([tube.outer_diameter / 2 for tube in equilibrium.robot.tubes]) + assembly.offset
-    radius = np.where(s[:, None] <= equilibrium.tube_end + 1e-9, outer, 0.0).max(1)
+    radius = np.where(s[:, None] <= equilibrium.tube_end + 1e-9, outer_radius(equilibrium.robot), 0.0).max(1)
     return np.asarray(line.position(s)[:, None] + radius[:, None, None] * line.ring(s, SIDES)[0])

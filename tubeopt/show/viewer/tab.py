@@ -14,6 +14,7 @@ from ...bodies.plane import Plane
 from ...errors import InputError, SolveError
 from ...robots.file import load_robot
 from ...workspaces import workspace
+from ..arm_surfaces import Part
 from .beside import Beside, session_beside
 from .cut import cut_parts, cut_words
 from .export import saved
@@ -25,10 +26,10 @@ from .playback import load_waypoints
 from .player import Player
 from .plots import torsion_plot
 from .push_panel import ForceArrow
-from .scene import Mark, Scene, animate, ghost_parts, look_from, swept_part
+from .scene import Mark, Scene, animate, ghost_parts, look_from
 from .servo import pull
 from .session import Session, other_equilibria
-from .swept import swept_volume
+from .swept import COLOUR, OPACITY, swept_volume
 from .view import View
 from .wishes import Verb, Wishes
 from .words import others_words
@@ -177,15 +178,14 @@ class Tab(Wishes):
         self.scene.set_stage(self.session.equilibrium)
         if self._obstacles:
             self._show("obstacles", True)
+        failed = ""
         if self._view.waypoints is not None:
             self._say("following the trajectory …")
             try:
                 self._player.take(self._view.waypoints)
             except (InputError, SolveError) as error:
-                self._say(f"the trajectory cannot be followed: {error}", bad=True)
-                self._refresh()
-                return
-        self._say(ADVISED)
+                failed = f"the trajectory cannot be followed: {error}"
+        self._say(failed or ADVISED, bad=bool(failed))
         self._refresh()
 
     def _change(self, verb: Verb, held: int | str | None = None) -> None:
@@ -281,7 +281,7 @@ class Tab(Wishes):
             return
         self._say("joining shapes …")
         swept = swept_volume(self._player.playback)
-        self.scene.layer("swept", [swept_part(swept.surface)])
+        self.scene.layer("swept", [Part("volume", swept.surface, COLOUR, OPACITY)])
         self._say(f"the arm sweeps {swept.volume * 1e6:.2f} cm3 (hulls between {swept.shapes} shapes; snaps left out)")
 
     def _load(self, what: str, name: str, content: bytes) -> None:
