@@ -91,10 +91,10 @@ ARMS: tuple[Quantity[ArmsPlan], ...] = (
              words=lambda p: ", ".join(str(k + 1) for k in p.made_way) or None),
     line("arms", lambda p: "; ".join(_moves(arm) for arm in _arms(p))),
     line("distances between arms", lambda p: "; ".join(_bound(pair) for pair in p.proof.pairs)),
-    Quantity("faults", "what does not hold, in words", lambda p: list(p.proof.faults)),
+    Quantity("faults", "what does not hold, in words", lambda p: p.proof.faults),
     Quantity("arms", "each of the arms", _arms, of=ARM),
     Quantity("pairs", "what is known of two arms each", lambda p: p.proof.pairs, of=PAIR),
-    Quantity("seconds_s", "that planning and proof took", lambda p: p.seconds, form=".1f",
+    Quantity("seconds_s", "that planning and proof took", form=".1f",
              label="planning and proof took"),
 )  # fmt: skip
 

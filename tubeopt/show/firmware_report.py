@@ -35,7 +35,7 @@ FEEDBACK: tuple[Quantity[Feedback], ...] = (
     Quantity("probability", "part of them that keeps window and limit", label="keeps the window",
              words=lambda f: f"{100 * f.probability:.1f} % of {f.samples} uncertain rigs "
              f"({100 * f.interval[0]:.1f} to {100 * f.interval[1]:.1f} %)"),
-    Quantity("interval", "of the probability, 95 %", lambda f: list(f.interval)),
+    Quantity("interval", "of the probability, 95 %"),
     Quantity("open_loop", "the same with the schedule alone", label="without the sensor",
              words=lambda f: f"{100 * f.open_loop:.0f} %"),
     Quantity("too_cold", "part that falls below the window"),
@@ -45,7 +45,7 @@ FEEDBACK: tuple[Quantity[Feedback], ...] = (
     line("curved part, any rig", "{lowest_degC:.1f} to {highest_degC:.1f} degC in the hold"),
     Quantity("top_degC", "hottest point at any time, any rig", lambda f: f.top.max(), label="hottest point, any rig",
              words="{top_degC:.1f} degC"),
-    Quantity("contributions", "what moves the temperature of the hold, most first", lambda f: list(f.contributions),
+    Quantity("contributions", "what moves the temperature of the hold, most first",
              of=CONTRIBUTION),
 )  # fmt: skip
 

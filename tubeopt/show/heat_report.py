@@ -67,7 +67,7 @@ def _chosen(plan: HeatingPlan) -> str | None:
 CURE: tuple[Quantity[Cure], ...] = (
     Quantity("change", "what would be changed"),
     Quantity("shortfall_K", "by how much window and limit would be missed"),
-    Quantity("broken", "which of ramp and currents would be beyond their limits", lambda c: list(c.broken)),
+    Quantity("broken", "which of ramp and currents would be beyond their limits"),
     Quantity("cures", "whether everything would be kept"),
 )
 
@@ -80,7 +80,7 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("slot_s", "for how long a duty is kept", lambda p: p.spec.slot),
     Quantity("feasible", "whether everything is kept"),
     Quantity("shortfall_K", "by how much window and limit are missed"),
-    Quantity("broken", "which of ramp and currents are beyond their limits", lambda p: list(p.broken)),
+    Quantity("broken", "which of ramp and currents are beyond their limits"),
     line("curved part in the hold", "{lowest_degC:.1f} to {highest_degC:.1f} degC"),
     Quantity("lowest_degC", "of the curved part during the hold"),
     Quantity("highest_degC", "of the curved part during the hold"),
@@ -93,8 +93,8 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     line("fastest warming", "{steepest_K_per_s:.1f} K/s (limit {ramp_limit_K_per_s:g})"),
     Quantity("rounding_error_K", "largest change of a temperature by rounding to counts", label="rounding to counts",
              words="changes temperatures by {rounding_error_K:.1f} K at most"),
-    Quantity("ramp_K_per_s", "fastest warming as a mean over a slot", lambda p: p.ramp),
-    Quantity("steepest_K_per_s", "fastest warming at any instant", lambda p: p.steepest),
+    Quantity("ramp_K_per_s", "fastest warming as a mean over a slot"),
+    Quantity("steepest_K_per_s", "fastest warming at any instant"),
     Quantity("ramp_limit_K_per_s", "its limit", lambda p: p.spec.ramp),
     Quantity("pwm_ripple_K", "swing of the temperature within a period of the PWM"),
     Quantity("cold_end_mm", "cold end", words=_cold_end),
@@ -127,9 +127,9 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
              words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
     line("chosen", _chosen),
     Quantity("iterations", "of the optimal control problem, in its last round; 0 where none was needed"),
-    Quantity("problems", "what is wrong, in words", lambda p: list(p.problems)),
-    Quantity("cures", "what would help, what cures it first", lambda p: list(p.cures), of=CURE),
-    Quantity("duty", "0 to 255, one for every slot", lambda p: p.duty),
+    Quantity("problems", "what is wrong, in words"),
+    Quantity("cures", "what would help, what cures it first", of=CURE),
+    Quantity("duty", "0 to 255, one for every slot"),
 )  # fmt: skip
 
 OF_A_TABLE = {"state_of_charge_percent", "battery_V", "feasible", "broken", "lowest_degC", "highest_degC",
@@ -157,7 +157,7 @@ HEATING: tuple[Quantity[Heating], ...] = (
     *within(PLAN, lambda a: a.plan),
     Quantity("band", "what uncertain rigs do, where that was asked for", lambda a: None if a.band is None else a,
              of=BAND, optional=True),
-    Quantity("tables", "the same for other states of charge", lambda a: list(a.tables),
+    Quantity("tables", "the same for other states of charge",
              of=[quantity for quantity in PLAN if quantity.key in OF_A_TABLE]),
 )  # fmt: skip
 
@@ -254,10 +254,10 @@ ESTIMATE: tuple[Quantity[Estimate], ...] = (
 )
 
 RIG_FIT: tuple[Quantity[RigFit], ...] = (
-    Quantity("estimates", "the fitted factors", lambda f: list(f.estimates), of=ESTIMATE),
+    Quantity("estimates", "the fitted factors", of=ESTIMATE),
     Quantity("confidence", "of the intervals"),
     Quantity("noise", "residuals: temperature in K, voltage in V, current in A"),
-    Quantity("remarks", "what to beware of", lambda f: list(f.remarks)),
+    Quantity("remarks", "what to beware of"),
 )
 
 

@@ -44,7 +44,7 @@ MANDREL: tuple[Quantity[Mandrel], ...] = (
     Quantity("free_length_mm", "tube between the clamps", form=".4g"),
     Quantity("stock_length_mm", "cut the tube to", form=".4g"),
     Quantity("predicted", "what comes off it", predict_wound_tube, of=OFF_IT),
-    Quantity("remarks", "what to beware of", lambda m: list(m.remarks)),
+    Quantity("remarks", "what to beware of"),
 )  # fmt: skip
 
 

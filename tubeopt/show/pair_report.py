@@ -69,8 +69,8 @@ ARM: tuple[Quantity[_Arm], ...] = (
     Quantity("reached_before", "share of the places that it reaches by itself as given", lambda a: a.before.share),
     Quantity("reached_after", "the same of the design", lambda a: a.after.share),
     Quantity("certificate", "lower bound of its margin at all rotations", lambda a: a.solution.certificate),
-    Quantity("dimensions", "what was free", lambda a: list(a.solution.dimensions), of=DIMENSION),
-    Quantity("checks", "checked again by other code", lambda a: list(a.solution.verification.checks), of=CHECK),
+    Quantity("dimensions", "what was free", lambda a: a.solution.dimensions, of=DIMENSION),
+    Quantity("checks", "checked again by other code", lambda a: a.solution.verification.checks, of=CHECK),
 )
 
 PAIR: tuple[Quantity[PairAnswer], ...] = (
@@ -91,8 +91,7 @@ PAIR: tuple[Quantity[PairAnswer], ...] = (
              label="proved"),
     line("plates", _stands),
     Quantity("arms", "the two", _arms, of=ARM),
-    Quantity("remarks", "what holds the designs, tubes that they hardly need, a search that is too coarse",
-             lambda a: list(a.remarks)),
+    Quantity("remarks", "what holds the designs, tubes that they hardly need, a search that is too coarse"),
     Quantity("seconds", "wall time of the search, s", lambda a: a.search.seconds, form=".1f"),
 )  # fmt: skip
 

@@ -34,8 +34,8 @@ PEGS: tuple[Quantity[PegBoard], ...] = (
     Quantity("dip_K", "colder at a peg, at most", lambda b: b.heat.dip.max(initial=0.0), form=".0f"),
     Quantity("drawn_W", "heat into all pegs", lambda b: b.heat.drawn.sum(), words="{drawn_W:.2f} W"),
     Quantity("lost_W", "heat of the tube into air", lambda b: b.heat.loss * b.free_length, words="{lost_W:.1f} W"),
-    Quantity("pegs", "along the tube", lambda b: list(b.pegs), of=PEG),
-    Quantity("remarks", "what to beware of", lambda b: list(b.remarks)),
+    Quantity("pegs", "along the tube", of=PEG),
+    Quantity("remarks", "what to beware of"),
 )
 
 

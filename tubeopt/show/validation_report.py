@@ -135,7 +135,7 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "the same errors at each distance behind the tip", lambda v: _stations(v)),
     Quantity("parity", "what depends on the way", of=PARITY, label="both ways", words=lambda v: _both_ways(v)),
-    Quantity("remarks", "what was noticed when the file was read", lambda v: list(v.measurements.remarks)),
+    Quantity("remarks", "what was noticed when the file was read", lambda v: v.measurements.remarks),
 )
 
 
@@ -196,7 +196,7 @@ FIT: tuple[Quantity[Fit], ...] = (
     Quantity("confidence", "of the intervals"),
     Quantity("correlation", "of the estimates"),
     Quantity("noise_mm", "noise per coordinate", form=".3f"),
-    Quantity("remarks", "what to beware of", lambda f: list(f.remarks)),
+    Quantity("remarks", "what to beware of"),
     Quantity("axis_noise_deg", "noise of a direction", form=".3f"),
     Quantity(
         "calibration",
@@ -298,9 +298,9 @@ EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
     ),
     Quantity("start_axis_deg", "RMS angle of the directions, held out", form=".2f"),
     Quantity("steps", "effects that pay, in order", lambda c: [_step(s, _length(c)) for s in c.steps]),
-    Quantity("dropped", "effects that later ones made useless", lambda c: list(c.dropped)),
+    Quantity("dropped", "effects that later ones made useless"),
     Quantity("refused", "effects that do not pay beside them", lambda c: [_step(s, _length(c)) for s in c.refused]),
-    Quantity("remarks", "what was noticed when the file was read", lambda c: list(c.remarks)),
+    Quantity("remarks", "what was noticed when the file was read"),
     Quantity("fit", "the fit of the effects that pay", of=(*FIT_ERRORS[2:], *FIT)),
 )
 
