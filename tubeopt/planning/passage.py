@@ -15,11 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics, one_step
-from ..equilibrium.load_continuation import JointFamily
-from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
@@ -27,8 +23,7 @@ from ..inverse.clock import Clock
 from ..inverse.way_settings import WaySearch
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..stability.following import Event, motion_along
-from ..stability.loaded_following import LoadedEvent, loaded_motion_along
+from ..stability.snapping import find_snap
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared
@@ -186,21 +181,14 @@ class Follower:
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
+        e = here.equilibrium
         try:
-            share = self.snap(here.equilibrium, joints)
+            rotations, translations = np.split(joints, 2)
+            begin, end = (e.rotations, e.translations), (rotations, translations)
+            snap = find_snap(self.robot, begin, end, equilibrium=e, load=self.load)
         except SolveError:
             return None
-        return None if share is None else here.at + share * (at - here.at)
-
-    def snap(self, e: Equilibrium, joints: Array) -> float | None:
-        """Share of the straight way from an equilibrium to joint values (2n,) after which it snaps."""
-        begin = np.concatenate([e.rotations, e.translations])
-        if self.load is None:
-            plain = motion_along(JointPath(self.robot, begin, joints), polish(e))
-            return next((point.fold.t for point in plain if isinstance(point, Event)), None)
-        path = JointPath(self.robot, begin, joints, LOADED_DISCRETISATION)
-        points = loaded_motion_along(JointFamily(path, self.load, self.load), replace(loaded_point(e), t=0.0))
-        return next((point.loss.t for point in points if isinstance(point, LoadedEvent)), None)
+        return None if snap is None else here.at + snap.fraction * (at - here.at)
 
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
