@@ -51,6 +51,9 @@ CORNERS = (0.8169, 0.8301)
 """Support of all M towards (2, -1, -1) / sqrt 6 and (1, -1, 0) / sqrt 2, rounded up: twelve sides in turns. With three
 equal tubes M_i = sum_j sin(theta_i - theta_j) / k with k >= 3: exactly sqrt(2/3) and 0.82973."""
 
+BASIS = np.column_stack([np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)])
+"""(3, 2) what P keeps: turns of the tubes against one another."""
+
 GRID = 24
 """Rotations per turn and tube at which the slope of phi is maximised: every 15 deg."""
 
@@ -67,9 +70,8 @@ STEPS = 1600
 
 def corners() -> Array:
     """(12, 3) corners of the polygon, in order, that holds all M."""
-    first, second = np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)
     turn = np.arange(12) * np.pi / 6
-    sides = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
+    sides = np.column_stack([np.cos(turn), np.sin(turn)]) @ BASIS.T
     reach = np.array(CORNERS)[np.arange(12) % 2]
     out = []
     for k in range(12):
@@ -84,8 +86,7 @@ class Slope:
     def __init__(self, theta: Array, delta: float, vertices: Array) -> None:
         moments, g, stretched = cross_sections(theta, delta)
         relative = stretched / g[:, :, None]
-        basis = np.column_stack([np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)])
-        common = np.full(3, 1 / np.sqrt(3))
+        basis, common = BASIS, np.full(3, 1 / np.sqrt(3))
         # Per unit of x: B on turns within P (T, V, 3, 2), and delta J - B/2 on turns of all alike (T, V, 3).
         across = vertices[None, :, :, None] * (relative @ basis)[:, None]
         alike = delta * common - vertices * (relative @ common)[:, None] / 2

@@ -124,10 +124,7 @@ def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Ar
     out: list[Solution] = []
     for theta in profiles:
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-        if result.converged and all(_differ(result.state.theta, kept.result.state.theta, same) for kept in out):
+        others = (np.abs(result.state.theta - kept.result.state.theta).max(initial=0.0) for kept in out)
+        if result.converged and all(apart > same for apart in others):
             out.append(Solution.of(problem, rotations, result))
     return out
-
-
-def _differ(one: Array, other: Array, same: float) -> bool:
-    return bool(np.abs(one - other).max(initial=0.0) > same or not one.size)

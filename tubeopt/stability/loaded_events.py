@@ -35,10 +35,8 @@ class Loss:
 def branch_end(family: JointFamily, last: LoadedPoint, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
     if bifurcates(last):
-        found = bifurcation(family, last, goal) or fold(family, last)
-    else:
-        found = fold(family, last) or bifurcation(family, last, goal)
-    return found
+        return bifurcation(family, last, goal) or fold(family, last)
+    return fold(family, last) or bifurcation(family, last, goal)
 
 
 def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
