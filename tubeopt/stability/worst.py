@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..block.transcription.offset_margin import softenings
 from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin
 from ..display import Displayed
@@ -126,8 +127,11 @@ def _turned(base: Array, turning: Index | list[int], own: Array) -> Array:
 
 def _margins(problem: ReducedProblem, tips: Array) -> Array:
     """(B,) margins of the equilibria of tip angles (B, n), solved or nearly so."""
+    shapes = profiles(problem, tips)
+    if problem.assembly.eccentric:
+        return np.array([1.0 - softenings(problem, theta).max(initial=0.0) for theta in shapes])
     zero = np.zeros(problem.assembly.n_tubes)
-    states = (evaluate(problem, zero, to_unknowns(problem, zero, theta)) for theta in profiles(problem, tips))
+    states = (evaluate(problem, zero, to_unknowns(problem, zero, theta)) for theta in shapes)
     return np.array([margin(problem, state) for state in states])
 
 
