@@ -151,6 +151,12 @@ def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
     return found
 
 
+def triple(name: str, value: ArrayLike) -> tuple[float, float, float]:
+    """Return x, y, z of `value` if they are finite numbers, else raise InputError naming it."""
+    x, y, z = vector(name, value, 3, "x, y, z").tolist()
+    return x, y, z
+
+
 def choice(name: str, value: str, allowed: Iterable[str]) -> str:
     """Return `value` if it is one of `allowed`, else raise InputError with the nearest allowed word."""
     options = list(allowed)

@@ -14,7 +14,7 @@ from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
-from ..errors import InputError, finite, finite_array, items, positive, vector, whole
+from ..errors import InputError, finite, finite_array, items, positive, triple, vector, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Usual, check_fields, key, unit
 from ..typing import Array
 from .drawn import ALONG, SHARES
@@ -197,8 +197,7 @@ class Target:
     direction_tolerance: Annotated[float, unit("deg"), POSITIVE, "largest angle to the direction"] = np.radians(2.0)
 
     def __post_init__(self) -> None:
-        position = vector("position of a target", self.position, 3, "x, y, z")
-        object.__setattr__(self, "position", tuple(position.tolist()))
+        object.__setattr__(self, "position", triple("position of a target", self.position))
         check_fields(self, "a target")
         if self.direction is not None:
             d = vector("direction of a target", self.direction, 3, "x, y, z")
@@ -236,8 +235,7 @@ class Coverage:
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
-            corner = vector(f"{name} corner of the workspace box", getattr(self, name), 3, "x, y, z")
-            object.__setattr__(self, name, tuple(corner.tolist()))
+            object.__setattr__(self, name, triple(f"{name} corner of the workspace box", getattr(self, name)))
         if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
             raise InputError("the workspace box is crossed; its lower corner must not be above its upper corner")
         check_fields(self, "the workspace box")

@@ -25,7 +25,9 @@ from .posture import Posture, posture_of
 
 @lru_cache(maxsize=32)
 def prepared(robot: Robot, limits: JointLimits | None, carriage_gap: float, section_length: float) -> JointSpace:
-    """The joint space of a robot, made once."""
+    """The joint space of a robot, made once, whether its own limits are given or not."""
+    if limits is None:
+        return prepared(robot, robot.limits, carriage_gap, section_length)
     return joint_space(robot, limits, carriage_gap=carriage_gap, section_length=section_length)
 
 

@@ -64,8 +64,7 @@ def _joints(task: Task, points: Array, parts: int) -> Array:
     """(W, m) joint values along the straight motions between points of the chart."""
     rows = [points[:1]]
     for a, b in pairwise(points):
-        inner = task.between(a, b)
-        marks = np.concatenate([a[None], inner, b[None]])
+        marks = task.line(a, b)
         steps = np.arange(1, parts + 1)[:, None, None] / parts
         rows.append((marks[:-1] + steps * np.diff(marks, axis=0)).transpose(1, 0, 2).reshape(-1, len(a)))
     line = np.concatenate(rows)

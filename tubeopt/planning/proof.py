@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from time import perf_counter as time_now
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +36,6 @@ from ..stability.following import checked_waypoints
 from ..typing import Array, Sentence
 from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast
-from .loaded_passage import LoadedFollower
 from .motion import RateLimits
 from .passage import SHORTEST, Follower, Passage, Step, follow
 
@@ -193,15 +191,13 @@ def verify_trajectory(  # noqa: PLR0913
     if forced is not None and load is not None:
         raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
-    until = math.inf if clock is None else time_now() + clock.left
     wanted = Wanted(clearance + moved, effort.proof_accuracy, effort.proof_cells)
-    what = robot, scene_of(bodies), wanted, until, effort
-    follower = Follower(*what) if load is None else LoadedFollower(*what, load=load)
+    follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(math.inf), effort, load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
     if forced is not None:
         unproved += _force_faults(forced, min_margin)
-    late = bool(unproved) and clock is not None and clock.over
+    late = bool(unproved) and follower.clock.over
     proof = _judge(follower, passage, refuted, joint_range(robot, limits), (t, alpha, shift), rate_limits)
     proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
     return proof if forced is None else _under_force(proof, forced)
@@ -275,8 +271,8 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
     reached = passage.steps[-1].at
     if passage.snap is None and reached < 1:
         followed = f"when {100 * reached:.4g} % of it was followed"
-        late = time_now() > follower.until
-        why = "the time limit was reached" if late else f"more than {follower.count} equilibria would be needed"
+        needed = f"more than {follower.count} equilibria would be needed"
+        why = "the time limit was reached" if follower.clock.over else needed
         unproved.append(f"not proved: {why} {followed}")
     elif passage.lost and follower.says:
         unproved.append(f"not proved: {follower.says}")
