@@ -168,7 +168,7 @@ def optimize_design(
         check_collocation(task)
     began = time.perf_counter()
     search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
-    one = _forced(task)
+    one = next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
     if one is not None:
         return _bearing(task, one, search, turns, began)
     return solution_of(task, search(task, begin=begin), turns, began)
@@ -230,11 +230,6 @@ def _bearing(
     solution = solution_of(_without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
-
-
-def _forced(task: DesignTask) -> SnapFree | None:
-    """The requirement that names a force; None without one."""
-    return next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
 
 
 def _without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:
