@@ -18,7 +18,6 @@ from ..stability import snap_free_certificate
 from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
 from .exchange import carry, certified_at, robot_at, violations
-from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
@@ -28,7 +27,7 @@ from .remarks import Dimension, remarks
 from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
-from .solve import METHODS, solve
+from .solve import METHODS, Ranking, multistart, rank, solve
 from .solve_one import Attempt, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify

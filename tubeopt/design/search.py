@@ -18,11 +18,11 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Of, Progress
 from .exchange import robot_at
-from .multistart import multistart, rank
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
 from .program import Program, compile_task
 from .requirements import SnapFree
+from .solve import multistart, rank
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation
 from .starts import start_values
 from .task import DesignTask
