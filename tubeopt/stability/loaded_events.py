@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import LoadedState, evaluate
+from ..block.transcription.loaded import LoadedState
 from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
-from ..equilibrium.loaded import bifurcates, solved
+from ..equilibrium.loaded import bifurcates
 from ..solvers.flow import flow
-from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
+from ..solvers.loaded import loaded_margin, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -53,7 +53,7 @@ def fold(family: Family, near: LoadedPoint) -> Loss | None:
         here = family.member(t)
         if here.problem.size != size:
             return None
-        state = evaluate(here.problem, here.rotations, x, here.factor)
+        state = here.at(x)
         bordered = np.block([[state.hessian, border[:, None]], [border, np.zeros(1)]])
         solution = np.linalg.solve(bordered, np.append(np.zeros(size), 1.0))
         v, sigma = solution[:-1], float(solution[-1])
@@ -77,7 +77,7 @@ def fold(family: Family, near: LoadedPoint) -> Loss | None:
     if abs(t - near.t) > CONTINUATION.widest * max(1.0, abs(t)):
         return None
     there = family.member(t)
-    state = evaluate(there.problem, there.rotations, x, there.factor)
+    state = there.at(x)
     point = LoadedPoint(t, there, state, loaded_margin(there.problem, state), iteration + 1)
     return Loss(t, point, "fold", v)
 
@@ -90,7 +90,7 @@ def _slope(family: Family, t: float, x: Array) -> Array | None:
         there = family.member(place)
         if there.problem.size != len(x):
             return None
-        values.append(evaluate(there.problem, there.rotations, x, there.factor).gradient)
+        values.append(there.at(x).gradient)
     return np.asarray((values[0] - values[1]) / (2 * step))
 
 
@@ -98,7 +98,7 @@ def _sigma_slopes(family: Family, t: float, x: Array, v: Array, state: LoadedSta
     """Derivatives of sigma = -v'Hv by x and by t."""
     here = family.member(t)
     push = CONTINUATION.fold_difference / turn_of(here.problem, state, v)
-    sides = [evaluate(here.problem, here.rotations, x + sign * push * v, here.factor) for sign in (1, -1)]
+    sides = [here.at(x + sign * push * v) for sign in (1, -1)]
     by_x = -(sides[0].gradient - 2 * state.gradient + sides[1].gradient) / push**2
     slopes = [_slope(family, t, x + sign * push * v) for sign in (1, -1)]
     if slopes[0] is None or slopes[1] is None:
@@ -111,8 +111,8 @@ def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
 
     def at(t: float) -> LoadedPoint | None:
         there = family.member(t)
-        result = loaded_newton(there.problem, there.rotations, carry(near, there), there.factor)
-        return solved(there, result, t) if result.converged else None
+        result = there.solve(carry(near, there))
+        return LoadedPoint.of(there, result, t) if result.converged else None
 
     ahead = 1e-7
     while ahead < CONTINUATION.widest:
@@ -148,28 +148,23 @@ def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) ->
 def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     """The minimum to which potential energy falls from x (U + 2 N,) after a push along `direction`, to the side that
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
-    state = evaluate(member.problem, member.rotations, x, member.factor)
+    state = member.at(x)
     push = CONTINUATION.nudge / turn_of(member.problem, state, direction) * direction
-    sides = [side for side in (push, -push) if _gradient(member, x + side) @ side < 0] or [push, -push]
+    sides = [side for side in (push, -push) if member.at(x + side).gradient @ side < 0] or [push, -push]
     best: LoadedPoint | None = None
     for side in sides:
         result = slide(member, x + side)
         if not result.converged:
             continue
-        there = solved(member, result)
+        there = LoadedPoint.of(member, result)
         if there.margin > -NEUTRAL and (best is None or there.state.potential < best.state.potential - 1e-12):
             best = there
     return best
 
 
-def _gradient(member: Member, x: Array) -> Array:
-    return evaluate(member.problem, member.rotations, x, member.factor).gradient
-
-
 def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
     """The gradient flow of the potential energy from x to the minimum where it ends."""
-    problem, rotations, factor = member.problem, member.rotations, member.factor
-    begin = evaluate(problem, rotations, x, factor)
+    problem, begin = member.problem, member.at(x)
     scale = begin.energy + abs(begin.work)
 
     def step(state: LoadedState, time: float) -> tuple[Array, float, bool]:
@@ -178,11 +173,11 @@ def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
         return change, turn_of(problem, state, change), failed != 0
 
     def moved(state: LoadedState, change: Array) -> LoadedState | None:
-        there = evaluate(problem, rotations, state.x + change, factor)
+        there = member.at(state.x + change)
         return None if there.potential > state.potential + 1e-13 * scale else there
 
     rest = flow(begin, step, moved)
     if rest is None:
         return NewtonResult(begin, False, CONTINUATION.flow_steps, 0.0)
-    last = loaded_newton(problem, rotations, rest[0].x, factor, iterations=4)
+    last = member.solve(rest[0].x, iterations=4)
     return NewtonResult(last.state, last.converged, rest[1], 0.0)
