@@ -29,6 +29,7 @@ from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
 from .continuation import JointPath, Point, follow_to, largest_twist, small_motion
+from .load_continuation import Member
 from .load_problem import check_load
 from .loaded import loaded_kinematics, solved_by_ipopt
 from .method import NAMED, Method, method_of, only_plain
@@ -112,7 +113,7 @@ def forward_kinematics(  # noqa: PLR0913
         check_load(robot, load, shift)
         only_plain(by, load, verify, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        found = loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began, by.newton)
+        found = loaded_kinematics(first, Member.of(robot, alpha, shift, load), tolerance, began, by.newton)
         return found if by.name == "newton" else solved_by_ipopt(found, by.name, by.ipopt, began)
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")

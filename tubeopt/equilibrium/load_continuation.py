@@ -104,6 +104,11 @@ class JointFamily:
             self.path.robot, rotations, tuple(translations.tolist()), load, self.path.discretisation, factor
         )
 
+    def under_load(self, t: float) -> Member:
+        """The problem under the whole of the load at t."""
+        rotations, translations = self.path.at(t)
+        return Member.of(self.path.robot, rotations, tuple(translations.tolist()), self.load_at(t))
+
     def load_at(self, t: float) -> Load:
         """The load at t."""
         if self.before is None:

@@ -107,31 +107,23 @@ def to_tolerance(
 
 @small
 def loaded_kinematics(
-    robot: Robot,
-    start: Equilibrium,
-    joints: tuple[Array, tuple[float, ...]],
-    load: Load,
-    tolerance: float,
-    began: float,
-    settings: Newton = NEWTON,
+    start: Equilibrium, there: Member, tolerance: float, began: float, settings: Newton = NEWTON
 ) -> Equilibrium:
-    """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load;
-    raises SolveError as `forward_kinematics`."""
-    (rotations, shift), d = joints, LOADED_DISCRETISATION
-    quick = compiled(robot, start, joints, load, tolerance, began, settings)
+    """The equilibrium `there` on the branch of `start`, which has other joint values or another load; raises SolveError
+    as `forward_kinematics`."""
+    quick = compiled(start, there, tolerance, began, settings)
     if quick is not None:
         return quick
-    own, there = np.concatenate([start.rotations, start.translations]), np.concatenate([rotations, shift])
-    if start.load is None and np.array_equal(own, there):
-        point, word = ramp(start, load, d), "the load before, from none"
+    own, goal = (np.concatenate([one.rotations, one.translations]) for one in (start, there))
+    if start.load is None and np.array_equal(own, goal):
+        point, word = ramp(start, there.load, there.discretisation), "the load before, from none"
     else:
-        family, word = JointFamily(JointPath(robot, own, there, d), load, start.load), "guess"
+        path, word = JointPath(there.robot, own, goal, there.discretisation), "guess"
+        family = JointFamily(path, there.load, start.load)
         here, t = _by_parts(family, start, tolerance, began, settings)
         if t == 1.0:
             return here
-        close = None
-        if start.load is not None and t == 0.0:
-            close = _close(start, Member.of(robot, rotations, shift, load, d))
+        close = _close(start, there) if start.load is not None and t == 0.0 else None
         point = _along(family, here, t) if close is None else close
     return to_tolerance(point, tolerance, (word, began), settings)
 
@@ -144,25 +136,13 @@ def solved_by_ipopt(found: Equilibrium, method: str, settings: Ipopt | None, beg
     return replace(again, statistics=replace(again.statistics, method=method))
 
 
-def compiled(
-    robot: Robot,
-    start: Equilibrium,
-    joints: tuple[Array, tuple[float, ...]],
-    load: Load,
-    tolerance: float,
-    began: float,
-    settings: Newton = NEWTON,
-) -> Equilibrium | None:
+def compiled(start: Equilibrium, there: Member, tolerance: float, began: float, settings: Newton) -> Equilibrium | None:
     """The stable equilibrium under a dead load by the compiled kernel: grown from `start`, which bears none, or a small
     change of it, which bears one; None where the kernel declines, or no mesh is fine enough."""
-    rotations, shift = joints
-    if not load.has_energy:
+    robot, rotations, shift, load = there.robot, there.rotations, there.translations, there.load
+    if not (load.has_energy and start.margin > 0):
         return None
-    rules = loaded_rules(robot, shift, load)
-    problem = rules.problem
-    turn = rotations - start.rotations
-    if not start.margin > 0:
-        return None
+    problem, turn = there.problem, rotations - start.rotations
     given: tuple[Array, Array | None]
     if start.load is None:
         if turn.any() or not np.array_equal(start.translations, shift):
@@ -172,7 +152,7 @@ def compiled(
         given, word = _at_points(start, problem), "guess"
     else:
         return None
-    found = solve_loaded_compiled(rules, (rotations, turn), given, start.margin)
+    found = solve_loaded_compiled(loaded_rules(robot, shift, load), (rotations, turn), given, start.margin)
     refinement = 0
     while found is not None and _too_coarse(found, problem, tolerance, settings):
         refinement += 1
@@ -245,10 +225,9 @@ def _by_parts(
     family: JointFamily, start: Equilibrium, tolerance: float, began: float, settings: Newton
 ) -> tuple[Equilibrium, float]:
     """The last equilibrium on a way, and where, to which the compiled kernel comes in small parts of it."""
-    robot, here = family.path.robot, start
+    here = start
     if start.load is None:
-        own = start.rotations, tuple(start.translations.tolist())
-        first = compiled(robot, start, own, family.load_at(0.0), tolerance, began, settings)
+        first = compiled(start, family.under_load(0.0), tolerance, began, settings)
         if first is None:
             return start, 0.0
         here = first
@@ -257,9 +236,7 @@ def _by_parts(
     t, part = 0.0, family.path.largest_step()
     while t < 1:
         goal = 1.0 if t + part >= 1 - 1e-12 else t + part
-        rotations, translations = family.path.at(goal)
-        joints = rotations, tuple(translations.tolist())
-        then = compiled(robot, here, joints, family.load_at(goal), tolerance, began, settings)
+        then = compiled(here, family.under_load(goal), tolerance, began, settings)
         if then is not None:
             here, t, part = then, goal, min(2 * part, 1 - goal)
             continue

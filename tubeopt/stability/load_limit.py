@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,9 +118,9 @@ def find_load_limit(
     return None if found is None else _described(*found)
 
 
-def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily, Loss, float] | None:
-    """Where the branch that grows from a stable equilibrium without load is lost, in the family of the last stage of a
-    growing load, and the factor on the load that is 1 in it; None where it bears `up_to` times the load."""
+def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float] | None:
+    """Where the branch that grows from a stable equilibrium without load is lost, by the factor on the last stage of a
+    growing load, and what that is of the load; None where it bears `up_to` times the load."""
     robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
     point, reached = None, 0.0
     while reached < up_to:
@@ -135,7 +135,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily,
         if point.t < 1.0:
             loss = branch_end(family, point, 1.0)
             if loss is not None:
-                return family, loss, goal
+                return loss, goal
             raise SolveError(
                 f"the branch is lost at {point.t * goal:.6g} times the load, but no fold or bifurcation is found there",
                 to_loaded(point),
@@ -152,9 +152,11 @@ def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
     return LoadedPoint.of(there, result)
 
 
-def _described(family: LoadFamily, loss: Loss, scale: float) -> LoadLimit:
+def _described(loss: Loss, scale: float) -> LoadLimit:
     before = to_loaded(loss.point)
-    left = loss.point if loss.kind == "fold" else _restart(loss.point, family.member(loss.t * (1 + CONTINUATION.past)))
+    left = loss.point
+    if loss.kind != "fold":
+        left = _restart(left, replace(left.member, factor=loss.t * (1 + CONTINUATION.past)))
     landed = fall(left.member, left.state.x, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))

@@ -94,7 +94,7 @@ def stroke_slopes(first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0) -
     found = find_loss(first, load, float(np.divide(up_to, unit)))
     if found is None:
         return None
-    _, loss, scale = found
+    loss, scale = found
     member = loss.point.member
     force = np.array(member.problem.load.force)
     there = [(member.problem, member.rotations, loss.t * (1 + sign * STEP)) for sign in (1, -1)]
