@@ -132,12 +132,7 @@ def forward_kinematics(  # noqa: PLR0913
 
 
 def _quick(
-    robot: Robot,
-    alpha: Array,
-    shift: tuple[float, ...],
-    guess: Equilibrium | None,
-    tolerance: float,
-    began: float,
+    robot: Robot, alpha: Array, shift: tuple[float, ...], guess: Equilibrium | None, tolerance: float, began: float
 ) -> Equilibrium | None:
     """By the compiled kernel, on its usual mesh or on one twice as fine; None where that does not do."""
     for refinement in (0, 1):
