@@ -6,11 +6,8 @@ import time
 from collections.abc import Callable
 
 from ..block.transcription.loaded import unknowns
-from ..block.transcription.reduced import to_unknowns
-from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.newton import newton
 from ..typing import Array
 from .kinematics import forward_kinematics
 from .load_continuation import LoadedPoint, Member
@@ -41,10 +38,7 @@ def equilibrium_at(
         return _under_load(robot, (rotations, shift), load, (rotation_at, curvature_at))
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     theta = rotation_at(problem.arc_length).T.reshape(-1, robot.n_tubes)
-    result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-    if not result.converged:
-        raise SolveError(FOLD)
-    solution = Solution.of(problem, rotations, result)
+    solution = Solution.near(problem, rotations, theta, FOLD)
     near = to_equilibrium(robot, solution, shift, ("newton", "a program", 0.0))
     return forward_kinematics(robot, rotations, translations, guess=near)
 
@@ -56,7 +50,5 @@ def _under_load(
     check_load(robot, load, joints[1])
     began, member = time.perf_counter(), Member.of(robot, *joints, load)
     theta, curvature = (each(member.problem.torsion.arc_length).T for each in along)
-    result = member.solve(unknowns(member.problem, joints[0], theta, curvature))
-    if not result.converged:
-        raise SolveError(FOLD)
-    return to_tolerance(LoadedPoint.of(member, result), 1e-8, ("a program", began))
+    point = LoadedPoint.near(member, unknowns(member.problem, joints[0], theta, curvature), FOLD)
+    return to_tolerance(point, 1e-8, ("a program", began))

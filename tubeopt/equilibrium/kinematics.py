@@ -301,11 +301,8 @@ def _refine(
     """The same equilibrium on a finer mesh, started from the coarse one."""
     problem = reduced_problem(robot, shift, finer)
     theta = arms.interpolate(coarse.problem, coarse.arm, problem.arc_length)
-    z = to_unknowns(problem, coarse.rotations, theta)
-    result = newton(problem, coarse.rotations, z, settings=method.newton)
-    if not result.converged:
-        raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
-    solution = Solution.of(problem, coarse.rotations, result)
+    failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
+    solution = Solution.near(problem, coarse.rotations, theta, failure, method.newton)
     return solution if method.name == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
 
 

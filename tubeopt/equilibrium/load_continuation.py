@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate, unknowns
+from ..errors import SolveError
 from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.loaded import loaded_margin, loaded_newton
@@ -131,6 +132,14 @@ class LoadedPoint:
         """What a solver found, at t, by default the factor."""
         margin = loaded_margin(member.problem, result.state)
         return LoadedPoint(member.factor if t is None else t, member, result.state, margin, result.iterations)
+
+    @staticmethod
+    def near(member: Member, x: Array, failure: str) -> LoadedPoint:
+        """What Newton's method finds from unknowns x; raises SolveError, with words of its failure, where it fails."""
+        result = member.solve(x)
+        if not result.converged:
+            raise SolveError(failure)
+        return LoadedPoint.of(member, result)
 
 
 def solve_member(

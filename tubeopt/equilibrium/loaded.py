@@ -66,10 +66,8 @@ def unloaded_point(
     member = Member.of(unloaded.robot, unloaded.rotations, shift, load, discretisation, 0.0)
     problem = member.problem
     theta = sample_rotation(unloaded, problem.torsion.arc_length)
-    result = member.solve(unknowns(problem, unloaded.rotations, theta))
-    if not result.converged:
-        raise SolveError("the unloaded equilibrium is a fold (margin 0): no load can be put on it")
-    return LoadedPoint.of(member, result)
+    failure = "the unloaded equilibrium is a fold (margin 0): no load can be put on it"
+    return LoadedPoint.near(member, unknowns(problem, unloaded.rotations, theta), failure)
 
 
 def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
@@ -80,10 +78,8 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
         return unloaded_point(equilibrium, Load())
     rotations, theta = equilibrium.rotations, sample_rotation(equilibrium, equilibrium.point)
     member = Member.of(equilibrium.robot, rotations, shift, equilibrium.load, discretisation_of(equilibrium))
-    result = member.solve(unknowns(member.problem, rotations, theta, equilibrium.point_curvature))
-    if not result.converged:
-        raise SolveError("the loaded equilibrium is a fold (margin 0): Newton does not stay there")
-    return LoadedPoint.of(member, result)
+    x = unknowns(member.problem, rotations, theta, equilibrium.point_curvature)
+    return LoadedPoint.near(member, x, "the loaded equilibrium is a fold (margin 0): Newton does not stay there")
 
 
 def to_tolerance(
@@ -97,10 +93,8 @@ def to_tolerance(
         if error <= tolerance and (errors[2] <= settings.margin_tolerance or level >= finest):
             return to_loaded(point, how, errors)
         there = point.member.on(refinement=level + 1)
-        result = there.solve(carry(point, there))
-        if not result.converged:
-            raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
-        point = LoadedPoint.of(there, result)
+        failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
+        point = LoadedPoint.near(there, carry(point, there), failure)
     wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
     raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}", to_loaded(point, how))
 
@@ -306,10 +300,9 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     load = equilibrium.load or Load()
     cut = replace(load, points=(*load.points, PointForce(min(arc_length, length), (0.0, 0.0, 0.0))))
     there = Member.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
-    result = there.solve(carry(point, there))
-    if not result.converged:
-        raise SolveError("the equilibrium is a fold (margin 0), where the compliance is infinite")
-    return compliance_along(there.problem, result.state, min(arc_length, length), chosen)
+    failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
+    state = LoadedPoint.near(there, carry(point, there), failure).state
+    return compliance_along(there.problem, state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:

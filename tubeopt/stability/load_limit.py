@@ -146,10 +146,8 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
 
 def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
     """The equilibrium of another problem close to a point."""
-    result = there.solve(carry(point, there))
-    if not result.converged:
-        raise SolveError("the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost")
-    return LoadedPoint.of(there, result)
+    failure = "the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost"
+    return LoadedPoint.near(there, carry(point, there), failure)
 
 
 def _described(loss: Loss, scale: float) -> LoadLimit:
