@@ -11,12 +11,12 @@ from decimal import Decimal
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
-from ..files.fields import Part, asking, entry_of, to_data, values
+from ..files.fields import Part, asking, entry_of, named_or, to_data, values
 from ..files.marks import Usual
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
@@ -57,15 +57,13 @@ class MaterialEntry(Part):
         return NITINOL if material == replace(NITINOL, thermal=None) else material
 
 
-MaterialChoice = Annotated[
-    Annotated[Literal["nitinol"], BeforeValidator(str.lower), Tag("<name>")]
-    | Annotated[MaterialEntry, Tag("<mapping>")],
-    Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>"),
-]
-"""A material by name or by its constants."""
+if TYPE_CHECKING:
+    MaterialChoice = str | MaterialEntry
+else:
+    MaterialChoice = named_or(MaterialEntry, MATERIALS)
 
 
-def material_of(choice: str | MaterialEntry) -> Material:
+def material_of(choice: MaterialChoice) -> Material:
     """The material that was chosen."""
     return MATERIALS[choice] if isinstance(choice, str) else choice.build()
 
