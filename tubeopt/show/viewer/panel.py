@@ -32,7 +32,7 @@ from .session import (
 )
 from .view import View
 from .wishes import Wishes
-from .words import hand_words, legend, log_words, message_words, readout
+from .words import hand_words, legend, log_words, message_words, readout, typed
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
@@ -141,12 +141,12 @@ class Panel:
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * TO_MM)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
-                box.value = _typed(value, EXACT)
+                box.value = typed(value, EXACT)
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
         for box, value in zip(self._targets, session.equilibrium.tip_position * TO_MM, strict=True):
             if box.value == self._aimed.get(id(box), "0"):  # nobody has typed a target
-                box.value = self._aimed[id(box)] = _typed(value, 3)
+                box.value = self._aimed[id(box)] = typed(value, 3)
 
     def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
         """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
@@ -378,8 +378,3 @@ def _ends(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
     low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
     return factor, low, high
-
-
-def _typed(value: float, digits: int) -> str:
-    """A number as one would type it."""
-    return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
