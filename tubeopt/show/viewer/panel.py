@@ -71,7 +71,9 @@ class Panel:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Joints"):
             self._sliders = [self._slider(k, name) for k, name in enumerate(joint_names(robot))]
-            self._buttons()
+            self._button("Home", lambda: tab.change(go_home))
+            self._button("Undo", tab.undo)
+            self._button("All equilibria", tab.ghosts)
             self._mirror = self._mirror_sliders() if isinstance(robot, EccentricRobot) else []
             self._boxes = self._exact()
         with tabs.add_tab("Tip"):
@@ -211,11 +213,6 @@ class Panel:
 
         widget.on_update(moved)
         return widget
-
-    def _buttons(self) -> None:
-        self._button("Home", lambda: self._tab.change(go_home))
-        self._button("Undo", self._tab.undo)
-        self._button("All equilibria", self._tab.ghosts)
 
     def _button(self, label: str, act: Callable[[], object]) -> None:
         async def pressed(_: Any) -> None:
