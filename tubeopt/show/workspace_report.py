@@ -17,12 +17,14 @@ from .quantities import Quantity, line, within
 from .report import Drawing, Report, drawing
 
 LOSS: tuple[Quantity[SnappingLoss], ...] = (
-    Quantity("equilibria", "equilibria of all kinds that were found"),
-    Quantity("unstable", "those of them that are unstable"),
-    Quantity("held_volume_cm3", "volume that stable equilibria reach"),
-    Quantity("lost_volume_cm3", "volume that only unstable ones reach"),
-    Quantity("lost_first_half_cm3", "the same from the first half of the samples", lambda lost: lost.early_loss),
-    Quantity("lost_fraction", "part of all that is reached which is lost", lambda lost: lost.fraction),
+    Quantity("equilibria", "equilibria of all kinds that were found", form=".6g"),
+    Quantity("unstable", "those of them that are unstable", form=".6g"),
+    Quantity("held_volume_cm3", "volume that stable equilibria reach", form=".6g"),
+    Quantity("lost_volume_cm3", "volume that only unstable ones reach", form=".6g"),
+    Quantity(
+        "lost_first_half_cm3", "the same from the first half of the samples", lambda loss: loss.early_loss, form=".6g"
+    ),
+    Quantity("lost_fraction", "part of all that is reached which is lost", lambda loss: loss.fraction, form=".6g"),
 )
 
 
