@@ -30,7 +30,7 @@ from ..solvers.newton import newton
 from ..stability.certificate import worst_case
 from ..stability.pair_certificate import least_margin_of_pair, pair_of
 from ..stability.shooting import profiles, to_base
-from ..typing import Array
+from ..typing import Array, Of
 from .solved import mesh_slopes
 
 
@@ -135,6 +135,8 @@ class PiecePose:
         self.solved, self.problem, self.margin = solved, solved.problem, solved.margin
         self._tubes, self._changes = tuple(tubes), changes
 
+    position, frame, arc_length = Of[Array]("_equilibrium"), Of[Array]("_equilibrium"), Of[Array]("_equilibrium")
+
     @cached_property
     def _equilibrium(self) -> Equilibrium:
         assembly = self.problem.assembly
@@ -146,21 +148,6 @@ class PiecePose:
     def derivatives(self) -> GeneralMotion:
         """Derivatives at fixed arc lengths."""
         return GeneralMotion(self._equilibrium, more=self._changes)
-
-    @property
-    def position(self) -> Array:
-        """(m, 3) of the shape points, m."""
-        return self._equilibrium.position
-
-    @property
-    def frame(self) -> Array:
-        """(m, 3, 3) Bishop frame at the shape points."""
-        return self._equilibrium.frame
-
-    @property
-    def arc_length(self) -> Array:
-        """(m,) of the shape points, m."""
-        return self._equilibrium.arc_length
 
     @property
     def shape_slopes(self) -> tuple[Array, Array, Array]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -186,9 +187,7 @@ def points_of(requirements: Sequence[Requirement], added: Added) -> list[Points]
 
 def corners(box: Coverage) -> tuple[tuple[float, ...], ...]:
     """The eight corners of a workspace box."""
-    ends = np.array([box.lower, box.upper])
-    grid = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
-    return tuple(dict.fromkeys(tuple(row) for row in ends[grid, np.arange(3)].tolist()))
+    return tuple(dict.fromkeys(product(*zip(box.lower, box.upper, strict=True))))
 
 
 def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:

@@ -14,7 +14,7 @@ from tubeopt.show.viewer import View
 from tubeopt.show.viewer.pushing import DIRECTIONS, bearing_of, bearing_words, head_of, newtons_per_metre, push_on
 from tubeopt.show.viewer.servo import pull
 from tubeopt.show.viewer.session import Session, go_home, move_joint, open_session, other_equilibria, redesign
-from tubeopt.stability.pushing import push
+from tubeopt.stability.following import push
 
 from .browser import Tab
 

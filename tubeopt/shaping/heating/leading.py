@@ -11,9 +11,8 @@ import scipy
 from ...errors import InputError, instance
 from ...solvers.parallel.blas import small
 from ...typing import Array
-from .feedback import Contribution, Feedback
 from .law import HeatingLaw, shifted
-from .loop import Fleet, LoopHistory, run_loop
+from .loop import Contribution, Feedback, Fleet, LoopHistory, run_loop
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .robust import ENSEMBLE, assess

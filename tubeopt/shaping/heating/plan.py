@@ -17,7 +17,7 @@ from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
 from .counts import Counts
 from .cures import Cure
-from .feedback import Feedback
+from .loop import Feedback
 from .outcome import Outcome, hold_slots, remarks
 from .rates import stored
 from .rig import COUNTS, Rig

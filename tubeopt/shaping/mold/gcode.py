@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import SolveError, choice
+from ...errors import SolveError
 from ...files.files import write_text
 from ...files.units import TO_MM
 from .checks import THROUGH, beyond_edge
@@ -122,7 +122,6 @@ def files_of(part: str, title: str, clear: float, spec: MoldSpec, stages: Sequen
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
     """What the tools do to a plate, one after the other; what cuts it out comes last."""
-    choice("part", part, PARTS)
     plate = mold.spec.plate
     if part == "base":
         return [*groove_stages(mold), *plate_stages(mold.holes, mold.size, plate.thickness, mold.spec)]

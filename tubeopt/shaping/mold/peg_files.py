@@ -11,16 +11,15 @@ import scipy
 
 from ...errors import SolveError
 from ...files.csv_file import to_csv
-from ...files.files import left_out_where_missing, write_text
+from ...files.files import write_text
 from ...files.units import TO_MM
 from .checks import beyond_edge
 from .drawing import TEXT_HEIGHT_MM, Drawing, in_mm, rectangle
-from .dxf import write_drawing
+from .files import write_drawing
 from .gcode import files_of, plate_stages
 from .gcode_reader import TOLERANCE, hazards, read_gcode
 from .holes import Hole
 from .pegs import PegBoard
-from .svg import svg_of
 
 COLUMNS = ("hole", "angle_deg", "side", "pin_x_mm", "pin_y_mm", "arc_length_mm", "force_N", "colder_by_K")
 
@@ -38,10 +37,8 @@ def write_pegs(board: PegBoard, directory: Path) -> list[Path]:
     off = max(_pins_off(board, table), *(_holes_off(board, text) for text in list(texts.values())[:1]))
     if off > TOLERANCE:
         raise SolveError(f"{directory}: a pin or a hole lies {off * 1e6:.3g} um from where it is meant to be")
-    drawing, paths = draw_board(board), []
-    with left_out_where_missing():
-        paths.append(write_drawing(drawing, board.centreline.pieces, directory / "board.dxf"))
-    for name, text in {"pegs.csv": table, "board.svg": svg_of(drawing), **texts}.items():
+    paths = write_drawing(draw_board(board), board.centreline.pieces, directory / "board")
+    for name, text in {"pegs.csv": table, **texts}.items():
         write_text(directory / name, text)
         paths.append(directory / name)
     return paths

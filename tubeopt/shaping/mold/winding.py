@@ -10,10 +10,9 @@ import numpy as np
 import scipy
 
 from ...robots.pieces import Piece
-from ...robots.series import Series, breaks_of
+from ...robots.series import breaks_of, values, vary
 from ...robots.tubes import Tube
 from ...typing import Array
-from .setting import values
 from .settings import MoldSolver
 
 
@@ -50,7 +49,7 @@ class Winding:
 
 def helix_of(held: Tube) -> tuple[float, float] | None:
     """Curvature and torsion (1/m) where the whole curved part is one helix in constant components; else None."""
-    if any(isinstance(q, Series) for piece in held.pieces for q in piece.precurvature):
+    if any(vary(piece.precurvature) for piece in held.pieces):
         return None
     u = np.array([piece.precurvature for piece in held.pieces])
     if not len(u) or np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():

@@ -11,8 +11,8 @@ from ...equilibrium.result import Equilibrium
 from ...errors import SolveError
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.load import Load
+from ...stability.following import push
 from ...stability.load_limit import LoadLimit, find_load_limit
-from ...stability.pushing import push
 from .session import Session, moved_to
 
 ARROW = 5.0
