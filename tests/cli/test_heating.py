@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import ROOT, Run, answer, refused
+from tests.shaping.heating_reference import header_duties
 from tubeopt import MoldSpec, load_rig
-from tubeopt.shaping.heating.files import header_duties
 from tubeopt.shaping.tube_fabrication import mold_spec_for
 
 RIG = str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -89,3 +90,10 @@ def integrate(
     course = np.array(trace)
     cells, lumped = course[:, :size].reshape(-1, *shape), course[:, size:].reshape(-1, 1, LUMPED)
     return history_of(model, slot, State(cells, lumped))
+
+
+def header_duties(text: str) -> list[int]:
+    """The duties in a header of `arduino_header`."""
+    found = re.search(r"HEATING_DUTY\[\w+\] PROGMEM = \{([^}]*)\}", text)
+    assert found is not None
+    return [int(number) for number in found[1].split(",")]

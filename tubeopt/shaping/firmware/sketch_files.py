@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import InputError
 from ...files.files import write_text
 from ...typing import Array
 from ..heating.counts import full_current
+from ..heating.files import slot_milliseconds
 from ..heating.law import HeatingLaw
 from ..heating.leading import prolonged
 from ..heating.loop import Feedback
@@ -77,9 +77,7 @@ def _rows(name: str, values: Array) -> str:
 def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]]) -> str:
     """schedule.h.   tables: voltage at rest, V, and counts of effect (T,) of each, the fullest battery first."""
     law = tabled(feedback.law)
-    slot = round(1000 * law.slot)
-    if abs(slot - 1000 * law.slot) > 1e-9:
-        raise InputError(f"slot is {law.slot:g} s; for a microcontroller it must be a whole number of milliseconds")
+    slot = slot_milliseconds(law.slot)
     ticks = next(n for n in range(math.ceil(law.slot / TICK), slot + 1) if slot % n == 0)
     numbers = _numbers(plan, feedback, slot, ticks, len(tables))
     body = "".join(_rows(f"PLANNED_{k}", np.round(planned * CENTS)) for k, (_, planned) in enumerate(tables))
