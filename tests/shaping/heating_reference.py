@@ -18,8 +18,7 @@ from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
 from tubeopt.physics.heat import volume_shapes
 from tubeopt.physics.heat_functions import LUMPED
 from tubeopt.robots.materials import NITINOL
-from tubeopt.shaping.heating.rates import State, at_rest, rates
-from tubeopt.shaping.heating.simulation import History, history_of
+from tubeopt.shaping.heating.simulation import History, State, at_rest, history_of, rates
 from tubeopt.shaping.heating.thermal import ThermalModel
 from tubeopt.shaping.materials import MoldMaterial
 from tubeopt.typing import Array

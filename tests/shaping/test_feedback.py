@@ -20,10 +20,10 @@ from tubeopt.shaping.heating.law import begin, decide
 from tubeopt.shaping.heating.leading import RESET, Response, fleet_of, nominal_law, regulator
 from tubeopt.shaping.heating.loop import Fleet, run_loop, wilson
 from tubeopt.shaping.heating.planning import plan_heating
-from tubeopt.shaping.heating.rates import at_rest
 from tubeopt.shaping.heating.replanning import Leader, planner_for
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.sensors import followed
+from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 

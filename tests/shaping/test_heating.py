@@ -17,10 +17,9 @@ from tubeopt.physics.heat import GRIP
 from tubeopt.shaping.heating.counts import sum_up_rounding
 from tubeopt.shaping.heating.files import arduino_header, schedule_csv
 from tubeopt.shaping.heating.outcome import outcome_of
-from tubeopt.shaping.heating.rates import warming
 from tubeopt.shaping.heating.rig import Battery, Circuit, Clamps, MoldBed
 from tubeopt.shaping.heating.robust import Uncertainty, assess, at_charge, charge_tables, most_likely
-from tubeopt.shaping.heating.simulation import History, resimulate
+from tubeopt.shaping.heating.simulation import History, resimulate, warming
 from tubeopt.shaping.heating.thermal import FINE, ThermalModel, joined, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, MDF
 

@@ -21,7 +21,7 @@ from ..heating.loop import Feedback
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Rig
 from ..heating.robust import at_charge
-from .boards import CONVERSION_MS, Wiring, divider, hall_slope
+from .boards import CONVERTERS, Wiring, divider, hall_slope
 
 NAME = "tube_heater"
 SOURCES = (
@@ -164,7 +164,7 @@ def board_header(wiring: Wiring, rig: Rig) -> str:
     ampere = volt / hall_slope(wiring, rig.circuit)
     numbers = {
         "SENSOR": f"SENSOR_{wiring.converter.upper()}",
-        "SENSOR_MS": str(CONVERSION_MS[wiring.converter]),
+        "SENSOR_MS": str(CONVERTERS[wiring.converter]),
         "MEASURES_ELECTRICS": str(int(wiring.measures_electrics)),
         "PWM_HZ": f"{frequency:.2f}f",
         "PWM_PRESCALER": str(prescaler),

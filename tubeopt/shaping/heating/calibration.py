@@ -25,11 +25,10 @@ from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of, unexplained
-from .rates import State, at_rest, current
 from .rig import COUNTS, Rig
 from .sensors import followed, tube_at
 from .settings import DEFAULT_RIG_SOLVER, RigSolver
-from .simulation import advance
+from .simulation import State, advance, at_rest, current
 from .thermal import COARSE, FINE, ThermalModel, gap_of, stack, thermal_model
 
 BIAS = "bias"

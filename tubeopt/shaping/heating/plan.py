@@ -19,9 +19,9 @@ from .counts import Counts
 from .cures import Cure
 from .loop import Feedback
 from .outcome import Outcome, hold_slots, remarks
-from .rates import stored
 from .rig import COUNTS, Rig
 from .schedule import Schedule
+from .simulation import stored
 from .spec import HeatingSpec
 from .thermal import thermal_data
 

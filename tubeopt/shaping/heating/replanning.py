@@ -19,10 +19,10 @@ from .counts import most_count
 from .law import HeatingLaw
 from .leading import Response, response
 from .plan import HeatingPlan
-from .rates import State
 from .rig import COUNTS
 from .sensors import Felt, Sensor
 from .settings import HeatingSolver
+from .simulation import State
 from .thermal import PROGRAM, ThermalModel, thermal_model
 
 MOST_SLOTS = 12
