@@ -24,7 +24,7 @@ from ..heating.groove_air import STANDOFF
 from ..heating.rig import air_conductivity, natural_convection
 from ..heating.thermal import STEFAN_BOLTZMANN
 from .arcs import bend_of
-from .checks import refuse_failed, strain_check
+from .checks import refuse_failed, springback_remarks, strain_check
 from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd, HeatSpec, fin, thermal_data
 from .held import Held, held_between
@@ -277,9 +277,7 @@ def _remarks(spec: MoldSpec, worst: float, heat: PegHeat) -> tuple[str, ...]:
             f"heated by its own current, the tube is up to {dip:.0f} K colder at its pegs, more than the tolerance of "
             f"{spec.heat.tolerance:g} K: set it in a furnace, pegs and board with it, or take pins that conduct less"
         )
-    if not spec.springback.calibrated:
-        found.append("no spring-back is given: the tube will come out straighter than it is to be")
-    return tuple(found)
+    return *found, *springback_remarks(spec)
 
 
 # --- heat -------------------------------------------------------------------------------------------------------------
