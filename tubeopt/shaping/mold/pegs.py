@@ -159,7 +159,7 @@ def _pegged(
     good = [one for one in found if one[0] <= pegging.most_deviation]
     fewest = min(good, key=lambda one: int((one[3].force > 0).sum()), default=None)
     worst, placed, pegs, lying = fewest or min(found, key=lambda one: one[0])
-    force = lying.force * _stiffness(tube)
+    force = lying.force * float(tube.bending_stiffness)
     some = tuple(replace(peg, force=float(f)) for peg, f in zip(pegs, force, strict=True) if f > 0)
     return worst, placed, some, lying
 
@@ -192,13 +192,6 @@ def _to_be_held(tube: Tube, spec: MoldSpec, number: int) -> Tube:
     remedy = "set it in steps, on wider curves first"
     refuse_failed([strain_check(number, held, spec, "between its pegs", "between its pegs", remedy)])
     return held
-
-
-def _stiffness(tube: Tube) -> float:
-    """Bending stiffness (N m^2): the tube's own where it is one number, else that of its cross-section."""
-    if not tube.general and tube.bending_stiffness:
-        return float(tube.bending_stiffness)
-    return tube.material.youngs_modulus * math.pi / 64 * (tube.outer_diameter**4 - tube.inner_diameter**4)
 
 
 def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Centreline]:

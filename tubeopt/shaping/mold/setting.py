@@ -70,23 +70,12 @@ def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float,
             return np.asarray(values(quantity, s) * np.array([gain(size) for size in sizes]))
 
         x, y = (0.0 if q == 0.0 else _fitted(partial(bent, q), breaks) for q in own)
-    stiffness = (piece.bending_stiffness, piece.torsional_stiffness)
-    bending, torsional = (None if q is None else _stretched(q, factor) for q in stiffness)
-    return Piece(
-        piece.length * factor,
-        tuple(_stretched(q, factor) for q in (x, y, z)),
-        bending_stiffness=bending,
-        torsional_stiffness=torsional,
-    )
+    return replace(piece, precurvature=(x, y, z)).stretched(factor)
 
 
 def values(quantity: Quantity, s: Array) -> Array:
     """(N,) values of a quantity at arc lengths (N,)."""
     return quantity(s) if isinstance(quantity, Series) else np.full(len(s), quantity)
-
-
-def _stretched(quantity: Quantity, factor: float) -> Quantity:
-    return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
 
 
 def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
