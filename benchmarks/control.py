@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tubeopt.control.why import Why
 
 import tubeopt
 from benchmarks.timing import ROOT, dump, milliseconds, show, table, with_package
@@ -27,7 +28,6 @@ from tubeopt.bodies.obstacles import Obstacle, Sphere
 from tubeopt.control.c_binding import CRobot, CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.servo import Command, Servo, ServoOptions
-from tubeopt.control.why import Why
 from tubeopt.inverse.joints import joint_space
 from tubeopt.typing import Array
 

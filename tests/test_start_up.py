@@ -27,7 +27,7 @@ def test_forward_kinematics_needs_neither_statistics_nor_pictures() -> None:
 
 
 def test_the_answer_of_fk_is_told_without_the_questions() -> None:
-    modules = loaded_by("import tubeopt.cli.kinematics, tubeopt.show.equilibrium_report")
+    modules = loaded_by("import tubeopt.cli.flags, tubeopt.runs.forward_study, tubeopt.show.equilibrium_report")
     assert not modules & {"tubeopt.stability", "tubeopt.inverse", "tubeopt.planning", "tubeopt.design"}
 
 

@@ -94,9 +94,9 @@ class Settings(Displayed):
                 positive(each.name, value)
 
 
-def instance(name: str, value: Any, wanted: type) -> None:
-    """Raise InputError naming `name` unless `value` is a `wanted`."""
-    if not isinstance(value, wanted):
+def instance(name: str, value: Any, wanted: type, *, optional: bool = False) -> None:
+    """Raise InputError naming `name` unless `value` is a `wanted`; where it is optional, None will do."""
+    if not (isinstance(value, wanted) or (optional and value is None)):
         article = "an" if wanted.__name__[0] in "AEIOU" else "a"
         raise InputError(f"{name} is {value!r}; it must be {article} {wanted.__name__}")
 
@@ -125,6 +125,12 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
     if not np.isfinite(array).all():
         raise InputError(f"{name} is {array.tolist()}; every number must be finite")
     return array
+
+
+def triple(name: str, value: ArrayLike) -> tuple[float, float, float]:
+    """Return x, y, z of `value` if they are finite numbers, else raise InputError naming it."""
+    x, y, z = vector(name, value, 3, "x, y, z").tolist()
+    return x, y, z
 
 
 def choice(name: str, value: str, allowed: Iterable[str]) -> str:

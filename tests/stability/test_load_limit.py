@@ -29,8 +29,9 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
-from tubeopt.equilibrium.load_continuation import LoadFamily, Member, reach
-from tubeopt.equilibrium.load_problem import loaded_problem
+from tubeopt.equilibrium.continuation import JointPath
+from tubeopt.equilibrium.load_continuation import JointFamily, Member, reach
+from tubeopt.equilibrium.load_problem import LOADED_DISCRETISATION, loaded_problem
 from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.loaded import loaded_margin
 from tubeopt.stability.loaded_certificate import Bundle, bundle_of
@@ -97,7 +98,9 @@ def test_the_thesis_robot_snaps_under_twenty_two_millinewton() -> None:
     assert limit.after.stable
     assert limit.energy_released > 1e-3
     problem = loaded_problem(THESIS, (0.0, 0.0, 0.0), Load((-0.02, 0, 0)))
-    near = reach(LoadFamily(problem, turned.rotations, (0.0, 0.0, 0.0)), unloaded_point(problem, turned), 1.09)
+    here = np.append(turned.rotations, np.zeros(3))
+    family = JointFamily(JointPath(THESIS, here, here, LOADED_DISCRETISATION), Load((-0.02, 0, 0)), None)
+    near = reach(family, unloaded_point(problem, turned), 1.09)
     other = largest_factor(problem, turned.rotations, near.state.x, 1.09)
     assert limit.factor == pytest.approx(other, abs=1e-8)
     # The same event, met by turning under that load.

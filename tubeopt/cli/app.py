@@ -21,29 +21,34 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from .. import __version__
+from .commands import COMMANDS, Asked, flowing
 from .failures import INTERRUPTED, complain, failure
-from .help import flowing
 from .interruption import awake, interruptible, kept, stop_workers
 from .messages import LEVELS, listening, log_level
 
 
 class LazyCommand(TyperCommand):
-    """A command whose function is imported when it is run.
+    """A command whose function is made, or imported, when it is run.
 
     Args:
         name: what is typed.
-        where: module of this package and function, as "stability.snap".
+        what: what it asks, or module of this package and function, as "certify.certify".
     """
 
-    def __init__(self, name: str, where: str) -> None:
-        super().__init__(name, help=_documented(*where.split(".")))
-        self.where = where
+    def __init__(self, name: str, what: Asked | str) -> None:
+        super().__init__(name, help=flowing(what.help) if isinstance(what, Asked) else _documented(*what.split(".")))
+        self.what = what
 
     @functools.cached_property
     def command(self) -> Any:
         """The command itself."""
-        module, function = self.where.split(".")
-        found = getattr(importlib.import_module(f".{module}", __package__), function)
+        if isinstance(self.what, Asked):
+            from .flags import asking
+
+            found: Any = asking(self.what)
+        else:
+            module, function = self.what.split(".")
+            found = getattr(importlib.import_module(f".{module}", __package__), function)
         app = typer.Typer(add_completion=False)
         app.command(self.name, epilog=found.epilog)(found)
         return get_command(app)
@@ -70,44 +75,6 @@ class PlanByDefault(TyperGroup):
         rest: list[str] = super().parse_args(ctx, args)
         return rest
 
-
-COMMANDS = {
-    "fk": "kinematics.fk",
-    "ik": "inverse.ik",
-    "equilibria": "stability.equilibria",
-    "snap": "stability.snap",
-    "follow": "stability.follow",
-    "load-limit": "loads.load_limit",
-    "force": "loads.force",
-    "certify": "stability.certify",
-    "stability-map": "stability.stability_map",
-    "run": "study.run",
-    "validate": "validation.validate",
-    "measure": "validation.measure",
-    "design": "design.design",
-    "design-pair": "design.design_pair",
-    "sweep": "sweep.sweep",
-    "workspace": "workspace.workspace",
-    "fabricate": "fabrication.fabricate",
-    "heat plan": "heat.plan",
-    "heat firmware": "heat.firmware",
-    "heat run": "heat.run",
-    "heat calibrate": "heat.calibrate",
-    "view": "view.view",
-    "plan": "plan.plan",
-    "plan-arms": "plan.plan_arms",
-    "verify": "plan.verify",
-    "export": "export.export",
-    "serve": "serve.serve",
-    "doctor": "doctor.doctor",
-    "mold plan": "mold.plan",
-    "mold mandrel": "mold.mandrel",
-    "mold pegs": "mold.pegs",
-    "mold calibrate": "mold.calibrate",
-    "mold materials": "mold.materials",
-    "robot show": "robot.show",
-}
-"""What is typed after `tubeopt` -> module and function; a module is imported when one of its commands is run."""
 
 GROUPS: dict[str, tuple[type[TyperGroup], str]] = {
     "heat": (PlanByDefault, "Heating schedules for setting the shape of tubes."),
@@ -142,7 +109,7 @@ def program() -> TyperGroup:
     )
     root.callback()(_options)
     group: Any = get_command(root)
-    for words, where in COMMANDS.items():
+    for words, what in COMMANDS.items():
         *above, name = words.split()
         place = group
         for word in above:
@@ -150,7 +117,7 @@ def program() -> TyperGroup:
             if word not in place.commands:
                 place.add_command(kind(name=word, help=help_text, no_args_is_help=True))
             place = place.commands[word]
-        place.add_command(LazyCommand(name, where))
+        place.add_command(LazyCommand(name, what))
     return group  # type: ignore[no-any-return]
 
 

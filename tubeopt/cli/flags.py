@@ -12,10 +12,12 @@ function takes besides stays as it is; where it takes a key too, it gets that as
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
@@ -31,11 +33,11 @@ from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
 from ..robots.fit import fit_warnings
 from ..runs.base import Study
+from ..runs.study_file import STUDY_KINDS
 from ..show.progress import working
-from ..show.report import PICTURE_FORMATS
 from ..show.reports import report
+from .commands import ROBOT, Asked, flowing
 from .failures import told_by_flag
-from .help import flowing
 from .interruption import keeping
 from .messages import LOGGER
 from .output import Output, can_be_saved, present
@@ -44,64 +46,51 @@ S = TypeVar("S", bound=Entry)
 F = TypeVar("F", bound=Study)
 Made = Callable[..., None]
 
-ROBOT = ("ROBOT.yaml", "Robot file.")
-"""Metavar and help of the robot as an argument."""
-
 NONE = "none"
 """Empties a list."""
-
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Save the results into this directory.", show_default=False)
-]
-PlotOption = Annotated[
-    bool, typer.Option("--plot", help="Save pictures (into DIR, or here), and open them where there is a display.")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors, and with --json the object.")]
-FormatOption = Annotated[
-    str,
-    typer.Option(
-        "--format", metavar="F,..", help="To save in: png, pdf or svg for pictures; parquet; stl, glb, urdf, mjcf."
-    ),
-]
-WidthOption = Annotated[
-    str | None,
-    typer.Option("--width-mm", metavar="MM", help="Lay pictures out for a page: a column has some 88, a page 180."),
-]
-
-SHARED = {"plot": (PlotOption, False), "out": (OutOption, None), "as_json": (JsonOption, False),
-          "quiet": (QuietOption, False), "formats": (FormatOption, PICTURE_FORMATS[0]),
-          "width_mm": (WidthOption, None)}  # fmt: skip
-"""Flags of every command: field of `Output` -> what it is, and its default."""
 
 
 def command(example: str, *, note: str = "") -> Callable[[Made], Made]:
     """Make a command of a function that takes an `Output`; `example` and `note` end its help."""
 
-    def made(function: Made) -> Made:
+    def _of(function: Made) -> Made:
         taken = inspect.signature(function, eval_str=True).parameters
         return _command(function, [part for name, part in taken.items() if name != "output"], example, note)
 
-    return made
+    return _of
 
 
 def _command(function: Made, own: Sequence[inspect.Parameter], example: str, note: str) -> Made:
     """A function with parameters `own`, besides the flags of every command, which it takes as one `Output`."""
+    shared = [
+        part.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for part in inspect.signature(Output, eval_str=True).parameters.values()
+    ]
 
-    def run(**typed: Any) -> None:
-        output = Output(**{name: typed.pop(name) for name in SHARED})
+    def _run(**typed: Any) -> None:
+        output = Output(**{part.name: typed.pop(part.name) for part in shared})
         function(**typed, output=output)
 
-    shared = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=default)
-        for name, (kind, default) in SHARED.items()
-    ]
     signature = inspect.Signature([*own, *shared])
-    run.__name__, run.__doc__ = function.__name__, flowing(function.__doc__ or "")
-    run.__signature__ = signature  # type: ignore[attr-defined]
-    run.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
-    run.epilog = f"{note}\n\nExample: {example}" if note else f"Example: {example}"  # type: ignore[attr-defined]
-    return run
+    _run.__name__, _run.__doc__ = function.__name__, flowing(function.__doc__ or "")
+    _run.__signature__ = signature  # type: ignore[attr-defined]
+    _run.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
+    _run.epilog = f"{note}\n\nExample: {example}" if note else f"Example: {example}"  # type: ignore[attr-defined]
+    return _run
+
+
+def asking(row: Asked) -> Made:
+    """The command that a row of `COMMANDS` is."""
+    study = STUDY_KINDS[row.kind]
+
+    def _ask(study: Study, output: Output) -> None:
+        answer(study, output)
+
+    _ask.__doc__ = row.help
+    if row.from_file:
+        return asks_file(study, example=row.example, note=study.assuming)(_ask)
+    options: dict[str, Any] = {"arguments": row.arguments, "flags": row.flags, "defaults": row.defaults}
+    return asks(study, example=row.example, note=study.assuming, **options)(_ask)
 
 
 def asks(
@@ -117,83 +106,80 @@ def asks(
 
     Args:
         example, note: what its help ends with.
-        arguments: keys that are arguments, in order -> (metavar, help); by default the robot's file.
-        flags: keys whose flag is not their name -> the flag, or several with "/" or "," between.
-        defaults: keys whose default on the command line is not that of a study, as they would be typed.
+        arguments, flags, defaults: as of `Asked`.
     """
     placed = {"robot": ROBOT} if arguments is None else arguments
-    fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
-    called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
-    names = _names(fields, called, tuple(placed))
-    first = {key: re.split("[,/]", called[key])[0] for key in fields if key not in placed}
+    keys = _Keys(study, tuple(placed), flags or {})
+    flag_of = {key: _first(flag) for key, flag in keys.called.items() if key not in placed}
+    keyed = [_argument(key, *placed[key], required=keys.fields[key].is_required()) for key in placed]
+    keyed += [
+        _option(key, keys.fields[key], keys.called[key], (defaults or {}).get(key, _usual(keys.fields[key])))
+        for key in flag_of
+    ]
+    usual = {part.name: part.default for part in keyed}
     constant = {"kind": _kind_of(study)} if "kind" in study.model_fields else {}
 
-    def command_of(function: Callable[..., None]) -> Made:
-        keyed = [_argument(key, *placed[key], required=fields[key].is_required()) for key in placed]
-        keyed += [
-            _option(key, field, called[key], (defaults or {}).get(key, _usual(field)))
-            for key, field in fields.items()
-            if key not in placed
-        ]
-        _, *parts = inspect.signature(function, eval_str=True).parameters.values()  # the first is the study
-        taken = {part.name for part in parts}
-        own = [part for part in parts if part.name not in ("output", *fields)]
-        usual = {part.name: part.default for part in keyed}
+    @contextmanager
+    def _question(typed: Mapping[str, Any]) -> Iterator[S]:
+        given = keys.given(typed)
+        missing = {key: flag for key, flag in flag_of.items() if keys.fields[key].is_required() and key not in given}
+        lacks = {f"{flag} is missing": f": {_about(keys.fields[key])}" for key, flag in missing.items()}
+        with told_by_flag({key: keys.names[key] for key in given if typed[key] != usual[key]}, flag_of):
+            try:
+                question = check(study, constant | given, "", names=keys.names | missing)
+            except InputError as error:
+                raise InputError("\n".join(line + lacks.get(line, "") for line in str(error).splitlines())) from None
+            yield question
 
-        def run(output: Output, **typed: Any) -> None:
-            given = _given(fields, typed)
-            missing = [key for key, field in fields.items() if field.is_required() and key not in given]
-            lacks: dict[str, list[str]] = {}
-            for key in missing:  # files have no name in messages, which begin with theirs
-                lacks.setdefault(f"{names[key]} is missing", []).append(
-                    f"{first[key]} is missing: {_about(fields[key])}"
-                )
-            with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}, first):
-                try:
-                    question = check(study, constant | given, "", names=names)
-                except InputError as error:
-                    told = (lacks[line].pop(0) if lacks.get(line) else line for line in str(error).splitlines())
-                    raise InputError("\n".join(told)) from None
-                function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
-
-        run.__name__, run.__doc__ = function.__name__, function.__doc__
-        return _command(run, [*keyed, *own], example, note)
-
-    return command_of
+    return functools.partial(_asking, keyed=keyed, question=_question, example=example, note=note)
 
 
-def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Callable[[F, Output], None]], Made]:
+def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Callable[..., None]], Made]:
     """Make a command of a function that takes a study: it is read from a file, whose keys the flags override.
 
     Keys that are mappings, or lists of them, have no flag.
     """
-    kind = _kind_of(study)
-    fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
-    called = {key: f"--{key.replace('_', '-')}" for key in fields}
-    names = _names(fields, called, ())
-    file = _argument("study", "STUDY.yaml", f"Study of kind {kind}.", required=True)
+    kind, keys = _kind_of(study), _Keys(study)
+    keyed = [_argument("study", "STUDY.yaml", f"Study of kind {kind}.", required=True)]
+    keyed += [_option(key, field, keys.called[key], None) for key, field in keys.fields.items()]
 
-    def command_of(function: Callable[[F, Output], None]) -> Made:
-        keyed = [_option(key, field, called[key], None) for key, field in fields.items()]
+    @contextmanager
+    def _question(typed: Mapping[str, Any]) -> Iterator[F]:
+        path = typed["study"]
+        given = {
+            # A file that is typed is relative to where one is, not to the study.
+            key: str(Path(value).absolute()) if isinstance(value, str) and _is_file(keys.fields[key]) else value
+            for key, value in keys.given(typed).items()
+        }
+        typed_sets = [one for one in study.either if not one.isdisjoint(given)]
+        replaced = frozenset().union(*(one for one in study.either if typed_sets and one not in typed_sets))
+        written = {key: value for key, value in load_yaml(path).items() if key not in replaced}
+        flags = {key: keys.names[key] for key in given}
+        with told_by_flag(flags, {key: flag for key, flag in flags.items() if flag}):
+            yield check_kind({kind: study}, {**written, **given}, path, names=flags)
 
-        def run(output: Output, **typed: Any) -> None:
-            path = typed.pop("study")
-            given = {
-                # A file that is typed is relative to where one is, not to the study.
-                key: str(Path(value).absolute()) if isinstance(value, str) and _is_file(fields[key]) else value
-                for key, value in _given(fields, typed).items()
-            }
-            typed_sets = [keys for keys in study.either if not keys.isdisjoint(given)]
-            replaced = frozenset().union(*(keys for keys in study.either if typed_sets and keys not in typed_sets))
-            written = {key: value for key, value in load_yaml(path).items() if key not in replaced}
-            data, flags = {**written, **given}, {key: names[key] for key in given}
-            with told_by_flag(flags, {key: flag for key, flag in flags.items() if flag}):
-                function(check_kind({kind: study}, data, path, names=flags), output)
+    return functools.partial(_asking, keyed=keyed, question=_question, example=example, note=note)
 
-        run.__name__, run.__doc__ = function.__name__, function.__doc__
-        return _command(run, [file, *keyed], example, note)
 
-    return command_of
+def _asking(
+    function: Callable[..., None],
+    *,
+    keyed: Sequence[inspect.Parameter],
+    question: Callable[[Mapping[str, Any]], AbstractContextManager[Entry]],
+    example: str,
+    note: str,
+) -> Made:
+    """A command of a function that takes a study, which `question` makes of what is typed for `keyed`."""
+    _, *parts = inspect.signature(function, eval_str=True).parameters.values()  # the first is the study
+    taken = {part.name for part in parts}
+    own = [part for part in parts if part.name not in ("output", *(part.name for part in keyed))]
+
+    def _run(output: Output, **typed: Any) -> None:
+        with question(typed) as study:
+            function(study, output=output, **{key: value for key, value in typed.items() if key in taken})
+
+    _run.__name__, _run.__doc__ = function.__name__, function.__doc__
+    return _command(_run, [*keyed, *own], example, note)
 
 
 def answer(study: Study, output: Output) -> None:
@@ -233,18 +219,28 @@ def _kind_of(study: type[Entry]) -> str:
     return str(kind)
 
 
-def _names(fields: Mapping[str, FieldInfo], called: Mapping[str, str], placed: Sequence[str]) -> dict[str, str]:
-    """What messages call a key: nothing where what is said begins with the name of a file; else its flag."""
-    return {
-        key: "" if key in placed or _is_file(field) else re.split("[,/]", called[key])[0]
-        for key, field in fields.items()
-    }
+class _Keys:
+    """The keys of a study that can be typed: their fields, their flags, and what messages call them, which is nothing
+    where what is said begins with the name of a file, and else the flag."""
+
+    def __init__(self, study: type[Entry], placed: Sequence[str] = (), flags: Mapping[str, str] | None = None) -> None:
+        known = study.model_fields.items()
+        self.fields = {key: field for key, field in known if key != "kind" and _can_be_typed(field)}
+        self.called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in self.fields}
+        self.names = {
+            key: "" if key in placed or _is_file(field) else _first(self.called[key])
+            for key, field in self.fields.items()
+        }
+
+    def given(self, typed: Mapping[str, Any]) -> dict[str, Any]:
+        """What was typed, as the study's model takes it."""
+        read = {key: _read(field, typed[key]) for key, field in self.fields.items()}
+        return {key: value for key, value in read.items() if value is not None}
 
 
-def _given(fields: Mapping[str, FieldInfo], typed: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys that were typed, as the study's model takes them."""
-    read = {key: _read(field, typed[key]) for key, field in fields.items()}
-    return {key: value for key, value in read.items() if value is not None}
+def _first(flags: str) -> str:
+    """The first of several flags for a key."""
+    return re.split("[,/]", flags)[0]
 
 
 def numbers(text: str) -> list[Decimal | str]:

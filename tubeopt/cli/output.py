@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -30,20 +30,31 @@ NARROWEST_MM, WIDEST_MM = 60, 400
 class Output:
     """What becomes of an answer, as the flags that all commands share say it.
 
-    out: directory to save into, or None.   plot: whether pictures are drawn without a directory too, and opened.
-    as_json: one JSON object in place of the table.   quiet: neither table nor bar nor warnings.
-    formats: in which is saved, with commas between.   width_mm: for which pictures are laid out, as typed; None as is.
-
     Raises:
         InputError: a format that is not known, a width that is no number or out of its range.
     """
 
-    out: Path | None = None
-    plot: bool = False
-    as_json: bool = False
-    quiet: bool = False
-    formats: str = PICTURE_FORMATS[0]
-    width_mm: str | None = None
+    plot: Annotated[
+        bool, typer.Option("--plot", help="Save pictures (into DIR, or here), and open them where there is a display.")
+    ] = False
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Save the results into this directory.", show_default=False),
+    ] = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors, and with --json the object.")] = (
+        False
+    )
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format", metavar="F,..", help="To save in: png, pdf or svg for pictures; parquet; stl, glb, urdf, mjcf."
+        ),
+    ] = PICTURE_FORMATS[0]
+    width_mm: Annotated[
+        str | None,
+        typer.Option("--width-mm", metavar="MM", help="Lay pictures out for a page: a column has some 88, a page 180."),
+    ] = None
 
     def __post_init__(self) -> None:
         for form in self.wanted:

@@ -8,7 +8,8 @@ import typer
 
 from ..robots.file import load_robot
 from ..show.reports import report
-from .flags import ROBOT, command
+from .commands import ROBOT
+from .flags import command
 from .output import Output, can_be_saved, present
 
 

@@ -9,9 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from ..solvers.parallel.executors import executor
-from ..typing import Array
-from .pool import Progress, run_all
+from ..solvers.parallel.executors import executor, run_all
+from ..typing import Array, Progress
 from .program import Program
 from .solve import solve
 from .solve_one import Attempt, Report

@@ -11,17 +11,16 @@ import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, choice, whole
+from ..errors import SolveError, choice, instance, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
-from ..typing import Array, Sentence
+from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
 from .exchange import carry, certified_at, robot_at, violations
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
-from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
 from .rechecks import Check
 from .relaxation import InfeasibleDesignError, smallest_relaxations
@@ -162,8 +161,7 @@ def optimize_design(
         >>> tubeopt.optimize_design(task).certificate > 0.0499
         True
     """
-    if not isinstance(task, DesignTask):
-        raise InputError(f"task is {task!r}; it must be a DesignTask")
+    instance("task", task, DesignTask)
     for name, value, least in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
         whole(name, value, least)
     if choice("method", method, METHODS) == "collocation":

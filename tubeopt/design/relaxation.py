@@ -10,10 +10,10 @@ import numpy as np
 from ..errors import SolveError
 from ..typing import Array
 from .program import Program, elastic, evaluate, recompiled
-from .rows import Rows, relaxed
+from .rows import Rows
 from .solve import best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
-from .statements import Limit
+from .statements import Limit, relaxed
 from .task import DesignTask
 
 

@@ -7,26 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..block.own import OwnRequirement
 from ..typing import Array
 from .lookup import at_state
 from .order import gaps_of, order_gaps
-from .requirements import (
-    Avoid,
-    Coverage,
-    Length,
-    Nesting,
-    Reach,
-    Requirement,
-    SnapFree,
-    SnapFreeInUse,
-    Strain,
-    Stroke,
-    StrokeForce,
-    Wall,
-)
 from .state import FreePose, State
-from .statements import Limit, Statement, reach_parts
+from .statements import Limit, Statement
 from .task import DesignTask
 
 HELD = 5e-8
@@ -68,40 +53,6 @@ def stated_rows(found: Sequence[Statement], number: int, state: State) -> list[R
             group = replace(group, vector=(gap.reshape(-1, 3), slope.reshape(len(gap) // 3, 3, -1)))
         out.append(replace(group, always=one.always))
     return out
-
-
-def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
-    """The requirement with the limit of one of its groups of rows moved by `amount` > 0, SI, to the easier side."""
-    match requirement:
-        case SnapFree():
-            return requirement.eased(amount)
-        case SnapFreeInUse():
-            return replace(requirement, margin=requirement.margin - amount)
-        case Strain(limits=limits):
-            raised = [limit + amount * (i == part) for i, limit in enumerate(limits)]
-            return replace(requirement, limits=tuple(raised))
-        case Nesting():
-            return replace(requirement, clearance=max(0.0, requirement.clearance - amount))
-        case Wall():
-            return replace(requirement, thickness=requirement.thickness - amount)
-        case Length():
-            return replace(requirement, limit=requirement.limit + (-amount if requirement.least else amount))
-        case Stroke():
-            return replace(requirement, limit=requirement.limit + amount)
-        case StrokeForce():
-            return replace(requirement, limit=requirement.limit - amount)
-        case Reach(targets=targets):
-            k, field = reach_parts(requirement)[part]
-            eased = replace(targets[k], **{field: getattr(targets[k], field) + amount})
-            return replace(requirement, targets=(*targets[:k], eased, *targets[k + 1 :]))
-        case Coverage():
-            return replace(requirement, tolerance=requirement.tolerance + amount)
-        case Avoid():
-            return replace(requirement, clearance=requirement.clearance - amount)
-        case OwnRequirement():
-            return requirement.relaxed(amount) or requirement
-        case _:
-            return requirement
 
 
 def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:

@@ -13,15 +13,14 @@ import numpy as np
 import scipy
 
 from ..display import Displayed
-from ..errors import InputError, SolveError, positive, whole
+from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
-from ..typing import Array
+from ..typing import Array, Progress
 from .exchange import robot_at
 from .multistart import multistart, rank
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
-from .pool import Progress
 from .program import Program, compile_task
 from .requirements import SnapFree
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation
@@ -321,8 +320,7 @@ def _searched(
 
 
 def _check(task: DesignTask) -> None:
-    if not isinstance(task, DesignTask):
-        raise InputError(f"task is {task!r}; it must be a DesignTask")
+    instance("task", task, DesignTask)
     if task.has_poses:
         raise InputError(
             "the task has poses; a search without derivatives takes requirements on tubes and certificates"

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..block.transcription.mesh import Mesh, make_mesh
 from ..block.transcription.reduced import evaluate, reduce, to_unknowns
-from ..block.transcription.second_variation import margin
 from ..equilibrium.arm_change import PARAMETERS
 from ..equilibrium.solving import Solution
 from ..errors import SolveError
@@ -42,11 +41,11 @@ def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, gue
         twist = np.column_stack([np.interp(fraction, guess.fraction, column) for column in guess.twist.T])
         result = newton(problem, rotations, to_unknowns(problem, rotations, rotations + twist), iterations=12)
         if result.converged:
-            return Solution(problem, rotations, result, margin(problem, result.state))
+            return Solution.of(problem, rotations, result)
     result = descend(problem, rotations, np.zeros(problem.size))
     if not result.converged:
         raise SolveError("no equilibrium was found at a pose of the design")
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Solution.of(problem, rotations, result)
 
 
 def without_solving(tubes: Sequence[Tube], translations: Array) -> Solution:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
 from typing import Any
@@ -169,10 +169,37 @@ def _unstrained(one: Strain, poses: Poses, tube: int, q: Quantities) -> Any:
     return one.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in poses))
 
 
-def reach_parts(requirement: Reach) -> list[tuple[int, str]]:
-    """The target and its tolerance that each part of the statements of a requirement limits."""
-    both = [(k, name) for k in range(len(requirement.targets)) for name in ("tolerance", "direction_tolerance")]
-    return [(k, name) for k, name in both if name == "tolerance" or requirement.targets[k].direction is not None]
+LIMITS = {
+    SnapFreeInUse: ("margin", -1),
+    Nesting: ("clearance", -1),
+    Wall: ("thickness", -1),
+    Stroke: ("limit", 1),
+    StrokeForce: ("limit", -1),
+    Coverage: ("tolerance", 1),
+    Avoid: ("clearance", -1),
+}
+"""Requirements of one limit: the field that is it, and whether it rises (1) or falls (-1) to the easier side."""
+
+
+def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
+    """The requirement with the limit of one of its statements moved by `amount` > 0, SI, to the easier side."""
+    match requirement:
+        case SnapFree():
+            return requirement.eased(amount)
+        case Strain(limits=limits):
+            return replace(requirement, limits=tuple(most + amount * (i == part) for i, most in enumerate(limits)))
+        case Length(limit=limit, least=least):
+            return replace(requirement, limit=limit + (-amount if least else amount))
+        case Reach(targets=targets):
+            both = [(k, name) for k in range(len(targets)) for name in ("tolerance", "direction_tolerance")]
+            k, field = [each for each in both if each[1] == "tolerance" or targets[each[0]].direction is not None][part]
+            eased = replace(targets[k], **{field: getattr(targets[k], field) + amount})
+            return replace(requirement, targets=(*targets[:k], eased, *targets[k + 1 :]))
+        case OwnRequirement():
+            return requirement.relaxed(amount) or requirement
+    field, sign = LIMITS[type(requirement)]
+    moved = getattr(requirement, field) + sign * amount
+    return replace(requirement, **{field: max(0.0, moved) if isinstance(requirement, Nesting) else moved})
 
 
 def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, Function]:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 from ..block.transcription.loaded import unknowns
 from ..block.transcription.reduced import to_unknowns
-from ..block.transcription.second_variation import margin
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -46,7 +45,7 @@ def equilibrium_at(
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
     if not result.converged:
         raise SolveError(FOLD)
-    solution = Solution(problem, rotations, result, margin(problem, result.state))
+    solution = Solution.of(problem, rotations, result)
     near = to_equilibrium(robot, solution, shift, ("newton", "a program", 0.0))
     return forward_kinematics(robot, rotations, translations, guess=near)
 

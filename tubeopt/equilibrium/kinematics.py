@@ -268,7 +268,7 @@ def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, met
         result = solve_ipopt(problem, rotations, guess, formulation, method.ipopt)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Solution.of(problem, rotations, result)
 
 
 def _by_centreline(
@@ -296,7 +296,7 @@ def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
     if problem.assembly.eccentric:
         theta = result.state.theta
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Solution.of(problem, rotations, result)
 
 
 def _refine(
@@ -309,7 +309,7 @@ def _refine(
     result = newton(problem, coarse.rotations, z, settings=method.newton)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
-    solution = Solution(problem, coarse.rotations, result, margin(problem, result.state))
+    solution = Solution.of(problem, coarse.rotations, result)
     return solution if method.name == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
 
 
@@ -343,7 +343,7 @@ def _near(
     far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > largest_twist(guess.margin)
     if not result.converged or result.contraction > CONTINUATION.largest_ratio or far:
         return None
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Solution.of(problem, rotations, result)
 
 
 @small

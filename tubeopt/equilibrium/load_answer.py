@@ -15,7 +15,7 @@ from ..solvers.settings import CONTINUATION
 from .load_continuation import LoadedPoint, Member, carry
 from .load_problem import EXTRA_POINTS, loaded_problem
 from .result import Equilibrium, Statistics, Status
-from .solving import Discretisation
+from .solving import Discretisation, told_by_arm
 
 
 def to_loaded(
@@ -52,28 +52,16 @@ def from_answer(
     robot: Robot, member: Member, load: Load, found: LoadedAnswer, how: tuple[str, float, int, int]
 ) -> Equilibrium:
     """The equilibrium of an answer; `how` is the start, when (s) begun, halvings of the mesh, unstable directions."""
-    problem, rotations, arm, margin = member.problem, member.rotations, found.arm, found.margin
-    assembly, mesh = problem.torsion.assembly, problem.mesh
-    ends = np.maximum(assembly.end, 0.0)
+    problem, mesh, margin = member.problem, member.problem.mesh, found.margin
     start, began, refinement, index = how
     equilibrium = Equilibrium(
         robot=robot,
-        rotations=rotations,
+        rotations=member.rotations,
         translations=np.array(member.translations),
-        tip_position=arm.position[-1],
-        tip_rotation=arm.frame[-1],
-        arc_length=arm.arc_length,
-        position=arm.position,
-        frame=arm.frame,
-        curvature=arm.curvature,
-        rotation=arm.rotation,
-        torsion=arm.torsion,
-        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(arm.arc_length, ends - 1e-12)],
-        section_start=assembly.start,
+        **told_by_arm(found.arm, problem.torsion.assembly),
         point=problem.torsion.arc_length,
         point_rotation=found.theta + problem.wound,
         point_curvature=found.curvature,
-        tube_end=ends,
         margin=margin,
         index=index,
         energy=found.energy,

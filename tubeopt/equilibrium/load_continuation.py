@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import scipy
@@ -28,34 +27,14 @@ class Member:
     factor: float = 1.0
 
 
-class Family(Protocol):
-    """Problems that depend on one number t."""
-
-    def member(self, t: float) -> Member:
-        """The problem at t."""
-
-
-@dataclass(frozen=True, eq=False)
-class LoadFamily:
-    """The load grows from nothing: t is the factor on it."""
-
-    problem: LoadedProblem
-    rotations: Array
-    translations: tuple[float, ...]
-
-    def member(self, t: float) -> Member:
-        """The problem at factor t."""
-        return Member(self.problem, self.rotations, self.translations, t)
-
-
 @dataclass(frozen=True, eq=False)
 class JointFamily:
-    """The joints move along a path under a load, from t = 0 to 1, while the load becomes another one.
+    """Problems along a path of the joints, from t = 0 to 1, while the load becomes another one.
 
     Attributes:
-        path: of the joints.
+        path: of the joints, which rest where it begins and ends at the same values.
         load: at the end.
-        before: at the start; None is no load.
+        before: at the start; None is no load, and t the factor on the other.
     """
 
     path: JointPath
@@ -89,7 +68,7 @@ class LoadedPoint:
 
 
 def solve_member(
-    family: Family, t: float, near: LoadedPoint, before: LoadedPoint | None = None, *, stable: bool = True
+    family: JointFamily, t: float, near: LoadedPoint, before: LoadedPoint | None = None, *, stable: bool = True
 ) -> LoadedPoint | None:
     """The equilibrium at t on the branch of `near`, or None where Newton is not at ease or, if `stable`, it is not
     stable. Loads without an energy have no stability: there it is only followed."""
@@ -108,7 +87,7 @@ def solve_member(
 def _guess(there: Member, near: LoadedPoint, before: LoadedPoint | None, t: float) -> Array:
     """Unknowns at t from those at one or two points of the branch."""
     x = carry(near, there)
-    if near.member.problem is there.problem and near.member.rotations is there.rotations:
+    if near.member.problem is there.problem and np.array_equal(near.member.rotations, there.rotations):
         # Only the factor changes: along the tangent of the branch.
         step = scipy.linalg.lapack.dgesv(near.state.hessian, -near.state.pull)[2] * (there.factor - near.state.factor)
     elif before is not None and near.t > before.t:
@@ -157,7 +136,7 @@ def _moved(there: Member, near: LoadedPoint, state: LoadedState) -> float:
 
 
 def follow_family(
-    family: Family, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
+    family: JointFamily, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
 ) -> Iterator[LoadedPoint]:
     """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable)."""
     here, before = start, None
@@ -189,7 +168,7 @@ def _left(here: LoadedPoint, before: LoadedPoint, power: int) -> float:
 
 
 def reach(
-    family: Family, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
+    family: JointFamily, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
 ) -> LoadedPoint:
     """The last point of `follow_family`, which is `start` where the branch ends at once."""
     last = start

@@ -23,7 +23,7 @@ from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
 from .continuation import JointPath, largest_twist, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
-from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
+from .load_continuation import JointFamily, LoadedPoint, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
 from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
@@ -35,10 +35,9 @@ def ramp(robot: Robot, unloaded: Equilibrium, load: Load, discretisation: Discre
     Raises:
         SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
     """
-    shift = tuple(unloaded.translations.tolist())
-    problem = loaded_problem(robot, shift, load, discretisation)
-    start = unloaded_point(problem, unloaded)
-    point = reach(LoadFamily(problem, start.member.rotations, shift), start, 1.0)
+    here = np.concatenate([unloaded.rotations, unloaded.translations])
+    family = JointFamily(JointPath(robot, here, here, discretisation), load, None)
+    point = reach(family, unloaded_point(family.member(0.0).problem, unloaded), 1.0)
     if point.t < 1.0:
         raise SolveError(
             f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(point)} at {100 * point.t:.4g} % of the load",

@@ -113,6 +113,10 @@ class Outline:
         """Centreline (p, 3) and radius of the arm (p,) at arc lengths."""
         return self.centreline(s), self.radius(s)
 
+    def line(self, count: int) -> tuple[Array, Array]:
+        """Centreline (count, 3) and radius of the arm (count,) at evenly spaced points."""
+        return self.at(np.linspace(0.0, self.equilibrium.arc_length[-1], count))
+
     def centreline(self, s: Array) -> Array:
         """(p, 3) at arc lengths."""
         arm = self.equilibrium
@@ -214,12 +218,12 @@ class Outline:
         bound = distance - reach
         if scene.solid:
             outside = np.maximum(distance, 0.0)
-            square = outside**2 - (1 + self._bend * outside) * reach**2
+            square = outside**2 - (1 + self.bend * outside) * reach**2
             bound = np.maximum(bound, np.where(square > 0, np.sqrt(np.maximum(square, 0.0)), -np.inf))
         return np.asarray(bound)
 
     @cached_property
-    def _bend(self) -> float:
+    def bend(self) -> float:
         """Curvature of the arm at most, 1/m: with room for what is between its points."""
         return 1.2 * float(np.linalg.norm(self.equilibrium.curvature, axis=1).max(initial=0.0))
 

@@ -28,7 +28,7 @@ from .posture import Posture, same_place
 from .program import programmable, solve_program
 from .question import pose_question, seed_posture, unit_vector
 from .solving import inverse_kinematics
-from .way import joint_way
+from .way import answer_at, joint_way
 
 LAST = "last target"
 """Where the way to an answer begins."""
@@ -230,22 +230,13 @@ class IkSession:
     ) -> InverseSolution:
         """The answer at the second of two postures, which the session is at from now on, after the first."""
         (before, at), (words, safe, solves, began) = postures, how
-        equilibrium = at.equilibrium
-        answer = InverseSolution(
-            robot=self._robot,
-            target_position=goal.position,
-            target_direction=goal.direction,
-            rotations=equilibrium.rotations,
-            translations=equilibrium.translations,
-            equilibrium=equilibrium,
-            position_error=goal.position_error(at),
-            direction_error=goal.direction_error(at),
-            scene=goal.scene,
+        answer = answer_at(
+            goal,
+            at,
+            InverseStatus.REACHED,
+            InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
             cold_start_agrees=None,
             straight_from_seed=safe,
-            active=tuple(held_by(goal, at)),
-            status=InverseStatus.REACHED,
-            statistics=InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
             reachable=True if safe else None,
             way=joint_way(LAST, goal.space, [before.q, at.q]) if safe else None,
             leaps=words,

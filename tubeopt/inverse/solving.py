@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, overload
+from typing import Any, Literal, TypedDict, Unpack, overload
 
 from numpy.typing import ArrayLike
 
@@ -25,43 +25,31 @@ from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
 
+class Asked(TypedDict, total=False):
+    """What `inverse_kinematics` may be asked besides, with one answer or all."""
+
+    direction: ArrayLike | None
+    seed: Configuration | None
+    reference: Configuration | None
+    min_margin: float
+    limits: JointLimits | None
+    weights: tuple[ArrayLike, ArrayLike] | None
+    obstacles: Sequence[Obstacle]
+    load: Load | None
+    on_failure: str
+    reachable: bool
+    options: InverseOptions
+
+
 @overload
 def inverse_kinematics(
-    robot: Robot,
-    position: ArrayLike,
-    *,
-    direction: ArrayLike | None = ...,
-    seed: Configuration | None = ...,
-    reference: Configuration | None = ...,
-    min_margin: float = ...,
-    limits: JointLimits | None = ...,
-    weights: tuple[ArrayLike, ArrayLike] | None = ...,
-    obstacles: Sequence[Obstacle] = ...,
-    load: Load | None = ...,
-    on_failure: str = ...,
-    all_solutions: Literal[False] = ...,
-    reachable: bool = ...,
-    options: InverseOptions = ...,
+    robot: Robot, position: ArrayLike, *, all_solutions: Literal[False] = ..., **asked: Unpack[Asked]
 ) -> InverseSolution: ...
 
 
 @overload
 def inverse_kinematics(
-    robot: Robot,
-    position: ArrayLike,
-    *,
-    direction: ArrayLike | None = ...,
-    seed: Configuration | None = ...,
-    reference: Configuration | None = ...,
-    min_margin: float = ...,
-    limits: JointLimits | None = ...,
-    weights: tuple[ArrayLike, ArrayLike] | None = ...,
-    obstacles: Sequence[Obstacle] = ...,
-    load: Load | None = ...,
-    on_failure: str = ...,
-    all_solutions: Literal[True],
-    reachable: bool = ...,
-    options: InverseOptions = ...,
+    robot: Robot, position: ArrayLike, *, all_solutions: Literal[True], **asked: Unpack[Asked]
 ) -> list[InverseSolution]: ...
 
 

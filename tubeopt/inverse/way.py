@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +13,10 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..stability.following import follow
 from ..typing import Array
-from .answer import InverseSolution, JointWay
+from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .chart import Chart
 from .clock import Clock
+from .descent import held_by
 from .goal import Goal
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place
@@ -62,8 +64,7 @@ def _joints(task: Task, points: Array, parts: int) -> Array:
     """(W, m) joint values along the straight motions between points of the chart."""
     rows = [points[:1]]
     for a, b in pairwise(points):
-        inner = task.between(a, b)
-        marks = np.concatenate([a[None], inner, b[None]])
+        marks = task.line(a, b)
         steps = np.arange(1, parts + 1)[:, None, None] / parts
         rows.append((marks[:-1] + steps * np.diff(marks, axis=0)).transpose(1, 0, 2).reshape(-1, len(a)))
     line = np.concatenate(rows)
@@ -109,11 +110,31 @@ def straight_way(origin: str, begin: Posture | None, end: Posture) -> JointWay |
     return joint_way(origin, end.space, [begin.q, end.q])
 
 
+def answer_at(
+    goal: Goal, at: Posture, status: InverseStatus, statistics: InverseStatistics, **told: Any
+) -> InverseSolution:
+    """The answer to a question at a posture, with what is `told` of how the robot gets there."""
+    equilibrium = at.equilibrium
+    return InverseSolution(
+        robot=goal.space.robot,
+        target_position=goal.position,
+        target_direction=goal.direction,
+        rotations=equilibrium.rotations,
+        translations=equilibrium.translations,
+        equilibrium=equilibrium,
+        position_error=goal.position_error(at),
+        direction_error=goal.direction_error(at),
+        scene=goal.scene,
+        active=tuple(held_by(goal, at)),
+        status=status,
+        statistics=statistics,
+        **told,
+    )
+
+
 def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointWay:
     """A way through independent joint values (m,)."""
-    table = np.array([space.joint(q) for q in points])
-    n = space.robot.n_tubes
-    return JointWay(origin, table[:, :n], table[:, n:])
+    return JointWay(origin, *np.split(np.array([space.joint(q) for q in points]), 2, axis=1))
 
 
 def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> InverseSolution:

@@ -134,15 +134,9 @@ class TubeEntry(Part):
             raise InputError(
                 f"curved_length_mm is {self.curved_length_mm}; the lengths of the pieces add up to {total * 1e3:g}"
             )
-        own = {name: getattr(tube, name) for name in ("bending_stiffness", "torsional_stiffness", "mass_per_length")}
-        return Tube.of_pieces(
-            tube.outer_diameter,
-            tube.inner_diameter,
-            pieces,
-            straight_length=tube.straight_length,
-            material=tube.material,
-            **own,
-        )
+        alike = ("straight_length", "material", *STIFFNESSES, "mass_per_length")
+        own = {name: getattr(tube, name) for name in alike}
+        return Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces, **own)
 
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]

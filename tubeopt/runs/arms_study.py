@@ -56,6 +56,7 @@ class ArmsStudy(Surrounded, Study):
     """Motions of several robots on one plate or endoscope, each on one stable branch, none touching another."""
 
     doing = "planning"
+    assuming = "All is said assuming no friction, and no load or weight."
 
     kind: Literal["plan_arms"]
     arms: Annotated[list[ArmPart], Field(min_length=2)] = Field(description="the robots, two at least")

@@ -103,6 +103,9 @@ class Study(Entry):
     either: ClassVar[tuple[frozenset[str], ...]] = ()
     """Sets of keys of which a study has one: a flag in one of them stands for the keys of the others too."""
 
+    assuming: ClassVar[str] = ""
+    """A sentence on what its answer is said under."""
+
     kind: str
 
     def run(self, progress: Progress | None = None) -> Any:

@@ -28,6 +28,7 @@ from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, Whole, in_file
 from ..files.units import MM, to_si
 from ..robots.concentric import ConcentricRobot
+from ..stability import ASSUMING
 from .base import Count, Progress, RobotPath, Study
 from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
 from .region_part import RegionAnswer, RegionEntry
@@ -87,6 +88,7 @@ class DesignStudy(Study):
     """The best robot that keeps a list of requirements."""
 
     doing = "designing"
+    assuming = f"What is said of snaps is said {ASSUMING}, but for the force of max_tip_force_mN."
 
     kind: Literal["design"]
     name: str = Field("", description="of the design")

@@ -16,7 +16,7 @@ from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..robots.robot import Robot
-from ..stability.following import follow
+from ..stability import ASSUMING, follow
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, joints_of
 from .load_file import LoadedStudy
@@ -75,6 +75,7 @@ class InverseStudy(Surrounded, LoadedStudy):
     """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
 
     doing = "solving targets"
+    assuming = f"What is said of ways without a snap is said {ASSUMING}."
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath

@@ -19,6 +19,7 @@ from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.units import MM, TO_MM, to_si
 from ..planning import PairReach, PairShare
 from ..robots.concentric import ConcentricRobot
+from ..stability import ASSUMING
 from ..typing import Array
 from .anatomy_file import AnatomyKey, BasePart
 from .arms_study import PlacedPart, shared
@@ -97,6 +98,7 @@ class PairStudy(Study, SearchPart):
     """The two robots, sized together, whose tips hold the most pairs of places of a region without touching."""
 
     doing = "designing"
+    assuming = f"What is said of snaps is said {ASSUMING}."
 
     kind: Literal["design_pair"]
     arms: Annotated[list[PairPart], Field(min_length=2, max_length=2)] = Field(description="the two robots")

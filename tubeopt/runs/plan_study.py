@@ -105,6 +105,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
     doing = "planning"
+    assuming = "All is said assuming no friction, and no load or weight but what is given."
     either = (
         frozenset({"goal_deg", "goal_mm"}),
         frozenset({"tip_mm"}),

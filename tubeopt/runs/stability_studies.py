@@ -18,6 +18,7 @@ from ..robots.concentric import friction_of
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
+    ASSUMING,
     Finding,
     Path,
     Snap,
@@ -178,6 +179,7 @@ class CertifyStudy(Study):
     """Whether a robot can snap at any rotation, at given translations or anywhere in a box of them."""
 
     doing = "looking for snaps"
+    assuming = f"All is said {ASSUMING}."
 
     kind: Literal["certify"]
     robot: RobotPath
@@ -249,6 +251,7 @@ class StabilityMapStudy(Study):
     """The margin and the snap boundary over two rotations."""
 
     doing = "mapping the margin"
+    assuming = f"All is said {ASSUMING}."
 
     kind: Literal["stability_map"]
     robot: RobotPath

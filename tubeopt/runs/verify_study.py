@@ -49,6 +49,7 @@ class VerifyStudy(Surrounded, LoadedStudy):
     """Whether a trajectory of whatever origin snaps, collides or is too fast."""
 
     doing = "following the trajectory"
+    assuming = "All is said assuming no friction, and no load or weight but what is given."
 
     kind: Literal["verify"]
     robot: RobotPath | None = Field(

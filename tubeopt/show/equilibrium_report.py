@@ -100,8 +100,6 @@ def _how(e: Equilibrium) -> str:
 
 
 class EquilibriumReport(Report[Equilibrium]):
-    """What is said and saved about an equilibrium."""
-
     command = "fk"
     quantities = EQUILIBRIUM
     drawn = (("shape", "shape.plot_shape"), ("torsion", "torsion.plot_torsion"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from rich.console import Group
 from rich.text import Text
 
@@ -36,17 +34,11 @@ def _poisson_ratio(tube: Tube) -> float | None:
     return tube.material.poisson_ratio if derived else None
 
 
-class Nested(NamedTuple):
-    """A tube, and its radial clearance (m) in the next one around it, None without one."""
-
-    tube: Tube
-    clearance: float | None
-
-
-NESTED: tuple[Quantity[Nested], ...] = (
-    *within(TUBE, lambda nested: nested.tube),
-    Quantity("radial_clearance_mm", "radial clearance in the next", lambda nested: nested.clearance, digits=9),
+NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (
+    *within(TUBE, lambda nested: nested[0]),
+    Quantity("radial_clearance_mm", "radial clearance in the next", lambda nested: nested[1], digits=9),
 )
+"""Of a tube, and of its radial clearance (m) in the next one around it, None without one."""
 
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
@@ -55,14 +47,12 @@ ROBOT: tuple[Quantity[Robot], ...] = (
 )
 
 
-def _nested(robot: Robot) -> list[Nested]:
+def _nested(robot: Robot) -> list[tuple[Tube, float | None]]:
     gaps = clearances(robot)
-    return [Nested(tube, gaps[i][1] / TO_MM if i in gaps else None) for i, tube in enumerate(robot.tubes)]
+    return [(tube, gaps[i][1] / TO_MM if i in gaps else None) for i, tube in enumerate(robot.tubes)]
 
 
 class RobotReport(Report[AnyRobot]):
-    """What is said and saved about a robot."""
-
     command = "robot show"
     quantities = ROBOT
     file = "robot.json"

@@ -35,6 +35,7 @@ from ..workspaces import SnappingLoss, Workspace
 from .equilibrium_report import VERIFICATION
 from .heat_report import PLAN
 from .inverse_report import SOLUTION
+from .load_report import FORCE, LIMIT
 from .plan_report import PROOF
 from .quantities import Quantity, line
 from .report import Drawing, drawing
@@ -135,13 +136,6 @@ BRANCH: tuple[Quantity[Branch], ...] = (
     line("margin", lambda b: _least(b.margin)),
 )
 
-LOAD_LIMIT: tuple[Quantity[LoadLimit], ...] = (
-    Quantity("factor", "factor on the load", form=".6g"),
-    line("it is a", lambda limit: limit.kind),
-    Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
-    Quantity("energy_released_mJ", "energy released", form=".4f"),
-)
-
 WORKSPACE: tuple[Quantity[Workspace], ...] = (
     line("robot", lambda w: w.robot.name or "robot"),
     line("samples", _counts),
@@ -162,13 +156,6 @@ JACOBIAN: tuple[Quantity[Jacobian], ...] = (
     line("by", lambda j: ", ".join(j.wrt)),
     line("position", lambda j: f"{j.position.shape[0]} x {j.position.shape[1]}, m per rad and m per m"),
     line("rotation", lambda j: f"{j.rotation.shape[0]} x {j.rotation.shape[1]}, rad per rad and rad per m"),
-)
-
-FORCE: tuple[Quantity[ForceEstimate], ...] = (
-    Quantity("force_mN", "force at the tip", form=".3f"),
-    Quantity("errors_mN", "standard errors, best direction to worst", form=".3f"),
-    Quantity("residual_mm", "root mean square distance of the points", form=".4f"),
-    line("", lambda f: f.untold),
 )
 
 DESIGN: tuple[Quantity[DesignSolution], ...] = (
@@ -207,7 +194,7 @@ SUMMARIES: Mapping[type, Summary] = {
     HeatingPlan: Summary(PLAN, "heating.plot_heating"),
     InverseSolution: Summary(SOLUTION, "inverse.plot_inverse", lambda answer: [answer]),
     Jacobian: Summary(JACOBIAN),
-    LoadLimit: Summary(LOAD_LIMIT, "shape.plot_shape", lambda limit: limit.before),
+    LoadLimit: Summary(LIMIT, "shape.plot_shape", lambda limit: limit.before),
     Mold: Summary(MOLD, "mold.plot_mold"),
     ProblemSolution: Summary(PROBLEM),
     Proof: Summary(PROOF),

@@ -113,8 +113,6 @@ def _lost(lost: SnappingLoss) -> str:
 
 
 class WorkspaceReport(Report[Findings]):
-    """What is said and saved about a workspace."""
-
     command = "workspace"
     quantities = WORKSPACE
 

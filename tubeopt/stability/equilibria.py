@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription.reduced import ReducedProblem, to_unknowns
-from ..block.transcription.second_variation import margin
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError
@@ -80,7 +79,7 @@ def all_solutions(
     if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
         result = descend(problem, rotations, np.zeros(problem.size))
         if result.converged:
-            return [Solution(problem, rotations, result, margin(problem, result.state))]
+            return [Solution.of(problem, rotations, result)]
     found = _solve_from(problem, rotations, profiles(problem, _all_tips(problem, rotations, search)), search.same)
     if degree(found) != 1:
         raise SolveError(_incomplete(len(found), degree(found)))
@@ -129,7 +128,7 @@ def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Ar
     for theta in profiles:
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
         if result.converged and all(_differ(result.state.theta, kept.result.state.theta, same) for kept in out):
-            out.append(Solution(problem, rotations, result, margin(problem, result.state)))
+            out.append(Solution.of(problem, rotations, result))
     return out
 
 

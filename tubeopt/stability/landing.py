@@ -8,7 +8,7 @@ import scipy
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin
 from ..equilibrium.solving import Solution
-from ..solvers.flow import flow
+from ..solvers.flow import downhill, flow
 from ..solvers.newton import NewtonResult, newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -24,23 +24,12 @@ def land(solution: Solution, direction: Array) -> Solution | None:
     Of tubes off the centreline the torsional energy leaves out that they are stretched: it only chooses between sides.
     """
     problem, rotations = solution.problem, solution.rotations
-    best: Solution | None = None
-    lowest = np.inf
     z = to_unknowns(problem, rotations, solution.result.state.theta)
-    for start in _sides(problem, rotations, z, direction):
-        result = slide(problem, rotations, start)
-        value = margin(problem, result.state)
-        if result.converged and value > 0 and result.state.energy < lowest:
-            lowest = result.state.energy
-            best = Solution(problem, rotations, result, value)
-    return best
-
-
-def _sides(problem: ReducedProblem, rotations: Array, z: Array, direction: Array) -> list[Array]:
-    """Starting points (U,) beside z along `direction`, on the sides that lead down; on both if none does."""
     push = CONTINUATION.nudge / float(np.abs(problem.factor @ direction).max()) * direction
-    down = [side for side in (push, -push) if float(evaluate(problem, rotations, z + side).gradient @ side) < 0]
-    return [z + side for side in down or (push, -push)]
+    starts = downhill(z, push, lambda x: evaluate(problem, rotations, x).gradient)
+    ends = [result for result in (slide(problem, rotations, start) for start in starts) if result.converged]
+    rests = [Solution(problem, rotations, end, margin(problem, end.state)) for end in ends]
+    return min((one for one in rests if one.margin > 0), key=lambda one: one.result.state.energy, default=None)
 
 
 def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult[Evaluation]:
@@ -60,12 +49,9 @@ def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult[E
         rises = there.energy > state.energy + 1e-13 * (problem.energy_parts + abs(state.energy))
         return None if rises and not eccentric else there
 
-    begin = evaluate(problem, rotations, z)
-    rest = flow(begin, step, moved)
-    if rest is None:
-        return NewtonResult(begin, False, CONTINUATION.flow_steps, 0.0)
-    last = newton(problem, rotations, rest[0].z, iterations=4)
-    return NewtonResult(last.state, last.converged, rest[1], 0.0)
+    return flow(
+        evaluate(problem, rotations, z), step, moved, lambda state: newton(problem, rotations, state.z, iterations=4)
+    )
 
 
 def _step(problem: ReducedProblem, state: Evaluation, shift: Array) -> tuple[Array, bool]:

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from ..block.transcription.loaded import tip_position
 from ..display import Displayed
+from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
-from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, carry, reach
+from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load
 from ..equilibrium.loaded import solved, unloaded_point
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
@@ -119,21 +120,17 @@ def find_load_limit(
     return None if found is None else _described(first.robot, *found)
 
 
-def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily, Loss, float] | None:
+def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[JointFamily, Loss, float] | None:
     """Where the branch that grows from a stable equilibrium without load is lost, in the family of the last stage of a
     growing load, and the factor on the load that is 1 in it; None where it bears `up_to` times the load."""
-    robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
+    robot, here = first.robot, np.concatenate([first.rotations, first.translations])
     point, reached = None, 0.0
     while reached < up_to:
         goal = min(up_to, CONTINUATION.load_stage * reached if reached else 1.0)
         grown = load.scaled(goal)
-        problem = loaded_problem(robot, shift, grown)
-        point = (
-            unloaded_point(problem, first)
-            if point is None
-            else _restart(point, Member(problem, alpha, shift, reached / goal))
-        )
-        family = LoadFamily(problem, alpha, shift)
+        family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), grown, None)
+        begin = family.member(reached / goal)
+        point = unloaded_point(begin.problem, first) if point is None else _restart(point, begin)
         point = reach(family, point, 1.0)
         if point.t < 1.0:
             loss = branch_end(family, point, 1.0)
@@ -155,8 +152,8 @@ def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
     return solved(there, result)
 
 
-def _described(robot: Robot, family: LoadFamily, loss: Loss, scale: float) -> LoadLimit:
-    load = family.problem.load
+def _described(robot: Robot, family: JointFamily, loss: Loss, scale: float) -> LoadLimit:
+    load = family.load
     before = to_loaded(robot, loss.point, load.scaled(loss.t), LOADED_DISCRETISATION)
     left = loss.point if loss.kind == "fold" else _restart(loss.point, family.member(loss.t * (1 + CONTINUATION.past)))
     landed = fall(left.member, left.state.x, loss.direction)

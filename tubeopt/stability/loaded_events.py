@@ -9,13 +9,14 @@ import numpy as np
 import scipy
 
 from ..block.transcription.loaded import LoadedState, evaluate
-from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, carry
 from ..equilibrium.loaded import bifurcates, solved
-from ..solvers.flow import flow
+from ..solvers.flow import downhill, flow
 from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
+from .folds import turning_point
 
 NEUTRAL = 1e-9
 """A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
@@ -31,7 +32,7 @@ class Loss:
     direction: Array
 
 
-def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
+def branch_end(family: JointFamily, last: LoadedPoint, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
     if bifurcates(last):
         found = bifurcation(family, last, goal) or fold(family, last)
@@ -40,73 +41,29 @@ def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
     return found
 
 
-def fold(family: Family, near: LoadedPoint) -> Loss | None:
-    """Newton on grad = 0 and sigma = 0, the bordered determinant [H p; p' 0] [v; sigma] = [0; 1] that vanishes where H
-    is singular (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000).
+def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
+    """The fold of a branch close to a point of it; None where it is not found."""
 
-    Slopes of sigma are differences along v, which shape the steps, not the result; None where it does not converge.
-    """
-    t, x = near.t, near.state.x
-    border = np.linalg.eigh(near.state.hessian)[1][:, 0]
-    size = len(x)
-    for iteration in range(CONTINUATION.loaded_fold_steps):
-        here = family.member(t)
-        if here.problem.size != size:
+    def at(t: float) -> Callable[[Array], LoadedState] | None:
+        there = family.member(t)
+        if there.problem.size != near.member.problem.size:
             return None
-        state = evaluate(here.problem, here.rotations, x, here.factor)
-        bordered = np.block([[state.hessian, border[:, None]], [border, np.zeros(1)]])
-        solution = np.linalg.solve(bordered, np.append(np.zeros(size), 1.0))
-        v, sigma = solution[:-1], float(solution[-1])
-        pull = _slope(family, t, x)
-        if pull is None:
-            return None
-        by_x, by_t = _sigma_slopes(family, t, x, v, state)
-        matrix = np.block([[state.hessian, pull[:, None]], [by_x, np.array([by_t])]])
-        try:
-            step = np.linalg.solve(matrix, -np.append(state.gradient, sigma))
-        except np.linalg.LinAlgError:
-            return None
-        turn = turn_of(here.problem, state, step[:-1])
-        if not np.isfinite(turn) or turn > np.pi or abs(step[-1]) > 0.1 * max(1.0, abs(t)):
-            return None
-        x, t = x + step[:-1], t + float(step[-1])
-        if turn < 1e-9 and iteration:
-            break
-    else:
+        return lambda x: evaluate(there.problem, there.rotations, x, there.factor)
+
+    def turn(step: Array) -> float:
+        return turn_of(near.member.problem, near.state, step)
+
+    softest = np.linalg.eigh(near.state.hessian)[1][:, 0]
+    found = turning_point(at, turn, near.t, near.state.x, softest)
+    if found is None or abs(found.t - near.t) > CONTINUATION.widest * max(1.0, abs(found.t)):
         return None
-    if abs(t - near.t) > CONTINUATION.widest * max(1.0, abs(t)):
-        return None
-    there = family.member(t)
-    state = evaluate(there.problem, there.rotations, x, there.factor)
-    point = LoadedPoint(t, there, state, loaded_margin(there.problem, state), iteration + 1)
-    return Loss(t, point, "fold", v)
+    there = family.member(found.t)
+    state = evaluate(there.problem, there.rotations, found.x, there.factor)
+    point = LoadedPoint(found.t, there, state, loaded_margin(there.problem, state), found.steps)
+    return Loss(found.t, point, "fold", found.direction)
 
 
-def _slope(family: Family, t: float, x: Array) -> Array | None:
-    """Derivative of the gradient by t at fixed unknowns."""
-    step = 1e-6 * max(1.0, abs(t))
-    values = []
-    for place in (t + step, t - step):
-        there = family.member(place)
-        if there.problem.size != len(x):
-            return None
-        values.append(evaluate(there.problem, there.rotations, x, there.factor).gradient)
-    return np.asarray((values[0] - values[1]) / (2 * step))
-
-
-def _sigma_slopes(family: Family, t: float, x: Array, v: Array, state: LoadedState) -> tuple[Array, float]:
-    """Derivatives of sigma = -v'Hv by x and by t."""
-    here = family.member(t)
-    push = CONTINUATION.fold_difference / turn_of(here.problem, state, v)
-    sides = [evaluate(here.problem, here.rotations, x + sign * push * v, here.factor) for sign in (1, -1)]
-    by_x = -(sides[0].gradient - 2 * state.gradient + sides[1].gradient) / push**2
-    slopes = [_slope(family, t, x + sign * push * v) for sign in (1, -1)]
-    if slopes[0] is None or slopes[1] is None:
-        return by_x, 0.0
-    return by_x, -float(v @ (slopes[0] - slopes[1])) / (2 * push)
-
-
-def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
+def bifurcation(family: JointFamily, near: LoadedPoint, goal: float) -> Loss | None:
     """The root of the margin on the branch of `near`, which goes on beyond it; None where it does not."""
 
     def at(t: float) -> LoadedPoint | None:
@@ -148,22 +105,16 @@ def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) ->
 def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     """The minimum to which potential energy falls from x (U + 2 N,) after a push along `direction`, to the side that
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
-    state = evaluate(member.problem, member.rotations, x, member.factor)
-    push = CONTINUATION.nudge / turn_of(member.problem, state, direction) * direction
-    sides = [side for side in (push, -push) if _gradient(member, x + side) @ side < 0] or [push, -push]
-    best: LoadedPoint | None = None
-    for side in sides:
-        result = slide(member, x + side)
-        if not result.converged:
-            continue
-        there = solved(member, result)
-        if there.margin > -NEUTRAL and (best is None or there.state.potential < best.state.potential - 1e-12):
-            best = there
-    return best
 
+    def at(x: Array) -> LoadedState:
+        return evaluate(member.problem, member.rotations, x, member.factor)
 
-def _gradient(member: Member, x: Array) -> Array:
-    return evaluate(member.problem, member.rotations, x, member.factor).gradient
+    push = CONTINUATION.nudge / turn_of(member.problem, at(x), direction) * direction
+    ends = [slide(member, start) for start in downhill(x, push, lambda x: at(x).gradient)]
+    rests = [rest for rest in (solved(member, end) for end in ends if end.converged) if rest.margin > -NEUTRAL]
+    # Of two that are alike, as beside a bifurcation, the first.
+    lowest = min((rest.state.potential for rest in rests), default=0.0)
+    return next((rest for rest in rests if rest.state.potential <= lowest + 1e-12), None)
 
 
 def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
@@ -181,8 +132,4 @@ def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
         there = evaluate(problem, rotations, state.x + change, factor)
         return None if there.potential > state.potential + 1e-13 * scale else there
 
-    rest = flow(begin, step, moved)
-    if rest is None:
-        return NewtonResult(begin, False, CONTINUATION.flow_steps, 0.0)
-    last = loaded_newton(problem, rotations, rest[0].x, factor, iterations=4)
-    return NewtonResult(last.state, last.converged, rest[1], 0.0)
+    return flow(begin, step, moved, lambda state: loaded_newton(problem, rotations, state.x, factor, iterations=4))

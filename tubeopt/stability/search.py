@@ -98,10 +98,10 @@ def search_snap(
         return _pair(search), search
     start, *_ = relaxed_rotations(robot, search.coupled)
     if inside(robot, search.coupled, start):
-        found = _within(search, start, unstable)
+        found = _from_relaxed(search, start, unstable, within=True)
         if found is not None:
             return found, search
-    return (_beyond(search, start, unstable) if len(unstable) else None), search
+    return (_from_relaxed(search, start, unstable, within=False) if len(unstable) else None), search
 
 
 def _of_pieces(search: Search) -> Found | None:
@@ -117,21 +117,17 @@ def _of_pieces(search: Search) -> Found | None:
     return None if pair is None else search.follow(start, _absolute(search, start, np.array([farthest_fold(pair)])))
 
 
-def _within(search: Search, start: Array, unstable: Array) -> Found | None:
-    """A snap inside the joint limits."""
+def _from_relaxed(search: Search, start: Array, unstable: Array, *, within: bool) -> Found | None:
+    """A snap inside the joint limits, or wherever it is."""
 
     def allowed(joints: Array) -> Mask:
-        return inside(search.robot, search.coupled, _absolute(search, start, joints))
+        if within:
+            return inside(search.robot, search.coupled, _absolute(search, start, joints))
+        return np.ones(joints.shape[:-1], dtype=bool)
 
-    across = _across_folds(search, start, unstable, allowed)
-    ends = itertools.chain(_turns(search, start), across, _others(search, start))
-    return _on_ways(search, start, ends, within=True)
-
-
-def _beyond(search: Search, start: Array, unstable: Array) -> Found | None:
-    """A snap wherever it is."""
-    across = _across_folds(search, start, unstable, lambda joints: np.ones(joints.shape[:-1], dtype=bool))
-    return _on_ways(search, start, itertools.chain(across, _turns(search, start)), within=False)
+    across, turns = _across_folds(search, start, unstable, allowed), _turns(search, start)
+    ends = [turns, across, _others(search, start)] if within else [across, turns]
+    return _on_ways(search, start, itertools.chain.from_iterable(ends), within=within)
 
 
 def _on_ways(search: Search, start: Array, ends: Iterable[Array], *, within: bool) -> Found | None:

@@ -32,12 +32,12 @@ def find_snap(
 ) -> Snap | None:
     """The first snap on the straight path from `start` to `end`, or None where the branch reaches the end.
 
-    The branch is followed to where it ends; the fold there is solved for on the augmented fold system.
+    The branch is followed to where it ends; the fold there is the root of a bordered determinant.
 
     Args:
         start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
         equilibrium: stable equilibrium at `start` on the branch to follow; by default that of `forward_kinematics`.
-        load: forces that keep their direction and stay on the robot. The fold is then that of a bordered system.
+        load: forces that keep their direction and stay on the robot.
 
     Raises:
         InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.

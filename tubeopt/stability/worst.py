@@ -85,7 +85,7 @@ def worst_margin(
     result = newton(problem, rotations, to_unknowns(problem, rotations, profiles(problem, tips)[0]))
     if not result.converged:
         raise SolveError("the worst equilibrium found is a fold (margin 0), which Newton cannot solve again")
-    solution = Solution(problem, rotations, result, margin(problem, result.state))
+    solution = Solution.of(problem, rotations, result)
     equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
     unstable = np.array([tips for tips, found in ends if found < 0]).reshape(-1, n)
     return WorstMargin(solution.margin, equilibrium, 0 if pair else len(ends), unstable)

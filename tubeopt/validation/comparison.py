@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +16,6 @@ from .folds import Parity, parity, passes
 from .measurements import Measurements
 from .model import ArmModel, State
 from .registration import SENSOR_FRAME, BasePose, Registration
-
-Progress = Callable[[int, int], object]
-"""Called with how much is done, and how much there is, 0 where nobody knows."""
 
 
 @dataclass(frozen=True, eq=False)

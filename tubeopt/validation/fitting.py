@@ -18,8 +18,8 @@ from ..display import Displayed
 from ..errors import InputError, choice, instance, positive
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array, Index, Sentence
-from .comparison import Progress, Validation, check_tubes, compare_at, distances
+from ..typing import Array, Index, Progress, Sentence
+from .comparison import Validation, check_tubes, compare_at, distances
 from .descent import DEFAULT_SOLVER, LOSSES, Descent, FitSolver, Weights, descend, normal_equations
 from .errors import ErrorSummary
 from .folds import deal, passes

@@ -20,8 +20,8 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array
-from .comparison import Progress, check_tubes, distances
+from ..typing import Array, Progress
+from .comparison import check_tubes, distances
 from .descent import Descent, Weights, cost_of, descend
 from .errors import ErrorSummary
 from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh

@@ -16,7 +16,7 @@ import scipy
 from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.pieces import Piece
-from ...robots.series import Series, breaks_of
+from ...robots.series import breaks_of, values, vary
 from ...robots.tubes import Tube
 from ...typing import Array, Sentence
 from .checks import (
@@ -30,7 +30,7 @@ from .checks import (
 )
 from .groove import comes_back, way_to_edge
 from .heat import ColdEnd
-from .setting import bend_direction, tube_from_mold, values
+from .setting import bend_direction, tube_from_mold
 from .settings import MoldSolver
 from .spec import MoldSpec
 from .springback import Springback
@@ -69,7 +69,7 @@ class Winding:
 
 def helix_of(held: Tube) -> tuple[float, float] | None:
     """Curvature and torsion (1/m) where the whole curved part is one helix in constant components; else None."""
-    if any(isinstance(q, Series) for piece in held.pieces for q in piece.precurvature):
+    if any(vary(piece.precurvature) for piece in held.pieces):
         return None
     u = np.array([piece.precurvature for piece in held.pieces])
     if not len(u) or np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():

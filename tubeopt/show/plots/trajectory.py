@@ -28,7 +28,7 @@ from ..surfaces import obstacle_surface, swept
 from .mesh import Mesh, facets_of
 from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled, widen
 
 SHOWN = 9
 """Shapes of the arm in the picture."""
@@ -299,10 +299,7 @@ def _draw_joints(axes: Sequence[Axes], time: Array, rotations: Array, translatio
         for i, row in enumerate(values.T):
             panel.plot(time, row, color=tube_colour(i), lw=1.2 + 1.1 * i, zorder=2 - 0.01 * i, label=f"tube {i + 1}")
         panel.set_ylabel(name)
-        low, high = panel.get_ylim()
-        short = FLAT[name] - (high - low)
-        if short > 0:
-            panel.set_ylim(low - short / 2, high + short / 2)
+        widen(panel, FLAT[name])
     axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
 
 

@@ -1,4 +1,4 @@
-"""`tubeopt sweep`: any study at many values of its keys, saved point by point."""
+"""`tubeopt run` and `sweep`: any study of a file, at once or at many values of its keys, saved point by point."""
 
 from __future__ import annotations
 
@@ -8,14 +8,23 @@ from typing import Annotated
 
 import typer
 
+from ..runs.study_file import load_study
 from ..runs.sweep_file import load_sweep
 from ..runs.sweeping import Sweep
 from ..runs.sweeping import sweep as run_sweep
 from ..show.progress import working
 from ..show.reports import report, to_dict
-from .flags import command
+from .flags import answer, command
 from .interruption import keeping
 from .output import Output, can_be_saved, present
+
+
+@command("tubeopt run configs/studies/thesis_actuated.yaml --out results")
+def run(
+    study: Annotated[str, typer.Argument(metavar="STUDY.yaml", help="Study file.", show_default=False)], output: Output
+) -> None:
+    """Run the study that a file describes. Ends as the command of its kind does."""
+    answer(load_study(study), output)
 
 
 @command("tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results")
