@@ -15,9 +15,8 @@ from ...files.files import write_text
 from ...typing import Array
 from ..heating.counts import full_current
 from ..heating.files import slot_milliseconds
-from ..heating.law import HeatingLaw
+from ..heating.law import Feedback, HeatingLaw
 from ..heating.leading import prolonged
-from ..heating.loop import Feedback
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Rig
 from ..heating.robust import at_charge

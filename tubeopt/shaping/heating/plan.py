@@ -17,7 +17,7 @@ from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
 from .counts import Counts
 from .cures import Cure
-from .loop import Feedback
+from .law import Feedback
 from .outcome import Outcome, hold_slots, remarks
 from .rig import COUNTS, Rig
 from .schedule import Schedule
