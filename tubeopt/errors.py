@@ -119,8 +119,9 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} is {value!r}; it must be {size} numbers ({what})") from None
     if array.shape != (size,):
-        got = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
-        raise InputError(f"{name} has {got}; it must be {size} numbers ({what})")
+        shape = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
+        got = f"has {shape}" if array.ndim else f"is {value!r}"
+        raise InputError(f"{name} {got}; it must be {size} numbers ({what})")
     if not np.isfinite(array).all():
         raise InputError(f"{name} is {array.tolist()}; every number must be finite")
     return array

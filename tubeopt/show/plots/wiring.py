@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...runs.firmware_study import LedHeating
-from ...shaping.firmware.boards import Wiring
-from ...shaping.firmware.parts import parts_list
+from ...shaping.firmware.boards import Wiring, parts_list
 from .heating import IDEAL, TUBE
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
