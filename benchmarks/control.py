@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tubeopt.control.why import Why
 
 import tubeopt
 from benchmarks.timing import ROOT, dump, milliseconds, show, table, with_package
