@@ -21,11 +21,10 @@ from .aims import aim
 from .lookup import at_state
 from .objectives import POSED as OF_POSES
 from .objectives import AnyObjective, Objective, key_of
+from .pose import Twist
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .rows import Rows, linear_rows, stated_rows
-from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
-from .statements import Points, Statement, statements
+from .statements import Points, Rows, Statement, linear_rows, stated_rows, statements
 from .task import DesignTask, extreme_lengths
 
 STABLE = SnapFreeInUse(0.05, paths=False)

@@ -1,4 +1,4 @@
-"""What a design must keep. Every requirement is data; `design.rows` turns it into constraints."""
+"""What a design must keep. Every requirement is data; `design.statements` turns it into constraints."""
 
 from __future__ import annotations
 

@@ -22,14 +22,13 @@ from .clock import Clock
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal
 from .joints import Configuration
-from .leaps import leap
 from .least_squares import constrained_least_squares
 from .order import Order, beyond, breakpoint_order
 from .posture import Posture, same_place
 from .program import programmable, solve_program
 from .question import pose_question, seed_posture, unit_vector
 from .solving import inverse_kinematics
-from .way import answer_at, joint_way
+from .way import answer_at, joint_way, leap
 
 LAST = "last target"
 """Where the way to an answer begins."""
