@@ -8,9 +8,9 @@ from rich.console import RenderableType
 
 from ..errors import SolveError
 from ..runs.firmware_study import LedHeating
-from ..shaping.firmware.parts import Part, parts_list
+from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
-from ..shaping.heating.loop import Contribution, Feedback
+from ..shaping.heating.law import Contribution, Feedback
 from .heat_report import missed
 from .quantities import Quantity, line, within
 from .report import Report, grid, remarks

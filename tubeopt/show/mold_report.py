@@ -19,9 +19,8 @@ from ..shaping.mold.files import write_mold
 from ..shaping.mold.gcode import Program, clear_room, programs_of
 from ..shaping.mold.holes import Hole
 from ..shaping.mold.mold import Clamp, Groove
-from ..shaping.mold.prediction import predict_tube
 from ..shaping.mold.ranking import MaterialRating
-from ..shaping.mold.robot import RobotMold
+from ..shaping.mold.robot import RobotMold, predict_tube
 from ..shaping.mold.springback import Calibration, Springback
 from .quantities import Quantity, with_unit, within
 from .report import Drawing, Report, drawing, grid, remarks

@@ -17,14 +17,13 @@ from ..block.transcription.reduced import Evaluation
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, Member
-from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.loaded import solved
+from ..equilibrium.load_problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import sample_rotation
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
-from ..solvers.loaded import loaded_newton, turn_of
+from ..solvers.loaded import turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -49,7 +48,7 @@ def loaded_equilibria(
     """
     check_load(robot, load, translations)
     load.require_energy("equilibria cannot be counted")
-    member = Member(loaded_problem(robot, translations, load), rotations, translations)
+    member = Member.of(robot, rotations, translations, load)
     bounded, force = load.tip_force_only and not is_general(robot), float(np.linalg.norm(load.force))
     if bounded and snap_free_certificate(robot, translations, max_force=force) > search.certain:
         return [forward_kinematics(robot, rotations, translations, load=load)]
@@ -66,8 +65,7 @@ def loaded_equilibria(
         # There is a least energy, so a set without a stable equilibrium is not all.
         if not new and degree(found) == 1 and any(point.margin > 0 for point in found):
             points = sorted(found, key=lambda point: point.state.potential)
-            how = ("search from many starts", 0.0)
-            return [to_loaded(robot, point, load, LOADED_DISCRETISATION, how) for point in points]
+            return [to_loaded(point, ("search from many starts", 0.0)) for point in points]
         count *= 2
     raise SolveError(
         f"{len(found)} equilibria were found, of degree {degree(found)} instead of 1 or more of them in every round: "
@@ -95,12 +93,12 @@ def _starts(member: Member, samples: Array, twist: float) -> list[Array]:
 
 def _add(found: list[LoadedPoint], member: Member, x: Array, same: float) -> bool:
     """Solve from x; whether that is an equilibrium which was not known."""
-    result = loaded_newton(member.problem, member.rotations, x, iterations=30)
+    result = member.solve(x, iterations=30)
     if not result.converged:
         return False
     if any(turn_of(member.problem, result.state, result.state.x - known.state.x) < same for known in found):
         return False
-    found.append(solved(member, result))
+    found.append(LoadedPoint.of(member, result))
     return True
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import scipy
 
 from ..block.transcription.loaded import LoadedState
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member
-from ..equilibrium.loaded import bifurcates, close_by, solved
+from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
+from ..equilibrium.loaded import bifurcates
 from ..solvers.flow import downhill, flow
-from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
+from ..solvers.loaded import loaded_margin, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -32,14 +32,14 @@ class Loss:
     direction: Array
 
 
-def branch_end(family: JointFamily, last: LoadedPoint, goal: float) -> Loss | None:
+def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
     if bifurcates(last):
         return bifurcation(family, last, goal) or fold(family, last)
     return fold(family, last) or bifurcation(family, last, goal)
 
 
-def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
+def fold(family: Family, near: LoadedPoint) -> Loss | None:
     """The fold of a branch close to a point of it; None where it is not found."""
 
     def at(t: float) -> Callable[[Array], LoadedState] | None:
@@ -58,11 +58,13 @@ def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
     return Loss(found.t, point, "fold", found.direction)
 
 
-def bifurcation(family: JointFamily, near: LoadedPoint, goal: float) -> Loss | None:
+def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
     """The root of the margin on the branch of `near`, which goes on beyond it; None where it does not."""
 
     def at(t: float) -> LoadedPoint | None:
-        return close_by(near, family.member(t), t)
+        there = family.member(t)
+        result = there.solve(carry(near, there))
+        return LoadedPoint.of(there, result, t) if result.converged else None
 
     ahead = 1e-7
     while ahead < CONTINUATION.widest:
@@ -97,7 +99,8 @@ def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
     push = CONTINUATION.nudge / turn_of(member.problem, member.at(x), direction) * direction
     ends = [slide(member, start) for start in downhill(x, push, lambda x: member.at(x).gradient)]
-    rests = [rest for rest in (solved(member, end) for end in ends if end.converged) if rest.margin > -NEUTRAL]
+    points = [LoadedPoint.of(member, end) for end in ends if end.converged]
+    rests = [point for point in points if point.margin > -NEUTRAL]
     # Of two that are alike, as beside a bifurcation, the first.
     lowest = min((rest.state.potential for rest in rests), default=0.0)
     return next((rest for rest in rests if rest.state.potential <= lowest + 1e-12), None)
@@ -117,6 +120,4 @@ def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
         there = member.at(state.x + change)
         return None if there.potential > state.potential + 1e-13 * scale else there
 
-    return flow(
-        begin, step, moved, lambda state: loaded_newton(problem, member.rotations, state.x, member.factor, iterations=4)
-    )
+    return flow(begin, step, moved, lambda state: member.solve(state.x, iterations=4))

@@ -10,9 +10,9 @@ import numpy as np
 from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint, follow_family
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, carry, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.loaded import close_by, loaded_point
+from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.load import Load
@@ -56,7 +56,9 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
     left, t = loss.point, loss.t
     if loss.kind == "bifurcation":
         t = min(1.0, loss.t + CONTINUATION.past)
-        left = close_by(loss.point, family.member(t), t) or loss.point
+        there = family.member(t)
+        result = there.solve(carry(loss.point, there))
+        left = LoadedPoint.of(there, result, t) if result.converged else loss.point
     landed = fall(left.member, left.state.x, loss.direction)
     if landed is None:
         raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
@@ -78,7 +80,7 @@ def loaded_legs(
     for k in range(len(joints) - 1):
         family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
         point, snaps = loaded_leg(family, point, k)
-        yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), snaps
+        yield to_loaded(point, ("the waypoint before", 0.0)), snaps
 
 
 def loaded_leg(family: JointFamily, start: LoadedPoint, index: int) -> tuple[LoadedPoint, list[Snap]]:
@@ -88,17 +90,13 @@ def loaded_leg(family: JointFamily, start: LoadedPoint, index: int) -> tuple[Loa
         if isinstance(step, LoadedPoint):
             point = step
         else:
-            snaps.append(to_loaded_snap(family, step, index))
+            snaps.append(to_loaded_snap(step, index))
     return point, snaps
 
 
-def to_loaded_snap(family: JointFamily, event: LoadedEvent, index: int) -> Snap:
-    """An event of a family as a snap after the waypoint `index`."""
-    acting = family.load_at(event.loss.t)
-    before, after = (
-        to_loaded(family.path.robot, place, acting, LOADED_DISCRETISATION, (how, 0.0))
-        for place, how in ((event.loss.point, "fold"), (event.landed, "energy descent"))
-    )
+def to_loaded_snap(event: LoadedEvent, index: int) -> Snap:
+    """An event as a snap after the waypoint `index`."""
+    before, after = to_loaded(event.loss.point, ("fold", 0.0)), to_loaded(event.landed, ("energy descent", 0.0))
     return snap_between(index, event.loss.t, before, after)
 
 

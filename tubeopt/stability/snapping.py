@@ -62,7 +62,7 @@ def find_snap(
         begin = loaded_point(loaded_start(robot, path.start, load, equilibrium))
         family = JointFamily(replace(path, discretisation=LOADED_DISCRETISATION), load, load)
         loaded_steps = loaded_motion_along(family, replace(begin, t=0.0))
-        return next((to_loaded_snap(family, step, 0) for step in loaded_steps if isinstance(step, LoadedEvent)), None)
+        return next((to_loaded_snap(step, 0) for step in loaded_steps if isinstance(step, LoadedEvent)), None)
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, *path.at(0.0))
     if not first.stable:
         raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")

@@ -17,9 +17,8 @@ from ...errors import InputError
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from .rates import State, at_rest, warming_span
 from .rig import COUNTS, Rig
-from .simulation import advance
+from .simulation import State, advance, at_rest, warming_span
 from .spec import HeatingSpec
 from .thermal import ThermalModel, leak_resistance, seen, thermal_data
 

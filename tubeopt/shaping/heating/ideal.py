@@ -21,9 +21,8 @@ from ...typing import Array
 from .counts import count_rate, full_current
 from .instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE, SAG, VENTS, physics
 from .program import WINDOW, WISHES, Program, Structure, program
-from .rates import State, warming_span
 from .rig import COUNTS, Rig
-from .simulation import History, simulate, simulate_feedback
+from .simulation import History, State, simulate, simulate_feedback, warming_span
 from .spec import HeatingSpec
 from .thermal import PROGRAM, ThermalModel, curve_start, joined, thermal_model, vent_profile
 

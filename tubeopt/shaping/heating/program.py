@@ -81,9 +81,6 @@ class TimeMesh:
         return faces, (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", self.degree).nodes).ravel()
 
 
-MESH = TimeMesh()
-
-
 @dataclass(frozen=True)
 class Structure:
     """What a compiled program depends on.
@@ -95,7 +92,7 @@ class Structure:
     """
 
     resolution: Resolution
-    mesh: TimeMesh = MESH
+    mesh: TimeMesh = TimeMesh()
     clear: bool = False
     chosen: tuple[str, ...] = ()
 

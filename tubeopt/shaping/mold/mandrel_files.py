@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ...errors import InputError, SolveError
+from ...errors import SolveError
+from ...files.csv_file import to_csv
 from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
@@ -48,7 +49,8 @@ def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path
     with left_out_where_missing():
         paths.append(write_solid(_solid(mandrel), out / "mandrel.stl", "mandrel", partial(solid_off_curve, mandrel)))
     if isinstance(mandrel.body, Cylinder):
-        table, text = _csv(mandrel), mandrel_gcode(mandrel)
+        rows = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
+        table, text = to_csv(COLUMNS, [[f"{x:.5f}" for x in row] for row in rows]), mandrel_gcode(mandrel)
         read = np.loadtxt(io.StringIO(table), delimiter=",", skiprows=1)[:, 1:]
         for path, content, rows in ((out / "mandrel.csv", table, read), (out / "mandrel.nc", text, read_rotary(text))):
             if words := _table_off_curve(mandrel, rows):
@@ -59,19 +61,11 @@ def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path
 
 
 def rotation_table(mandrel: Mandrel) -> Array:
-    """(N, 4) arc length from the bend's proximal end (m), feed (m), rotation (rad), radius of the tool's tip (m)."""
-    if not isinstance(mandrel.body, Cylinder):
-        raise InputError("the mandrel is printed; only a turned one has a table of rotation and feed")
+    """(N, 4) of a turned one: arc length along the bend, feed (m), rotation (rad), radius of the tool's tip (m)."""
     fine = mandrel.winding.lengthened(0.0, FINE)
     feed, y, z = fine.points.T
     angle = np.unwrap(np.arctan2(z, y))
     return np.column_stack([fine.arc_length, feed, angle - angle[fine.bend.start], np.hypot(y, z) - mandrel.width / 2])
-
-
-def _csv(mandrel: Mandrel) -> str:
-    table = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
-    rows = [",".join(f"{x:.5f}" for x in row) for row in table]
-    return "\n".join([",".join(COLUMNS), *rows, ""])
 
 
 def mandrel_gcode(mandrel: Mandrel) -> str:
@@ -109,8 +103,6 @@ def read_rotary(text: str) -> Array:
     """(N, 3) feed (mm), rotation (deg), radius of the tip (mm) of the last, deepest pass of a program."""
     last = text.rsplit("G93", 1)[-1]
     rows = re.findall(r"^G1 X([-\d.]+) A([-\d.]+) Z([-\d.]+)", last, re.MULTILINE)
-    if not rows:
-        raise InputError("the G-code has no moves with X, A and Z after G93")
     return np.array([[float(x) for x in row] for row in rows])
 
 

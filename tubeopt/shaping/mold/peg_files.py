@@ -17,7 +17,7 @@ from .checks import beyond_edge
 from .drawing import TEXT_HEIGHT_MM, Drawing, in_mm, rectangle
 from .files import write_drawing
 from .gcode import files_of, plate_stages
-from .gcode_reader import TOLERANCE, hazards, read_gcode
+from .gcode_reader import TOLERANCE, read_gcode
 from .holes import Hole
 from .pegs import PegBoard
 
@@ -71,11 +71,7 @@ def board_programs(board: PegBoard) -> dict[str, str]:
     holes = [Hole("hole", place, spec.pegs.shank) for place in board.holes.values()]
     stages = plate_stages(holes, board.size, spec.plate.thickness, spec)
     clear = beyond_edge([], spec) if spec.workshop.cut_out else 0.0
-    texts = files_of("board", "board of pegs", clear, spec, stages)
-    for name, text in texts.items():
-        for wrong in hazards(text):
-            raise SolveError(f"{name}: {wrong}")
-    return texts
+    return files_of("board", "board of pegs", clear, spec, stages)
 
 
 def draw_board(board: PegBoard) -> Drawing:

@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 
 from ...errors import InputError
 from ...robots.pieces import Piece
-from ...robots.series import Quantity, Series, breaks_of, on_panels, stretched, times, values, vary, zeros
+from ...robots.series import Quantity, Series, breaks_of, on_panels, times, values, vary, zeros
 from ...robots.tubes import Tube
 from ...typing import Array
 from .springback import Springback
@@ -70,12 +70,7 @@ def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float,
             return np.asarray(values(quantity, s) * np.array([gain(size) for size in sizes]))
 
         x, y = (0.0 if q == 0.0 else _fitted(partial(bent, q), breaks) for q in own)
-    return Piece(
-        piece.length * factor,
-        tuple(stretched(q, factor) for q in (x, y, z)),
-        bending_stiffness=stretched(piece.bending_stiffness, factor),
-        torsional_stiffness=stretched(piece.torsional_stiffness, factor),
-    )
+    return replace(piece, precurvature=(x, y, z)).stretched(factor)
 
 
 def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
