@@ -35,6 +35,9 @@ VOLT = 10.0
 VENTS = 6
 """Places from the end of the mold to its middle at which vents may be chosen; linear between them."""
 
+OWN, NUMBERS = (0, 2, 3, 4), 5
+"""Inputs of an instant: the unknowns that are its own, and the numbers of tube and rig."""
+
 
 def physics(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
     """The numbers of tube and rig, as `Numbers` takes them apart again.
@@ -115,10 +118,6 @@ def instant(resolution: Resolution) -> ca.Function:
     resistance = ca.sum1(heat.resistances(at.tube, v, g)) / OHM - circuit[1]
     equations = ca.vertcat(rate - rates, voltage, resistance)
     return ca.Function("instant", [z, rate, circuit, drive, design, p], [equations, load.mean * source])
-
-
-OWN, NUMBERS = (0, 2, 3, 4), 5
-"""Inputs of an instant: the unknowns that are its own, and the numbers of tube and rig."""
 
 
 @lru_cache(maxsize=8)

@@ -183,10 +183,10 @@ def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, di
         if (memory.place > len(law.planned)).all() or k == slots:
             break
         felt = felt.after(model, sensor, count / COUNTS, law.slot)
-    names = ("reading", "count", "place", "coldest", "hottest", "top")
-    columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     finished = (memory.place >= len(law.planned)) & ~dead
-    return LoopHistory(np.asarray(law.slot * np.arange(len(rows))), finished=finished, **columns)
+    time = np.asarray(law.slot * np.arange(len(rows)))
+    reading, count, place, coldest, hottest, top = (np.array(column) for column in zip(*rows, strict=True))
+    return LoopHistory(time, reading, count, place, coldest, hottest, top, finished)
 
 
 @dataclass(frozen=True)

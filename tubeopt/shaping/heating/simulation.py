@@ -19,6 +19,12 @@ from ...solvers.compiled.heating import Marcher, Windows, heating_kernel
 from ...typing import Array
 from .thermal import ThermalModel
 
+STEP, LOOK = 0.25, 0.1
+"""Greatest step, s, of a simulation, and of one that looks for extremes."""
+
+BATCH = 60
+"""States of one member that are looked at together; each holds the model's numbers once."""
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -136,13 +142,6 @@ def imbalance(model: ThermalModel, state: State) -> Array:
     lumped = state.lumped
     missing = lumped[:, DRAWN] - lumped[:, CIRCUIT] - lumped[:, LOST] - stored(model, state)
     return np.asarray(np.abs(missing) / np.maximum(lumped[:, DRAWN], 1e-12))
-
-
-STEP, LOOK = 0.25, 0.1
-"""Greatest step, s, of a simulation, and of one that looks for extremes."""
-
-BATCH = 60
-"""States of one member that are looked at together; each holds the model's numbers once."""
 
 
 @dataclass(frozen=True, eq=False)

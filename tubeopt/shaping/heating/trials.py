@@ -26,6 +26,10 @@ from .simulation import simulate
 from .spec import HeatingSpec
 from .thermal import stack, thermal_model
 
+RESULTS = ("under", "good", "over")
+GRID = Resolution(2, 4, 6, 8, 8)
+FACTORS = np.geomspace(0.4, 2.5, 49)
+
 OTHER_TIME = 2.0
 """By which factor the time of a trial may differ from that of a colour in the table."""
 
@@ -111,11 +115,6 @@ NITINOL_COLOURS = ColourTable(
     ),
 )
 """Colours of nitinol, wide: to be replaced by a table of one's own trials."""
-
-
-RESULTS = ("under", "good", "over")
-GRID = Resolution(2, 4, 6, 8, 8)
-FACTORS = np.geomspace(0.4, 2.5, 49)
 
 
 @dataclass(frozen=True)

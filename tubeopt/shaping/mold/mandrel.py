@@ -35,6 +35,9 @@ from .settings import MoldSolver
 from .spec import MoldSpec
 from .springback import Springback
 
+SHANK = 25e-3
+"""Length of a turned mandrel that the chuck takes, m."""
+
 
 @dataclass(frozen=True, eq=False)
 class Winding:
@@ -105,10 +108,6 @@ def bend_in_space(held: Tube, solver: MoldSolver) -> Winding:
     tangents = table[:, 3:].reshape(-1, 3, 3)[:, :, 2]
     tangents = tangents / np.linalg.norm(tangents, axis=1)[:, None]
     return Winding(np.array(s), table[:, :3], tangents, slice(0, len(s)))
-
-
-SHANK = 25e-3
-"""Length of a turned mandrel that the chuck takes, m."""
 
 
 @dataclass(frozen=True)
