@@ -285,7 +285,8 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
 def first_guess(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
     """Unknowns of a schedule that heats up as fast as the ramp lets it; where that misses the window by far, of one
     that heats up for as long as it may: of two optima, IPOPT ends at the one on the side it comes from."""
-    soon = (_target(spec) - rig.ambient) / _start_ramp(spec)
+    target, ramp = _aim(spec)
+    soon = (target - rig.ambient) / ramp
     found, miss = _led(made, tube, rig, spec, soon)
     if miss > 0 and soon < spec.longest_heating:
         found, miss = _led(made, tube, rig, spec, spec.longest_heating)
@@ -294,14 +295,9 @@ def first_guess(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array
     return np.concatenate([found, np.full(made.structure.points, miss), design, vents])
 
 
-def _target(spec: HeatingSpec) -> float:
-    """Middle of the window, K."""
-    return 0.5 * sum(spec.window_degC) + ZERO_CELSIUS
-
-
-def _start_ramp(spec: HeatingSpec) -> float:
-    """Ramp of a guess, K/s."""
-    return min(0.9 * spec.ramp, 1e3)
+def _aim(spec: HeatingSpec) -> tuple[float, float]:
+    """Where a guess goes, the middle of the window, K, and its ramp, K/s."""
+    return 0.5 * sum(spec.window_degC) + ZERO_CELSIUS, min(0.9 * spec.ramp, 1e3)
 
 
 def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float) -> tuple[Array, float]:
@@ -309,7 +305,7 @@ def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float)
     leads the hottest cell, where the hold begins after `planned` s; and the miss to begin with, K."""
     s = made.structure
     model = thermal_model(tube, rig, s.resolution)
-    target, ramp, hold = _target(spec), _start_ramp(spec), spec.covered_time
+    (target, ramp), hold = _aim(spec), spec.covered_time
     count = int(np.clip(np.ceil((planned + hold) / spec.solver.guess_slot), 200, 2000))
     slot = (planned + hold) / count
 

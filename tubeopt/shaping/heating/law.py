@@ -184,8 +184,9 @@ def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, di
             break
         felt = felt.after(model, sensor, count / COUNTS, law.slot)
     finished = (memory.place >= len(law.planned)) & ~dead
-    columns = (np.array(column) for column in zip(*rows, strict=True))
-    return LoopHistory(np.asarray(law.slot * np.arange(len(rows))), *columns, finished)
+    time = np.asarray(law.slot * np.arange(len(rows)))
+    reading, count, place, coldest, hottest, top = (np.array(column) for column in zip(*rows, strict=True))
+    return LoopHistory(time, reading, count, place, coldest, hottest, top, finished)
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ def _rules() -> str:
     """The three rules, and what carries over between them: the Lagrange basis of one at the points of another."""
     degrees = DEGREE, ROUGH_DEGREE, CHECK_DEGREE
     whole, rough, check = rules = [tableau("gauss", degree) for degree in degrees]
-    tables = {}
+    tables: dict[str, Array] = {}
     for k, rule in enumerate(rules):
         own = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
         own |= {name: rule.lagrange(ENDS, integrals=i) for i, name in enumerate(("basis", "once", "twice"))}
