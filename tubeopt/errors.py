@@ -127,6 +127,31 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
     return array
 
 
+def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.float64]:
+    """`value` as a float array with so many dimensions, else InputError naming the first bad place."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} are not an array of numbers") from None
+    if array.ndim != dimensions:
+        raise InputError(f"{name} have shape {array.shape}; they must have {dimensions} dimensions")
+    if not np.isfinite(array).all():
+        place = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise InputError(f"{name}{place} is {array[tuple(place)]}; every number must be finite")
+    return array
+
+
+def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
+    """`values` as a tuple whose every member is of `kinds`, or InputError naming it; `what` says what they must be."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise InputError(f"{name} is {values!r}; it must be a list of {what}")
+    found = tuple(values)
+    for one in found:
+        if not isinstance(one, kinds):
+            raise InputError(f"{name} holds {one!r}; it must be a list of {what}")
+    return found
+
+
 def triple(name: str, value: ArrayLike) -> tuple[float, float, float]:
     """Return x, y, z of `value` if they are finite numbers, else raise InputError naming it."""
     x, y, z = vector(name, value, 3, "x, y, z").tolist()
@@ -141,9 +166,9 @@ def choice(name: str, value: str, allowed: Iterable[str]) -> str:
     return value
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
+def nearest(word: object, known: Iterable[str]) -> str:
     """Return "; did you mean 'x'?" for the known word closest to `word`, or an empty string."""
-    match = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    match = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5) if isinstance(word, str) else []
     return f"; did you mean {match[0]!r}?" if match else ""
 
 

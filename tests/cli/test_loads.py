@@ -10,7 +10,7 @@ import pytest
 from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
 from tubeopt import InputError, Load, forward_kinematics, load_robot
 from tubeopt.robots.load import PointForce, Stretch
-from tubeopt.runs.load_file import load_load
+from tubeopt.runs.load_file import load_entry
 from tubeopt.runs.study_file import load_study
 
 TWO_TUBE = str(ROOT / "configs" / "robots" / "two_tube.yaml")
@@ -32,7 +32,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_a_file_says_what_pushes(file: Path, tmp_path: Path) -> None:
-    assert load_load(file) == Load(
+    assert load_entry(file).build() == Load(
         (0.1, 0, 0),
         gravity=(0, 0, -9.81),
         points=(PointForce(0.05, (0.01, 0, 0)),),
@@ -40,10 +40,10 @@ def test_a_file_says_what_pushes(file: Path, tmp_path: Path) -> None:
     )
     file.write_text("tip_force_mN: [1, 2]\ngravity: [0, 0, -9.81]")
     with pytest.raises(InputError, match=r"tip_force_mN has 2 items.*\n.*gravity is not a known key; did you mean"):
-        load_load(file)
+        load_entry(file).build()
     file.write_text("points: [{at_mm: -1, force_mN: [0, 0, 1]}]")
     with pytest.raises(InputError, match="must be at least 0"):
-        load_load(file)
+        load_entry(file).build()
 
 
 def test_fk_by_flags_and_by_file(run: Run, file: Path) -> None:

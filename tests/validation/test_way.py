@@ -18,9 +18,9 @@ from tubeopt.validation import (
     validate,
     where_to_measure,
 )
+from tubeopt.validation.descent import hold_out, predicted_held_out
 from tubeopt.validation.fitting import FitProblem
 from tubeopt.validation.folds import deal, passes
-from tubeopt.validation.held_out import hold_out, predicted_held_out
 from tubeopt.validation.model import ArmModel, State
 from tubeopt.validation.parameters import choose_parameters
 from tubeopt.validation.subsets import HeldOutSets, slopes_around

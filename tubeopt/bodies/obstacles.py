@@ -54,7 +54,7 @@ def checked_obstacles(obstacles: Any) -> tuple[Obstacle, ...]:
     except TypeError:
         raise InputError(f"obstacles is {obstacles!r}; it must be a sequence of bodies, as [Sphere(...)]") from None
     for k, body in enumerate(bodies):
-        if not hasattr(body, "signed_distance"):
+        if isinstance(body, type) or not hasattr(body, "signed_distance"):
             raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.bodies")
     return bodies
 

@@ -146,7 +146,7 @@ def main(arguments: Sequence[str] | None = None, heard: Sequence[int] = ()) -> N
                 telling.acquire()
                 stop_workers()
                 complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
-        except Exception as error:
+        except Exception as error:  # what is nobody's mistake but ours goes on
             told = failure(error)
             if told is None:
                 raise

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from ..errors import InputError, NotProvedError, SolveError
-from ..files.units import as_typed, unit_of
+from ..files.units import as_typed, parted, unit_of
 from .messages import warnings
 
 BAD_INPUT, NO_SOLUTION, NOT_PROVED, INTERRUPTED = 2, 3, 4, 130
@@ -114,10 +114,10 @@ def _with_flag(line: str, flags: Mapping[str, str]) -> str:
     if not found or ":" in what or what.startswith("-"):
         return line
     words = _words(what)
-    named = [key for key, flag in flags.items() if flag and _words(_parted(key)[0]) <= words]
+    named = [key for key, flag in flags.items() if flag and _words(parted(key)[0]) <= words]
     if len(named) != 1:
         return line
-    stem, unit = _parted(named[0])
+    stem, unit = parted(named[0])
     said = f"{flags[named[0]]}{found}{rest}" if words == _words(stem) else f"{flags[named[0]]}: {line}"
     return as_typed(said) if unit in ("mm", "deg") else said
 
@@ -125,12 +125,6 @@ def _with_flag(line: str, flags: Mapping[str, str]) -> str:
 def _words(text: str) -> set[str]:
     """Of a key or a phrase, in the singular."""
     return {word.removesuffix("s") for word in re.split(r"[^A-Za-z0-9]+", text) if word}
-
-
-def _parted(key: str) -> tuple[str, str]:
-    """What a key is called, and its unit."""
-    unit = unit_of(key)
-    return (key.removesuffix(f"_{unit}"), unit) if unit else (key, "")
 
 
 def error_record(message: str, code: int, kind: str) -> dict[str, object]:

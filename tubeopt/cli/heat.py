@@ -24,10 +24,10 @@ def run(study: HeatingRunStudy, output: Output) -> None:
     can_be_saved(output.out)
     log = None if output.out is None else output.out / LOG_FILE
 
-    def kept() -> str:
+    def _kept() -> str:
         saved = f"{log} holds what was reported so far" if log is not None and log.exists() else "nothing was saved"
         return f"the rig is told to stop; {saved}"
 
-    with keeping(kept):
+    with keeping(_kept):
         found = with_live_page(study, output.out, shown=not output.quiet)
     present(report(found), output, written=() if found.log is None else (found.log,))

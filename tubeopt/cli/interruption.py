@@ -33,9 +33,7 @@ def keeping(what: str | Callable[[], str]) -> Iterator[None]:
     _KEPT.append(tell)
     try:
         yield
-    except KeyboardInterrupt:
-        raise  # and it is still to be told
-    except BaseException:
+    except Exception:  # what interrupts is none, and it is still to be told
         _KEPT.remove(tell)
         raise
     _KEPT.remove(tell)
@@ -58,7 +56,7 @@ def interruptible(as_json: bool) -> Iterator[threading.Lock]:
     told.setblocking(False)
     over = threading.Event()
 
-    def watch() -> None:
+    def _watch() -> None:
         while number := heard.recv(1):
             if number[0] != signal.SIGINT or _OWN or over.wait(PATIENCE):
                 continue
@@ -66,7 +64,7 @@ def interruptible(as_json: bool) -> Iterator[threading.Lock]:
                 _end(as_json)
 
     before = signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
-    watcher = threading.Thread(target=watch, daemon=True)
+    watcher = threading.Thread(target=_watch, daemon=True)
     watcher.start()
     try:
         yield telling

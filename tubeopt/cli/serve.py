@@ -14,9 +14,8 @@ from ..control.c_binding import servo_of
 from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..control.servo import OBJECTIVES, ServoOptions
-from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..files.units import DEG, MM, to_si
-from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, joints_of
+from ..files.checked import NotNegative, Positive, Whole
+from ..runs.base import Posed
 from ..runs.obstacle_file import Bodies
 from ..show.served_report import Served
 from .flags import asks
@@ -24,12 +23,9 @@ from .interruption import left_alone
 from .output import Output, can_be_saved, told
 
 
-class ServeEntry(Entry):
+class ServeEntry(Posed):
     """A robot to be served, where it begins, and how it may move."""
 
-    robot: RobotPath
-    rotations_deg: OnePerTube | None = TURNED
-    translations_mm: OnePerTube | None = SHIFTED
     obstacles: Bodies = Field((), description="bodies to keep clear of", examples=["OBSTACLES.yaml"])
     clearance_mm: NotNegative = Field(Decimal(0), description="to be kept of obstacles")
     min_margin: Positive = Field(Decimal("0.1"), description="floor of the stability margin")
@@ -62,22 +58,24 @@ def serve(study: ServeEntry, output: Output) -> None:
     with exit code 0. With --json one object with address and token is printed. It needs the extra `control`.
     """
     can_be_saved(output.out)
-    robot, options = study.robot, _options(study)
-    seed = joints_of(robot, study.rotations_deg, study.translations_mm)
-    servo = servo_of(robot, seed, obstacles=study.obstacles, options=options)
+    robot = study.robot
+    options = ServoOptions(
+        **study.in_si(
+            "speed_mm_per_s", "turn_rate_deg_per_s", "shift_rate_mm_per_s", "min_margin", "clearance_mm", "objective"
+        )
+    )
+    servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
     server = RobotServer(
         CrtkRobot(servo, watchdog=float(study.watchdog_s)),
-        ServerOptions(
-            port=study.port, token=study.token or "", period=float(study.period_s), publish=float(study.publish_Hz)
-        ),
+        ServerOptions(token=study.token or "", **study.in_si("port", "period_s", "publish_Hz")),
     )
 
-    def ready() -> None:
+    def _ready() -> None:
         address = f"ws://{server.options.host}:{server.port}"
         told(Served(robot, address, robot.name or "robot", server.token), output)
 
     with left_alone(), suppress(KeyboardInterrupt):
-        asyncio.run(server.serve(ready))
+        asyncio.run(server.serve(_ready))
     if not (output.as_json or output.quiet):
         pace, (took, _) = server.pace, server.pace.quantiles(0.999)
         missed = pace.missed / max(pace.steps + pace.missed, 1)
@@ -86,15 +84,3 @@ def serve(study: ServeEntry, output: Output) -> None:
             f"{took * 1e3:.2g} ms of the processor at 99.9 %",
             file=sys.stderr,
         )
-
-
-def _options(study: ServeEntry) -> ServoOptions:
-    """How it may move, in SI units."""
-    return ServoOptions(
-        speed=to_si(study.speed_mm_per_s, MM),
-        turn_rate=to_si(study.turn_rate_deg_per_s, DEG),
-        shift_rate=to_si(study.shift_rate_mm_per_s, MM),
-        min_margin=float(study.min_margin),
-        clearance=to_si(study.clearance_mm, MM),
-        objective=study.objective,
-    )

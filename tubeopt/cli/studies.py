@@ -47,7 +47,7 @@ def sweep(
     question = load_sweep(study)
     can_be_saved(output.out)
 
-    def into(directory: Path) -> Sweep:
+    def _into(directory: Path) -> Sweep:
         with working("sweeping", shown=not output.quiet) as progress:
             return run_sweep(
                 question.function(to_dict),
@@ -62,7 +62,7 @@ def sweep(
 
     if output.out is not None:
         with keeping(f"the points so far are in {output.out}; the same command goes on from there"):
-            present(report(into(output.out)), output)
+            present(report(_into(output.out)), output)
         return
     with tempfile.TemporaryDirectory() as directory:
-        present(report(into(Path(directory)).unkept()), output)
+        present(report(_into(Path(directory)).unkept()), output)

@@ -24,6 +24,7 @@ from ..show.served_report import Viewed
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
 from ..show.viewer.playback import Waypoints, load_waypoints, without_times
+from ..typing import Array
 from .flags import asks
 from .interruption import left_alone
 from .messages import LOGGER
@@ -65,13 +66,11 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
     is printed; with --out whatever is saved in the browser goes into that directory too.
     """
     asked = study
+    given: dict[str, Any] = {"load": asked.pushing(), "waypoints": asked.trajectory}
     shown = View(asked.robot, out=output.out, obstacles=asked.obstacles)
     if asked.study is not None:
         shown = _with_study(shown, robot, *asked.study)
-    if asked.pushing() is not None:
-        shown = replace(shown, load=asked.pushing())
-    if asked.trajectory is not None:
-        shown = replace(shown, waypoints=asked.trajectory)
+    shown = replace(shown, **{name: value for name, value in given.items() if value is not None})
     can_be_saved(output.out)
     shown.session()  # what cannot be shown is refused here, in place of in every tab
     if asked.host not in LOCAL_NAMES:
@@ -80,13 +79,13 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
             "no encryption"
         )
 
-    def ready(address: str) -> None:
+    def _ready(address: str) -> None:
         told(Viewed(shown.robot, address, shown.robot.name or robot), output)
         if asked.open and has_display() and not output.as_json:
             typer.launch(address)
 
     with left_alone():
-        serve(shown, host=asked.host, port=asked.port, ready=ready)
+        serve(shown, host=asked.host, port=asked.port, ready=_ready)
     if not (output.as_json or output.quiet):
         print("stopped", file=sys.stderr)
 
@@ -104,17 +103,13 @@ def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
 def _begins(study: Study, path: str) -> dict[str, Any]:
     """What a study says of the view: joint values to begin with, a path to play, obstacles, margin."""
     if isinstance(study, ForwardKinematicsStudy | EquilibriaStudy):
-        return _joints(*joints_of(study.robot, study.rotations_deg, study.translations_mm))
+        return _joints(study.joints)
     if isinstance(study, FollowStudy):
         return {"waypoints": without_times(study.robot, study.path)}
     if isinstance(study, SnapStudy):
-        return _joints(*joints_of(study.robot, study.from_deg, study.from_mm))
-    if isinstance(study, InverseStudy):
-        out: dict[str, Any] = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
-        return out | (_joints(*study.start) if study.start is not None else {})
-    if isinstance(study, PlanStudy):
-        out = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
-        return out | _joints(*joints_of(study.robot, study.start_deg, study.start_mm))
+        return _joints(joints_of(study.robot, study.from_deg, study.from_mm))
+    if isinstance(study, InverseStudy | PlanStudy):
+        return {"obstacles": study.bodies, "min_margin": float(study.min_margin)} | _joints(study.start)
     raise InputError(f"{path}: a study of kind {study.kind} says nothing to begin with; it must be {', '.join(KINDS)}")
 
 
@@ -122,5 +117,5 @@ KINDS = ("forward_kinematics", "equilibria", "follow", "snap", "inverse_kinemati
 """Studies that say where to begin."""
 
 
-def _joints(rotations: Any, translations: Any) -> dict[str, Any]:
-    return {"rotations": rotations, "translations": translations}
+def _joints(joints: tuple[Array, Array] | None) -> dict[str, Any]:
+    return {} if joints is None else dict(zip(("rotations", "translations"), joints, strict=True))

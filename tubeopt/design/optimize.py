@@ -18,7 +18,6 @@ from ..stability import snap_free_certificate
 from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
 from .exchange import carry, certified_at, robot_at, violations
-from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
@@ -28,7 +27,7 @@ from .remarks import Dimension, remarks
 from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
-from .solve import METHODS, solve
+from .solve import METHODS, Ranking, multistart, rank, solve
 from .solve_one import Attempt, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
@@ -168,7 +167,7 @@ def optimize_design(
         check_collocation(task)
     began = time.perf_counter()
     search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
-    one = _forced(task)
+    one = next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
     if one is not None:
         return _bearing(task, one, search, turns, began)
     return solution_of(task, search(task, begin=begin), turns, began)
@@ -230,11 +229,6 @@ def _bearing(
     solution = solution_of(_without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
-
-
-def _forced(task: DesignTask) -> SnapFree | None:
-    """The requirement that names a force; None without one."""
-    return next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
 
 
 def _without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:

@@ -1,4 +1,4 @@
-"""What a design must keep. Every requirement is data; `design.rows` turns it into constraints."""
+"""What a design must keep. Every requirement is data; `design.statements` turns it into constraints."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
-from ..errors import InputError, finite, positive, vector, whole
+from ..errors import InputError, finite, finite_array, items, positive, triple, vector, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Usual, check_fields, key, unit
 from ..typing import Array
-from .checks import Rows, items, table
 from .drawn import ALONG, SHARES
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+def _rows(name: str, values: Any) -> Rows:
+    return tuple(tuple(row) for row in finite_array(name, values, 2).tolist())
 
 
 @dataclass(frozen=True)
@@ -59,9 +64,9 @@ class SnapFree:
         if self.max_force and self.box is not None:
             raise InputError("max_force and box are given; under a force a certificate is for given translations")
         if self.translations is not None:
-            object.__setattr__(self, "translations", table("translations of the certificate", self.translations))
+            object.__setattr__(self, "translations", _rows("translations of the certificate", self.translations))
         if self.box is not None:
-            rows = table("box of translations", self.box)
+            rows = _rows("box of translations", self.box)
             if len(rows) != 2:
                 raise InputError(
                     f"box of translations has {len(rows)} rows; it must have 2, the least and the greatest"
@@ -192,8 +197,7 @@ class Target:
     direction_tolerance: Annotated[float, unit("deg"), POSITIVE, "largest angle to the direction"] = np.radians(2.0)
 
     def __post_init__(self) -> None:
-        position = vector("position of a target", self.position, 3, "x, y, z")
-        object.__setattr__(self, "position", tuple(position.tolist()))
+        object.__setattr__(self, "position", triple("position of a target", self.position))
         check_fields(self, "a target")
         if self.direction is not None:
             d = vector("direction of a target", self.direction, 3, "x, y, z")
@@ -231,8 +235,7 @@ class Coverage:
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
-            corner = vector(f"{name} corner of the workspace box", getattr(self, name), 3, "x, y, z")
-            object.__setattr__(self, name, tuple(corner.tolist()))
+            object.__setattr__(self, name, triple(f"{name} corner of the workspace box", getattr(self, name)))
         if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
             raise InputError("the workspace box is crossed; its lower corner must not be above its upper corner")
         check_fields(self, "the workspace box")
@@ -248,7 +251,7 @@ class Poses:
 
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):
-            object.__setattr__(self, name, table(f"{name} of the poses", getattr(self, name)))
+            object.__setattr__(self, name, _rows(f"{name} of the poses", getattr(self, name)))
         if len(self.rotations) != len(self.translations):
             raise InputError("poses have as many rows of rotations as of translations")
 
@@ -302,11 +305,7 @@ class Avoid:
     deployed: bool = False
 
     def __post_init__(self) -> None:
-        bodies = items("obstacles", self.obstacles, object, "bodies")
-        object.__setattr__(self, "obstacles", bodies)
-        for body in bodies:
-            if isinstance(body, type) or not hasattr(body, "signed_distance"):
-                raise InputError(f"obstacles holds {body!r}; it must be a list of bodies (Sphere, Capsule, ...)")
+        object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
         if not self.obstacles:
             raise InputError("obstacles is empty; there must be at least one to avoid")
         finite("clearance of the obstacles", self.clearance)

@@ -16,13 +16,13 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
-from ..typing import Array, Progress
+from ..typing import Array, Of, Progress
 from .exchange import robot_at
-from .multistart import multistart, rank
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
 from .program import Program, compile_task
 from .requirements import SnapFree
+from .solve import multistart, rank
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation
 from .starts import start_values
 from .task import DesignTask
@@ -87,15 +87,12 @@ class SearchedDesign(Searched):
     solution: DesignSolution
     """The design, its requirements checked again by other code."""
 
+    status = Of[DesignStatus]("solution")
+
     @property
     def value(self) -> ConcentricRobot:
         """The robot."""
         return self.solution.robot
-
-    @property
-    def status(self) -> DesignStatus:
-        """Whether it keeps what was demanded when it is looked at again."""
-        return self.solution.status
 
 
 @dataclass(frozen=True, eq=False)

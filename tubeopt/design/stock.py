@@ -17,11 +17,11 @@ from ..robots.materials import NITINOL, Material
 from ..solvers.parallel.executors import executor, run_all
 from ..typing import Progress
 from .exchange import robot_at
-from .multistart import multistart
 from .objectives import key_of
 from .optimize import settle
 from .program import compile_task, objective_value, state_at
 from .requirements import Length, Nesting, Strain, Wall
+from .solve import multistart
 from .task import DesignTask
 
 CHEAP = (Length, Nesting, Wall)

@@ -20,6 +20,7 @@ from ..errors import SolveError
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
+from ..solvers.settings import NEWTON, Newton
 from ..typing import Array
 from .result import ALONG_THE_ARM, Equilibrium, Statistics, Status, refuse_load
 
@@ -52,6 +53,17 @@ class Solution:
     def of(problem: ReducedProblem, rotations: Array, result: NewtonResult[Evaluation]) -> Solution:
         """That of a solver."""
         return Solution(problem, rotations, result, margin(problem, result.state))
+
+    @staticmethod
+    def near(
+        problem: ReducedProblem, rotations: Array, theta: Array, failure: str, settings: Newton = NEWTON
+    ) -> Solution:
+        """What Newton's method finds from theta (N, n) at the points; raises SolveError, with words of its failure,
+        where it fails."""
+        result = newton(problem, rotations, to_unknowns(problem, rotations, theta), settings=settings)
+        if not result.converged:
+            raise SolveError(failure)
+        return Solution.of(problem, rotations, result)
 
     @staticmethod
     def at(problem: ReducedProblem, rotations: Array, z: Array) -> Solution:
@@ -94,10 +106,8 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
     shift = tuple(equilibrium.translations.tolist())
     problem = reduced_problem(equilibrium.robot, shift, discretisation)
     theta = sample_rotation(equilibrium, problem.arc_length)
-    result = newton(problem, equilibrium.rotations, to_unknowns(problem, equilibrium.rotations, theta))
-    if not result.converged:
-        raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
-    return Solution.of(problem, equilibrium.rotations, result)
+    failure = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
+    return Solution.near(problem, equilibrium.rotations, theta, failure)
 
 
 def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
@@ -22,7 +22,7 @@ from pydantic import (
 
 from ..errors import InputError, nearest
 from .plausible import models, suspects
-from .units import as_typed, decimal, meant, shown
+from .units import UNITS, as_typed, decimal, meant, parted, shown, to_si
 
 LOGGER = logging.getLogger(__name__)
 
@@ -62,6 +62,14 @@ class Entry(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
+    def in_si(self, *keys: str) -> dict[str, Any]:
+        """The values of some keys, numbers in SI, by the names of the keys without their units."""
+        return {name: _in_si(getattr(self, key), unit) for key in keys for name, unit in [parted(key)]}
+
+
+def _in_si(value: Any, unit: str) -> Any:
+    return to_si(value, UNITS[unit] if unit else Decimal(1)) if isinstance(value, Decimal) else value
+
 
 def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: bool = False) -> PlainValidator:
     """Mark a key as the path of a file, relative to the one that it stands in; its value is what is read from there.
@@ -73,7 +81,7 @@ def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: 
         of_robot: whether `read` takes the robot too, whose key stands before.
     """
 
-    def load(value: object, info: ValidationInfo) -> Any:
+    def _load(value: object, info: ValidationInfo) -> Any:
         if kind is not None and isinstance(value, kind):
             return value
         if not isinstance(value, str):
@@ -84,7 +92,7 @@ def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: 
         # The robot is absent where it has problems itself, and None where it was left out.
         return read(path, info.data["robot"]) if "robot" in info.data else None
 
-    return PlainValidator(load, json_schema_input_type=str)
+    return PlainValidator(_load, json_schema_input_type=str)
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -145,7 +153,7 @@ def check_kind(
         raise InputError(f"{prefix}kind is missing; {allowed}")
     kind = data["kind"]
     if not isinstance(kind, str) or kind not in kinds:
-        hint = "; a robot is named by the key robot of such a file" if kind in OF_ROBOTS else _hint(kind, kinds)
+        hint = "; a robot is named by the key robot of such a file" if kind in OF_ROBOTS else nearest(kind, kinds)
         raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{hint}")
     return check(kinds[kind], data, where, names=names)
 
@@ -153,7 +161,7 @@ def check_kind(
 def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:
     """What is wrong, where, and what is allowed: one sentence, or several where a file named in the data has many."""
     loc: Sequence[int | str] = problem["loc"]
-    path, value, context = _path(loc, names), problem["input"], problem.get("ctx", {})
+    path, value, context = path_of(loc, names), problem["input"], problem.get("ctx", {})
     match problem["type"]:
         case "missing":
             return [f"{path} is missing"]
@@ -171,7 +179,7 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             words = re.findall(r"'(.*?)'", context["expected"])
             if "<name>" in loc:
                 words.append("a mapping with its keys")
-            return [f"{path} is {shown(value)}; it must be {_either(words)}{_hint(value, words)}"]
+            return [f"{path} is {shown(value)}; it must be {_either(words)}{nearest(value, words)}"]
         case "too_short":
             return [f"{path} has {_items(context['actual_length'])}; it must have at least {context['min_length']}"]
         case "too_long":
@@ -199,14 +207,15 @@ _NOUNS = {
 }
 
 
-def _path(loc: Sequence[int | str], names: Mapping[str, str]) -> str:
-    """`tubes[1].outer_diameter_mm`; parts in <> only tell pydantic's choices apart."""
+def path_of(loc: Sequence[int | str], names: Mapping[str, str] | None = None) -> str:
+    """`tubes[1].outer_diameter_mm`, with the caller's `names` for the first part; parts in <> only tell pydantic's
+    choices apart."""
     path = ""
     for part in loc:
         if isinstance(part, int):
             path += f"[{part}]"
         elif not part.startswith("<"):
-            path += f".{part}" if path else names.get(part, part)
+            path += f".{part}" if path else (names or {}).get(part, part)
     return path
 
 
@@ -221,10 +230,6 @@ def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
 
 def _either(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-
-
-def _hint(value: object, words: Iterable[str]) -> str:
-    return nearest(value, words) if isinstance(value, str) else ""
 
 
 def _items(count: int) -> str:

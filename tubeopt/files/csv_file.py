@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -30,8 +31,8 @@ class CsvTable:
     problems: list[str] = field(default_factory=list)
 
     def cell(self, row: int, column: str) -> str:
-        """One cell, without blanks around it; row from 0."""
-        return self.rows[row][self.columns.index(column)]
+        """One cell, without blanks around it, empty where there is no such column; row from 0."""
+        return self.rows[row][self.columns.index(column)] if column in self.columns else ""
 
     def complain(self, row: int, column: str, problem: str) -> None:
         """Note a problem with a cell; `problem` continues its name."""
@@ -46,9 +47,14 @@ class CsvTable:
             self.complain(row, column, str(error))
             return Decimal(0)
 
-    def numbers(self, columns: Sequence[str], unit: Decimal) -> Array:
-        """(rows, columns) numbers of `columns` in SI, given their unit."""
-        return np.array([[to_si(self.number(k, c), unit) for c in columns] for k in range(len(self.rows))])
+    def numbers(self, columns: Sequence[str], unit: Decimal, *, gaps: bool = False) -> Array:
+        """(rows, columns) numbers of `columns` in SI, given their unit; with `gaps`, NaN where a cell is empty."""
+        return np.array(
+            [
+                [math.nan if gaps and not self.cell(k, c) else to_si(self.number(k, c), unit) for c in columns]
+                for k in range(len(self.rows))
+            ]
+        )
 
     def expect(
         self, needed: Sequence[str], optional: Sequence[str] = (), together: Sequence[str] = (), *, shown: str = ""

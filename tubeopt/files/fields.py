@@ -17,7 +17,7 @@ import typing
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass
 from decimal import Decimal
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
@@ -26,6 +26,7 @@ from .marks import Absent, Key, Marked, Named, OneOf, Range, Usual, Written, mar
 from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, plainest, to_si
 
 E = TypeVar("E", bound=Entry)
+D = TypeVar("D")
 
 # --- read and write --------------------------------------------------------------------------------------------------
 
@@ -98,24 +99,33 @@ def entry_of(
     return model
 
 
+if TYPE_CHECKING:
+
+    class EntryOf(Part, Generic[D]):
+        """The model of what a file says about a dataclass `D` whose fields describe themselves, and nothing besides."""
+
+        def build(self) -> D:
+            """The object that the keys describe, in SI."""
+
+else:
+
+    class EntryOf:
+        """The same; for one dataclass it is always one model."""
+
+        @classmethod
+        @functools.lru_cache(maxsize=256)
+        def __class_getitem__(cls, what):
+            return entry_of(what)
+
+
 def asking(what: Any) -> Callable[[type[E]], type[E]]:
     """Give an entry, besides its own keys, those of a dataclass; `values` of the entry makes its fields of them."""
-
-    def with_keys(base: type[E]) -> type[E]:
-        model: type[E] = entry_of(what, base=base)
-        return model
-
-    return with_keys
+    return lambda base: entry_of(what, base=base)
 
 
 def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
     """Give an entry, besides its own keys, further ones, as `pydantic.create_model` takes them."""
-
-    def with_keys(base: type[E]) -> type[E]:
-        model: type[E] = create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
-        return model
-
-    return with_keys
+    return lambda base: create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
 
 
 def values(what: type[Any], entry: Any) -> dict[str, Any]:
@@ -218,7 +228,7 @@ def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
     bounds = {"gt": allowed.above, "ge": allowed.least, "le": allowed.most}
     limits = {name: (Decimal(repr(bound)) - zero) / scale for name, bound in bounds.items() if bound is not None}
 
-    def write(value: float) -> Any:
+    def _write(value: float) -> Any:
         if zero:
             return plainest(Decimal(repr(value)) - zero)
         return value if scale == 1 else in_unit(value, scale)
@@ -226,7 +236,7 @@ def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
     usual = [mark for mark in marks if isinstance(mark, Usual)]
     whole: dict[str, Any] = {name: int(limit) if limit == int(limit) else limit for name, limit in limits.items()}
     annotation: Any = Annotated[Decimal, Field(**whole), BeforeValidator(decimal), *usual]
-    return annotation, lambda number: to_si(number + zero, scale), write
+    return annotation, lambda number: to_si(number + zero, scale), _write
 
 
 def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
@@ -254,16 +264,16 @@ def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str)
     )
 
 
-def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
-    entry = entry_of(kind)
-    lower = BeforeValidator(lambda name: name.lower())
-    named: Any = Annotated[Literal[tuple(known)], lower, Tag("<name>")]
+def named_or(entry: Any, known: Mapping[str, Any]) -> Any:
+    """What pydantic checks where a thing is given by its name, in upper or lower case, or by an entry."""
+    named: Any = Annotated[Literal[tuple(known)], BeforeValidator(str.lower), Tag("<name>")]
     mapping: Any = Annotated[entry, Tag("<mapping>")]
-    either = Annotated[
-        named | mapping, Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>")
-    ]
+    return Annotated[named | mapping, Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>")]
 
+
+def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
     def write(thing: Any) -> Any:
         return next((name for name, one in known.items() if one == thing), None) or to_data(thing)
 
+    either = named_or(entry_of(kind), known)
     return either, lambda given: known[given] if isinstance(given, str) else given.build(), write

@@ -75,7 +75,7 @@ def write_text(path: str | PathLike[str], text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def save_arrays(path: str | PathLike[str], **arrays: Any) -> Path:
+def save_arrays(path: str | PathLike[str], /, **arrays: Any) -> Path:
     """Write arrays under their names as npz, whole or not at all; raises InputError where that cannot be."""
     with atomic_write(path) as temporary:
         plain: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}

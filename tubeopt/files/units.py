@@ -27,34 +27,9 @@ _CONTEXT = Context(prec=60)
 _MINUTE = Decimal(60)
 
 UNITS = {
-    **dict.fromkeys(
-        [
-            "rad",
-            "rad_per_m",
-            "per_m",
-            "per_K",
-            "m",
-            "s",
-            "m_per_s2",
-            "Hz",
-            "N",
-            "V",
-            "A",
-            "K",
-            "degC",
-            "J",
-            "J_per_m",
-            "W_per_m",
-            "K_per_s",
-            "kg_per_m3",
-            "J_per_kg_K",
-            "W_per_m_K",
-            "W_per_m2_K",
-            "ohm_m",
-            "ohm_m2",
-        ],
-        Decimal(1),
-    ),
+    **dict.fromkeys(["rad", "rad_per_m", "per_m", "m", "s", "m_per_s2", "Hz", "N", "V", "A"], Decimal(1)),
+    **dict.fromkeys(["K", "degC", "per_K", "K_per_s", "W_per_m", "W_per_m_K", "W_per_m2_K"], Decimal(1)),
+    **dict.fromkeys(["J", "J_per_m", "kg_per_m3", "J_per_kg_K", "ohm_m", "ohm_m2"], Decimal(1)),
     **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mm_per_N", "mJ", "mohm", "g", "g_per_m"], Decimal("1e-3")),
     **dict.fromkeys(["mN", "mN_m", "mN_per_m", "mN_m_per_m"], Decimal("1e-3")),
     **dict.fromkeys(["deg", "deg_per_s", "deg_per_s2"], DEG),
@@ -107,6 +82,12 @@ def unit_of(key: str) -> str:
     parts = key.split("_")
     endings = ("_".join(parts[k:]) for k in range(1, len(parts)))
     return next((ending for ending in endings if ending in UNITS), "")
+
+
+def parted(key: str) -> tuple[str, str]:
+    """What a key is called, and its unit."""
+    unit = unit_of(key)
+    return (key.removesuffix(f"_{unit}"), unit) if unit else (key, "")
 
 
 def others(unit: str) -> Iterator[tuple[str, Decimal]]:

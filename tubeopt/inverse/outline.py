@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -99,6 +99,10 @@ class Outline:
     """The surface of the arm of an equilibrium, round at the end of every tube."""
 
     equilibrium: Equilibrium
+    _clear: dict[Scene, tuple[float, bool]] = field(default_factory=dict, init=False, repr=False)
+    """Clearances from scenes, and whether each is exact, not a bound."""
+    _known: dict[Scene, _Near] = field(default_factory=dict, init=False, repr=False)
+    """What is known of scenes."""
 
     @cached_property
     def grid(self) -> Array:
@@ -154,11 +158,6 @@ class Outline:
         if not exact and known < enough:
             self._clear[scene] = known, _ = self._clearance(scene, enough)
         return known
-
-    @cached_property
-    def _clear(self) -> dict[Scene, tuple[float, bool]]:
-        """Clearances from scenes, and whether each is exact, not a bound."""
-        return {}
 
     @cached_property
     def _points(self) -> Array:
@@ -269,11 +268,6 @@ class Outline:
         reach = np.concatenate([half[:1], *[half] * PARTS])
         np.maximum(reach[1 : len(length)], half[1:], out=reach[1 : len(length)])
         return np.concatenate([at, between]), reach + (within + float(outer_radius(arm.robot).max()) + BEYOND)
-
-    @cached_property
-    def _known(self) -> dict[Scene, _Near]:
-        """What is known of scenes."""
-        return {}
 
     def _near(self, scene: Scene, within: float, fewest: int | None, also: frozenset[int]) -> _Near:
         """Bodies and stretches of the arm that are far from each other are left out in pairs, first by points far

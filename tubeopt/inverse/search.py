@@ -165,7 +165,9 @@ def by_sampling(
         planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
     data = base.PlannerData(information)
     planner.getPlannerData(data)
-    return replace(_way(problem, scale, (start, goals), count[0]), why=_trees(data))
+    tags = [data.getVertex(k).getTag() for k in range(data.numVertices())]
+    trees = f"the trees of {tags.count(1)} states from the start and {tags.count(2)} from the goal did not meet"
+    return replace(_way(problem, scale, (start, goals), count[0]), why=trees)
 
 
 def _posed(
@@ -194,12 +196,6 @@ def _posed(
         wanted.addState(_state(space, goal / task.scale))
     problem.setGoal(wanted)
     return information, problem
-
-
-def _trees(data: Any) -> str:
-    """How many states the trees of RRT-Connect hold, in words."""
-    tags = [data.getVertex(k).getTag() for k in range(data.numVertices())]
-    return f"the trees of {tags.count(1)} states from the start and {tags.count(2)} from the goal did not meet"
 
 
 def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> str:

@@ -11,12 +11,12 @@ from decimal import Decimal
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
-from ..files.fields import Part, asking, entry_of, to_data, values
+from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
 from ..files.marks import Usual
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
@@ -57,15 +57,13 @@ class MaterialEntry(Part):
         return NITINOL if material == replace(NITINOL, thermal=None) else material
 
 
-MaterialChoice = Annotated[
-    Annotated[Literal["nitinol"], BeforeValidator(str.lower), Tag("<name>")]
-    | Annotated[MaterialEntry, Tag("<mapping>")],
-    Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>"),
-]
-"""A material by name or by its constants."""
+if TYPE_CHECKING:
+    MaterialChoice = str | MaterialEntry
+else:
+    MaterialChoice = named_or(MaterialEntry, MATERIALS)
 
 
-def material_of(choice: str | MaterialEntry) -> Material:
+def material_of(choice: MaterialChoice) -> Material:
     """The material that was chosen."""
     return MATERIALS[choice] if isinstance(choice, str) else choice.build()
 
@@ -154,19 +152,14 @@ class CalibrationEntry(Part):
         return Calibration(**{name: getattr(none, name) for name in TABLES} | given)
 
 
-if TYPE_CHECKING:
-    FrictionEntry = Part
-    LimitsEntry = Part
-else:
-    FrictionEntry, LimitsEntry = entry_of(Friction), entry_of(JointLimits)
-
-
 class RobotEntry(Part):
     """What all kinds of robot have in common."""
 
     kind: str
     name: str = ""
-    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+    limits: EntryOf[JointLimits] | None = Field(
+        None, description="what the actuators allow; by default what the lengths allow"
+    )
     calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
 
     def common(self) -> dict[str, Any]:
@@ -183,7 +176,7 @@ class ConcentricEntry(RobotEntry):
 
     kind: Literal["concentric"]
     tubes: list[TubeEntry] = Field(min_length=1)
-    friction: FrictionEntry | None = Field(None, description="between neighbouring tubes; none where not given")
+    friction: EntryOf[Friction] | None = Field(None, description="between neighbouring tubes; none where not given")
     clearance_mm: list[NotNegative] | None = Field(
         None,
         description="radial, a list: of every tube in the next one, or one for all; it does not count where not given",

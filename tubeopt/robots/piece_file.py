@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from decimal import Decimal
 from os import PathLike
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, in_file
 from ..files.csv_file import read_csv
-from ..files.fields import Part, entry_of, to_data
+from ..files.fields import EntryOf, to_data
 from ..files.marks import Usual
 from ..files.plausible import unusual
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, to_si
@@ -49,28 +49,22 @@ class SeriesEntry(Entry):
 
 
 def _kind(value: Any) -> str:
-    return (
-        "<list>" if isinstance(value, list) else "<mapping>" if isinstance(value, (dict, SeriesEntry)) else "<number>"
-    )
+    if isinstance(value, list):
+        return "<list>"
+    return "<mapping>" if isinstance(value, (dict, SeriesEntry)) else "<number>"
 
 
-Along = Annotated[
-    Annotated[Number, Tag("<number>")] | Annotated[SeriesEntry, Tag("<mapping>")],
-    Discriminator(_kind),
-]
+OneNumber = Annotated[Number, Tag("<number>")]
+Varying = Annotated[SeriesEntry, Tag("<mapping>")]
+
+Along = Annotated[OneNumber | Varying, Discriminator(_kind)]
 """A number, or a quantity that varies along the piece."""
 
-Stiffness = Annotated[
-    Annotated[Positive, Tag("<number>")] | Annotated[SeriesEntry, Tag("<mapping>")],
-    Discriminator(_kind),
-]
+Stiffness = Annotated[Annotated[Positive, Tag("<number>")] | Varying, Discriminator(_kind)]
 
-Curvature = Annotated[
-    Annotated[Number, Tag("<number>")]
-    | Annotated[list[Along], Field(min_length=2, max_length=2), Tag("<list>")]
-    | Annotated[SeriesEntry, Tag("<mapping>")],
-    Discriminator(_kind),
-]
+Both = Annotated[list[Along], Field(min_length=2, max_length=2), Tag("<list>")]
+
+Curvature = Annotated[OneNumber | Both | Varying, Discriminator(_kind)]
 """Curvature about x, or about x and y."""
 
 
@@ -93,22 +87,15 @@ class PatternEntry(Entry):
     source: str = Field(min_length=1, description="where the factors are from: a measurement, a model of slotted tubes")
 
 
-if TYPE_CHECKING:  # to which an entry is whatever can be built
-    SlotsEntry = Part
-else:
-    SlotsEntry = entry_of(Slots)
-
-
 def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
     """Arc lengths (k,), m, and u* (k, 3), 1/m, of a table in a CSV file."""
     table = read_csv(path)
     wanted = [*COLUMNS, *(["twist_deg_per_mm"] if "twist_deg_per_mm" in table.columns else [])]
     for name in table.columns:
         if name not in wanted:
-            hint = (
-                meant(name, (*COLUMNS, "twist_deg_per_mm")) or f"; there may be {', '.join(wanted)}, twist_deg_per_mm"
-            )
-            raise InputError(f"{path}: column {name} is not known{hint}")
+            hint = meant(name, (*COLUMNS, "twist_deg_per_mm"))
+            listed = f"; there may be {', '.join(wanted)}, twist_deg_per_mm"
+            raise InputError(f"{path}: column {name} is not known{hint or listed}")
     for name in COLUMNS:
         if name not in table.columns:
             raise InputError(f"{path}: column {name} is missing")
@@ -148,7 +135,7 @@ class PieceEntry(Entry):
     bending_stiffness_N_mm2: Stiffness | None = None
     torsional_stiffness_N_mm2: Stiffness | None = None
     pattern: PatternEntry | None = None
-    slots: SlotsEntry | None = Field(None, description="where they are cut, for the strain of what they leave")
+    slots: EntryOf[Slots] | None = Field(None, description="where they are cut, for the strain of what they leave")
 
     def build(self, tube: Tube) -> Piece:
         """The piece in SI, of a tube with these diameters and stiffnesses."""

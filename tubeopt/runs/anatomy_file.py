@@ -317,11 +317,7 @@ class AnatomyFile(Entry):
 
 
 def load_anatomy(path: str | PathLike[str]) -> Anatomy:
-    """The anatomy in a YAML file with the key `anatomy`.
-
-    Raises:
-        InputError: no such file, not YAML, or keys, values and files that make no anatomy.
-    """
+    """The anatomy in a YAML file with the key `anatomy`; raises InputError for what makes none."""
     return check(AnatomyFile, load_yaml(path), path).anatomy.build()
 
 

@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..files.checked import NotNegative, Positive, Whole
-from ..files.units import MM, to_si
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, plan_arms
 from .anatomy_file import BasePart
 from .base import Progress, Started, Study
@@ -84,8 +83,6 @@ class ArmsStudy(Surrounded, Study):
 
     def run(self, progress: Progress | None = None) -> ArmsPlan:
         """The motions; raises SolveError where there are none, or none were found in time."""
-        if progress is not None:
-            progress(0, 0)
         return plan_arms(
             [arm.placed(self.around) for arm in self.arms],
             [arm.start for arm in self.arms],
@@ -93,10 +90,5 @@ class ArmsStudy(Surrounded, Study):
             obstacles=self.bodies,
             min_margin=float(self.min_margin),
             rate_limits=self.rates.build(),
-            options=PlanOptions(
-                objective=self.objective,
-                time_limit=float(self.time_limit_s),
-                clearance=to_si(self.clearance_mm, MM),
-                seed=self.seed,
-            ),
+            options=PlanOptions(**self.in_si("objective", "time_limit_s", "clearance_mm", "seed")),
         )

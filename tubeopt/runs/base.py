@@ -42,7 +42,6 @@ OnePerTube = Annotated[list[Number], AfterValidator(_one_per_tube)]
 """A number for every tube of the study's robot, inner to outer."""
 
 
-TURNED = Field(None, description="rotation of every tube, inner to outer; by default all 0")
 SHIFTED = Field(None, description="translation of every tube, inner to outer; by default home")
 
 
@@ -61,6 +60,15 @@ TubeNumber = Annotated[Count, AfterValidator(_of_the_robot), Field(description="
 """One of the tubes of the study's robot."""
 
 
+def require_one(study: Entry, one: str, other: str) -> None:
+    """Raise ValueError unless a study has one of two keys."""
+    given = {getattr(study, key) is not None for key in (one, other)}
+    if given == {False}:
+        raise ValueError(f"{one} and {other} are missing; one of them must be given")
+    if given == {True}:
+        raise ValueError(f"{one} and {other} are given; it must be one of them")
+
+
 class Kinds(Mapping[str, type[Entry]]):
     """Kinds of a file -> the entry that reads it, from "module.Class" of this package: imported when asked for."""
 
@@ -76,6 +84,21 @@ class Kinds(Mapping[str, type[Entry]]):
 
     def __len__(self) -> int:
         return len(self._where)
+
+
+class Posed(Entry):
+    """A robot at joint values: readings, where it has a calibration."""
+
+    robot: RobotPath
+    rotations_deg: OnePerTube | None = Field(
+        None, description="rotation of every tube, inner to outer; by default all 0"
+    )
+    translations_mm: OnePerTube | None = SHIFTED
+
+    @property
+    def joints(self) -> tuple[Array, Array]:
+        """The model's rotations (n,) rad and translations (n,) m there."""
+        return joints_of(self.robot, self.rotations_deg, self.translations_mm)
 
 
 class Started(Entry):
@@ -109,11 +132,13 @@ class Study(Entry):
     kind: str
 
     def run(self, progress: Progress | None = None) -> Any:
-        """The answer to the question that the study asks."""
-        raise NotImplementedError
+        """The answer to the question that the study asks; a kind of study has this or `run_in` of its own."""
+        return self.run_in(None, progress)
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> Any:
         """The answer, as `run` gives it; what can be kept of it on the way is kept in `out`, to go on from there."""
+        if progress is not None and getattr(self, "workers", 1) == 1:  # a bar is a thread: processes come first
+            progress(0, 0)
         return self.run(progress)
 
 

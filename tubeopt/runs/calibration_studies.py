@@ -79,8 +79,6 @@ class HeatingCalibrationStudy(TubeOnRig):
 
     def run(self, progress: Progress | None = None) -> RigFit | TrialFit:
         """The calibrated rig; raises InputError for a factor that is not known."""
-        if progress is not None:
-            progress(0, 0)
         read = self._read
         if isinstance(read, HeatingLog):
             stated = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}

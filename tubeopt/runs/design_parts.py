@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -14,6 +14,7 @@ from ..design import (
     Avoid,
     Coverage,
     Deployment,
+    DesignTask,
     Free,
     Length,
     Nesting,
@@ -31,11 +32,13 @@ from ..design import (
 )
 from ..design.parameters import TUBE_FIELDS
 from ..design.requirements import Requirement
+from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
-from ..files.fields import Part, asking, described, entry_of, extended, values
+from ..files.fields import EntryOf, Part, asking, described, extended, values
 from ..files.units import DEG, MM, PER_M, UNITS, to_si, unit_of
-from ..robots.file import Range
-from ..robots.piece_file import SlotsEntry
+from ..robots.concentric import ConcentricRobot
+from ..robots.file import AnyRobot, Range
+from ..robots.pieces import Slots
 from ..robots.tubes import Tube
 from .obstacle_file import Bodies
 
@@ -96,7 +99,9 @@ class FreeEntry(Part):
         None, description="torsional stiffness that is lost per bending stiffness, with a piece_bending_factor; 0 to 1"
     )
 
-    slots: SlotsEntry | None = Field(None, description="where they are cut, for a strain, with a piece_bending_factor")
+    slots: EntryOf[Slots] | None = Field(
+        None, description="where they are cut, for a strain, with a piece_bending_factor"
+    )
 
     def build(self) -> Free:
         """The free dimension in SI."""
@@ -119,18 +124,6 @@ class FreeEntry(Part):
             None if self.torsion_share is None else float(self.torsion_share),
             None if self.slots is None else self.slots.build(),
         )
-
-
-if TYPE_CHECKING:  # to which an entry is whatever can be built
-    SnapFreeEntry = Part
-    InUseEntry = Part
-    StrainEntry = Part
-    TargetEntry = Part
-    CoverageEntry = Part
-    ObjectiveEntry = Part
-else:
-    SnapFreeEntry, InUseEntry, StrainEntry = entry_of(SnapFree), entry_of(SnapFreeInUse), entry_of(Strain)
-    TargetEntry, CoverageEntry, ObjectiveEntry = entry_of(Target), entry_of(Coverage), entry_of(Objective)
 
 
 class LengthEntry(Part):
@@ -191,31 +184,40 @@ NUMBERS = [(kind, one) for kind in (Nesting, Wall, Stroke, Deployment, StrokeFor
 class Requirements(Part):
     """What a design must keep."""
 
-    snap_free: SnapFreeEntry | None = None
-    snap_free_in_use: InUseEntry | None = None
-    strain: StrainEntry | None = None
+    snap_free: EntryOf[SnapFree] | None = None
+    snap_free_in_use: EntryOf[SnapFreeInUse] | None = None
+    strain: EntryOf[Strain] | None = None
     lengths: list[LengthEntry] = Field([])
-    reach: list[TargetEntry] = Field([])
-    coverage: CoverageEntry | None = None
+    reach: list[EntryOf[Target]] = Field([])
+    coverage: EntryOf[Coverage] | None = None
     poses: list[PoseEntry] = Field([])
     corridor: CorridorEntry | None = None
     avoid: AvoidEntry | None = None
 
     def build(self) -> tuple[Requirement, ...]:
         """All requirements in SI; task poses in the order reach, coverage, poses."""
-        out: list[Requirement] = []
-        for entry in (self.snap_free, self.snap_free_in_use, self.strain, *self.lengths):
-            out += [] if entry is None else [entry.build()]
+        out = _built(self.snap_free, self.snap_free_in_use, self.strain, *self.lengths)
         given = [(kind, one, getattr(self, one.key)) for kind, one in NUMBERS]
         out += [kind(one.read(number)) for kind, one, number in given if number is not None]
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
-        out += [] if self.coverage is None else [self.coverage.build()]
+        out += _built(self.coverage)
         if self.poses:
             rotations = tuple(tuple(to_si(x, DEG) for x in pose.rotations_deg) for pose in self.poses)
             out.append(Poses(rotations, tuple(metres(pose.translations_mm) for pose in self.poses)))
-        out += [] if self.corridor is None else [self.corridor.build()]
-        out += [] if self.avoid is None else [self.avoid.build()]
-        return tuple(out)
+        return (*out, *_built(self.corridor, self.avoid))
+
+
+def _built(*entries: Part | None) -> list[Requirement]:
+    return [entry.build() for entry in entries if entry is not None]
+
+
+def task_of(
+    robot: AnyRobot, free: Sequence[FreeEntry], keep: Requirements, aims: Sequence[Objective], name: str, ordered: bool
+) -> DesignTask:
+    """The task in SI; raises InputError where its parts do not fit together."""
+    if not isinstance(robot, ConcentricRobot):
+        raise InputError("robot must be a concentric robot; its tubes are what is designed")
+    return DesignTask(robot, tuple(entry.build() for entry in free), keep.build(), tuple(aims), name, ordered)
 
 
 @asking(Tolerances)

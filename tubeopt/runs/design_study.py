@@ -24,13 +24,12 @@ from ..design.exchange import certified_at
 from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
-from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, Whole, in_file
+from ..files.fields import EntryOf
 from ..files.units import MM, to_si
-from ..robots.concentric import ConcentricRobot
 from ..stability import ASSUMING
 from .base import Count, Progress, RobotPath, Study
-from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
+from .design_parts import FreeEntry, Requirements, TolerancesEntry, task_of
 from .region_part import RegionAnswer, RegionEntry
 from .stock_file import load_stock
 
@@ -49,9 +48,9 @@ def _aims(value: object) -> str:
 
 
 Aims = Annotated[
-    Annotated[ObjectiveEntry, Tag("<one>")]
+    Annotated[EntryOf[Objective], Tag("<one>")]
     | Annotated[RegionEntry, Tag("<region>")]
-    | Annotated[list[ObjectiveEntry], Field(min_length=1), Tag("<several>")],
+    | Annotated[list[EntryOf[Objective]], Field(min_length=1), Tag("<several>")],
     Discriminator(_aims),
 ]
 """One objective, several, or the share of a region that is reached."""
@@ -126,18 +125,9 @@ class DesignStudy(Study):
 
     def task(self) -> DesignTask:
         """The task in SI; raises InputError where its parts do not fit together."""
-        if not isinstance(self.robot, ConcentricRobot):
-            raise InputError("robot must be a concentric robot; its tubes are what is designed")
         objectives = self.objective if isinstance(self.objective, list) else [self.objective]
         aims = [Objective("change") if isinstance(one, RegionEntry) else one.build() for one in objectives]
-        return DesignTask(
-            self.robot,
-            tuple(entry.build() for entry in self.free),
-            self.requirements.build(),
-            tuple(aims),
-            self.name,
-            self.ordered,
-        )
+        return task_of(self.robot, self.free, self.requirements, aims, self.name, self.ordered)
 
     def run(self, progress: Progress | None = None) -> DesignAnswer:
         """The design.
@@ -147,15 +137,8 @@ class DesignStudy(Study):
         """
         task, choice = self.task(), None
         if self.stock is not None:
-            clearance = to_si(self.stock.clearance_mm, MM)
-            choice = choose_from_stock(
-                task,
-                self.stock.file,
-                clearance=clearance,
-                keep=self.stock.keep,
-                workers=self.workers,
-                progress=progress,
-            )
+            given = self.stock.in_si("clearance_mm", "keep")
+            choice = choose_from_stock(task, self.stock.file, workers=self.workers, progress=progress, **given)
             assert choice.best is not None
             task = with_sizes(task, choice.best.sizes)
         region = None
@@ -163,14 +146,7 @@ class DesignStudy(Study):
             region = self.objective.run(task, self.starts, self.seed, self.turns, progress)
             solution = region.search.solution
         else:
-            solution = optimize_design(
-                task,
-                starts=self.starts,
-                seed=self.seed,
-                workers=self.workers,
-                turns=self.turns,
-                progress=progress,
-            )
+            solution = optimize_design(task, progress=progress, **self.in_si("starts", "seed", "workers", "turns"))
         tolerance = None
         if self.tolerances is not None:
             tolerance = tolerance_analysis(

@@ -11,14 +11,11 @@ from ..display import Displayed
 from ..files.checked import Positive, Whole
 from ..files.units import PERCENT, to_si
 from ..robots.robot import Robot
-from ..shaping.heating.rig import Rig
-from ..shaping.heating.spec import HeatingSpec
-from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, heating_for, plan_tube
 from .base import Progress, RobotPath, Study
-from .heating_study import Ensemble, Heating, RigPath, heating_of
+from .heating_study import Heating, RigPath, heating_of
 from .mold_study import MoldPath
 
 
@@ -45,37 +42,6 @@ class Fabrication(Displayed):
     left_out: tuple[str, ...]
 
 
-def fabricate(
-    robot: Robot,
-    rig: Rig,
-    asked: MoldSpec,
-    spec: HeatingSpec,
-    *,
-    charges: tuple[float, ...] = (),
-    ensemble: Ensemble | None = None,
-    progress: Progress | None = None,
-) -> Fabrication:
-    """Each tube's mold drawn for the rig, and its heating planned on the rig with the mold as drawn.
-
-    Args:
-        charges: states of charge for which there are tables too.   ensemble: of uncertain rigs; None for no band.
-
-    Raises:
-        InputError: no tube of the robot is curved, or as `plan_tube`.
-    """
-    chosen, left_out = chosen_tubes(robot)
-    tell = progress or (lambda done, total: None)
-    parts = []
-    for k, number in enumerate(chosen):
-        tell(k, len(chosen))
-        # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-        made = plan_tube(robot.tubes[number - 1], rig, asked, spec, number=number)
-        drawn = RobotMold(made.mold, robot.name, (number,), ())
-        parts.append(TubeParts(number, made, drawn, heating_of(made.heating, charges, ensemble)))
-    tell(len(chosen), len(chosen))
-    return Fabrication(robot, tuple(parts), tuple(left_out))
-
-
 class FabricationStudy(Study):
     """Molds and heating schedules for every tube of a robot."""
 
@@ -93,10 +59,22 @@ class FabricationStudy(Study):
     samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
 
     def run(self, progress: Progress | None = None) -> Fabrication:
-        """Mold and schedules of every tube; raises InputError as `fabricate`."""
+        """Each tube's mold drawn for the rig, and its heating planned on the rig with the mold as drawn.
+
+        Raises:
+            InputError: no tube of the robot is curved, or as `plan_tube`.
+        """
         asked = self.mold or MoldSpec()
         spec = replace(heating_for(asked.heat), objective=self.objective)
         spec = spec if self.hold_s is None else replace(spec, hold_time=float(self.hold_s))
         charges = tuple(to_si(charge, PERCENT) for charge in self.charges_percent)
-        ensemble = Ensemble(Uncertainty(), self.samples) if self.samples else None
-        return fabricate(self.robot, self.rig, asked, spec, charges=charges, ensemble=ensemble, progress=progress)
+        chosen, left_out = chosen_tubes(self.robot)
+        parts = []
+        for k, number in enumerate(chosen):
+            if progress is not None:
+                progress(k, len(chosen))
+            # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
+            made = plan_tube(self.robot.tubes[number - 1], self.rig, asked, spec, number=number)
+            drawn = RobotMold(made.mold, self.robot.name, (number,), ())
+            parts.append(TubeParts(number, made, drawn, heating_of(made.heating, charges, samples=self.samples)))
+        return Fabrication(self.robot, tuple(parts), tuple(left_out))

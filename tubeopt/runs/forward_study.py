@@ -11,21 +11,18 @@ from pydantic import Field
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, joints_of
+from .base import Posed, Progress
 from .load_file import LoadedStudy
 
 LOGGER = logging.getLogger(__name__)
 
 
-class ForwardKinematicsStudy(LoadedStudy):
+class ForwardKinematicsStudy(Posed, LoadedStudy):
     """The equilibrium of a robot at given joint values: readings, where the robot has a calibration."""
 
     doing = "solving the shape"
 
     kind: Literal["forward_kinematics"]
-    robot: RobotPath
-    rotations_deg: OnePerTube | None = TURNED
-    translations_mm: OnePerTube | None = SHIFTED
     method: Literal["newton", "ipopt", "energy"] = Field("newton", description="how to solve: newton, ipopt, energy")
     tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest error of the tubes' angles")
     verify: bool = Field(False, description="compare with an adaptive re-integration")
@@ -34,7 +31,7 @@ class ForwardKinematicsStudy(LoadedStudy):
         """The equilibrium; raises SolveError where none is found."""
         found = forward_kinematics(
             self.robot,
-            *joints_of(self.robot, self.rotations_deg, self.translations_mm),
+            *self.joints,
             load=self.pushing(),
             method=self.method,
             tolerance=float(self.tolerance_rad),

@@ -26,11 +26,14 @@ from ..shaping.heating.rig import Rig
 from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import FINE, thermal_model
-from .base import Progress, Study
+from .base import Progress, Study, require_one
 from .rig_file import LOG_COLUMNS, load_rig
 
 LOG_FILE = "log.csv"
 """Name of the log in the directory of a run."""
+
+Show = Callable[[dict[str, Any], dict[str, Any]], object]
+"""Gets what a rig said of itself, and a report of it."""
 
 REPORTED = {"state", "time_s", "temperature_degC", "reference_degC", "count", "place", "voltage_V", "current_A"} | {
     "reason",
@@ -108,10 +111,7 @@ class HeatingRunStudy(Study):
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
-        if self.port is None and self.simulate is None:
-            raise ValueError("port and simulate are missing; one of them must be given")
-        if self.port is not None and self.simulate is not None:
-            raise ValueError("port and simulate are given; it must be one of them")
+        require_one(self, "port", "simulate")
         if self.port is not None and self.replan_s is not None and self.rig is None:
             raise ValueError("rig is missing; it must be given where the rest is planned anew for a board on a port")
         for name, rig in (("simulate", self.simulate), ("rig", self.rig)):
@@ -131,23 +131,20 @@ class HeatingRunStudy(Study):
         if self.port is not None:
             return SerialLine(self.port), leader
         assert law is not None
-        return simulated_line(*law, float(self.speed)), leader
+        plan, known, sensor = law
+        simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
+        limit = plan.spec.limit + OVERSHOOT
+        return SimulatedLine(simulated, known, limit, float(self.speed), plan.spec.window_degC), leader
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
-        """Run it, and log into `out`."""
+        """Run it, and log into `out` where that is given."""
         tell = progress or (lambda done, total: None)
-        line, leader = self.open()
-        return run_heating(
-            line,
-            dry=self.dry,
-            log=None if out is None else out / LOG_FILE,
-            show=lambda hello, row: tell(row["place"], int(hello.get("slots", 0))),
-            leader=leader,
-        )
+        return self.led(out, *self.open(), lambda hello, row: tell(row["place"], int(hello.get("slots", 0))))
 
-    def run(self, progress: Progress | None = None) -> HeatingRun:
-        """Run it without a log."""
-        return self.run_in(None, progress)
+    def led(self, out: Path | None, line: Line, leader: Leader | None, show: Show) -> HeatingRun:
+        """Run it over what `open` gave, as `run_heating`, and log into `out` where that is given."""
+        log = None if out is None else out / LOG_FILE
+        return run_heating(line, dry=self.dry, log=log, show=show, leader=leader)
 
 
 def led_law(rig: Rig) -> tuple[HeatingPlan, HeatingLaw, Sensor]:
@@ -158,18 +155,12 @@ def led_law(rig: Rig) -> tuple[HeatingPlan, HeatingLaw, Sensor]:
     return plan, lead_by(plan, sensor, samples=20).law, sensor
 
 
-def simulated_line(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, speed: float = 20.0) -> Line:
-    """A line to a simulated rig that is led by a law."""
-    simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
-    return SimulatedLine(simulated, law, plan.spec.limit + OVERSHOOT, speed, plan.spec.window_degC)
-
-
 def run_heating(
     line: Line,
     *,
     dry: bool = False,
     log: Path | None = None,
-    show: Callable[[dict[str, Any], dict[str, Any]], object] | None = None,
+    show: Show | None = None,
     leader: Leader | None = None,
 ) -> HeatingRun:
     """Start a rig and follow it to its end; where this is interrupted, the rig is stopped first.

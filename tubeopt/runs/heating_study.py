@@ -25,18 +25,6 @@ from .base import Progress, RobotPath, Study, TubeNumber
 from .rig_file import load_rig
 
 
-@dataclass(frozen=True)
-class Ensemble:
-    """Uncertain rigs on which a plan is tried.
-
-    uncertainty: of the rig.   samples: how many.   scaled: whether the duties are scaled to the most likely success.
-    """
-
-    uncertainty: Uncertainty
-    samples: int
-    scaled: bool = False
-
-
 @dataclass(frozen=True, eq=False)
 class Heating(Displayed):
     """A plan, its tables by the battery's charge, and its band over uncertain rigs, None where that was not asked for.
@@ -55,25 +43,30 @@ class Heating(Displayed):
 def heating_of(
     planned: HeatingPlan,
     charges: tuple[float, ...] = (),
-    ensemble: Ensemble | None = None,
     progress: Progress | None = None,
+    *,
+    uncertainty: Uncertainty | None = None,
+    samples: int = 0,
+    scaled: bool = False,
 ) -> Heating:
-    """A plan with tables for other states of charge, and with what becomes of it on uncertain rigs."""
-    steps = 1 + len(charges) + (ensemble is not None)
+    """A plan with tables for other states of charge, and with what becomes of it on uncertain rigs: `samples` of them,
+    for none of which there is no band; with `scaled` its duties are scaled to the most likely success."""
+    uncertainty = uncertainty or Uncertainty()
+    steps = 1 + len(charges) + (samples > 0)
     tell = progress or (lambda done, total: None)
     tell(1, steps)
     band, scale = None, 1.0
-    if ensemble is not None and ensemble.scaled:
-        better = most_likely(planned, ensemble.uncertainty, samples=ensemble.samples)
+    if samples and scaled:
+        better = most_likely(planned, uncertainty, samples=samples)
         planned, band, scale = better.plan, better.band, better.scale
-    elif ensemble is not None:
-        band = assess(planned, ensemble.uncertainty, samples=ensemble.samples)
+    elif samples:
+        band = assess(planned, uncertainty, samples=samples)
     tables: list[HeatingPlan] = []
     for k, charge in enumerate(charges):
         tables += charge_tables(planned, [charge])
         tell(2 + k, steps)
     tell(steps, steps)
-    return Heating(planned, tuple(tables), band, Uncertainty() if ensemble is None else ensemble.uncertainty, scale)
+    return Heating(planned, tuple(tables), band, uncertainty, scale)
 
 
 RigPath = Annotated[
@@ -155,10 +148,9 @@ class HeatingStudy(HeatedTube):
     def run(self, progress: Progress | None = None) -> Heating:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
         charges = tuple(to_si(charge, PERCENT) for charge in self.charges_percent)
-        ensemble = None
-        if self.samples and self.loss_percent:
-            uncertainty = Uncertainty(loss=to_si(self.loss_percent, PERCENT))
-            ensemble = Ensemble(uncertainty, self.samples, scaled=self.robust)
+        samples = self.samples if self.loss_percent else 0
+        uncertainty = Uncertainty(**self.in_si("loss_percent")) if samples else None
         if progress is not None:
-            progress(0, 1 + len(charges) + (ensemble is not None))
-        return heating_of(plan_heating(self.heated(), self.set_up(), self.spec()), charges, ensemble, progress)
+            progress(0, 1 + len(charges) + (samples > 0))
+        planned = plan_heating(self.heated(), self.set_up(), self.spec())
+        return heating_of(planned, charges, progress, uncertainty=uncertainty, samples=samples, scaled=self.robust)

@@ -12,13 +12,12 @@ from pydantic import Field, field_validator, model_validator
 from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
-from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..robots.robot import Robot
 from ..stability import ASSUMING, follow
 from ..typing import Array
-from .base import OnePerTube, Progress, RobotPath, joints_of
+from .base import OnePerTube, Progress, RobotPath, joints_of, require_one
 from .load_file import LoadedStudy
 from .obstacle_file import Place, Surrounded, point
 from .target_file import Targets, load_joints, load_targets
@@ -121,10 +120,7 @@ class InverseStudy(Surrounded, LoadedStudy):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.target_mm is None and self.targets is None:
-            raise ValueError("target_mm and targets are missing; one of them must be given")
-        if self.target_mm is not None and self.targets is not None:
-            raise ValueError("target_mm and targets are given; it must be one of them")
+        require_one(self, "target_mm", "targets")
         if self.targets is not None and (self.direction is not None or self.all):
             raise ValueError("direction and all are for a single target, not for a table of targets")
         if self.follow and self.targets is None:
@@ -146,41 +142,38 @@ class InverseStudy(Surrounded, LoadedStudy):
         return joints_of(self.robot, self.reference_deg, self.reference_mm)
 
     def _common(self) -> dict[str, Any]:
-        options = InverseOptions(
-            objective=self.objective,
-            direction_weight=None if self.direction_weight is None else float(self.direction_weight),
-            clearance=to_si(self.clearance_mm, MM),
-            method=self.method,
-            starts=self.starts,
-            time_limit=float(self.time_limit_s),
-        )
-        return {"seed": self.start, "min_margin": float(self.min_margin), "obstacles": self.bodies, "options": options}
+        given = self.in_si("objective", "direction_weight", "clearance_mm", "method", "starts", "time_limit_s")
+        return {
+            "seed": self.start,
+            "min_margin": float(self.min_margin),
+            "obstacles": self.bodies,
+            "options": InverseOptions(**given),
+        }
+
+    def _asked(self) -> dict[str, Any]:
+        """What is asked of every target that is not led to."""
+        return self._common() | {
+            "reference": self._reference(),
+            "on_failure": "closest" if self.closest else "raise",
+            "reachable": self.reachable and self.pushing() is None,
+        }
 
     def run(self, progress: Progress | None = None) -> Postures | TargetTable:
         """The answers; raises SolveError where a single target has none, and closest is not asked for."""
-        if progress is not None:
-            progress(0, 0)
-        on_failure = "closest" if self.closest else "raise"
         if self.targets is not None:
-            return self._table(self.targets, on_failure, progress)
+            return self._table(self.targets, progress)
         if self.target_mm is None:
             raise AssertionError("a study without a target is refused when it is made")
         direction = None if self.direction is None else [float(x) for x in self.direction]
-        given: dict[str, Any] = {
-            "direction": direction,
-            "reference": self._reference(),
-            "on_failure": on_failure,
-            "reachable": self.reachable and self.pushing() is None,
-        }
-        position = point(self.target_mm)
+        position, asked = point(self.target_mm), self._asked()
         if self.all:
             clock = Clock(float(self.time_limit_s))
-            every = inverse_kinematics(self.robot, position, all_solutions=True, **given, **self._common())
+            every = inverse_kinematics(self.robot, position, direction=direction, all_solutions=True, **asked)
             return Postures(self.robot, tuple(every), clock.over)
-        found = inverse_kinematics(self.robot, position, load=self.pushing(), **given, **self._common())
+        found = inverse_kinematics(self.robot, position, direction=direction, load=self.pushing(), **asked)
         return Postures(self.robot, (found,))
 
-    def _table(self, targets: Targets, on_failure: str, progress: Progress | None) -> TargetTable:
+    def _table(self, targets: Targets, progress: Progress | None) -> TargetTable:
         rows: list[Row] = []
         session = IkSession(self.robot, **self._common()) if self.follow else None
         for k, position in enumerate(targets.position):
@@ -190,14 +183,7 @@ class InverseStudy(Surrounded, LoadedStudy):
                     rows += _led(session, k + 1, position, direction)
                 else:
                     solution = inverse_kinematics(
-                        self.robot,
-                        position,
-                        direction=direction,
-                        reference=self._reference(),
-                        on_failure=on_failure,
-                        reachable=self.reachable and self.pushing() is None,
-                        load=self.pushing(),
-                        **self._common(),
+                        self.robot, position, direction=direction, load=self.pushing(), **self._asked()
                     )
                     rows.append(Row(k + 1, position, direction, solution, ""))
             except SolveError as error:
@@ -211,17 +197,15 @@ def _led(session: IkSession, number: int, position: Array, direction: Array | No
     """Rows of the answers that lead to the next target, those before it numbered by their share of the way."""
     before = session.solution
     answers = session.lead(position, direction=direction)
-    rows = [Row(number, position, direction, answers[-1], "")]
-    if len(answers) > 1 and before is not None:
-        first, whole = before.target_position, float(np.linalg.norm(position - before.target_position))
-        for answer in reversed(answers[:-1]):
+    rows = []
+    for k, answer in enumerate(answers[:-1], start=1):
+        share = k / len(answers)  # from the start, to the first target
+        if before is not None:
+            first, whole = before.target_position, float(np.linalg.norm(position - before.target_position))
             share = float(np.linalg.norm(answer.target_position - first)) / max(whole, 1e-300)
-            between = round(number - 1 + min(max(share, 1e-4), 1 - 1e-4), 6)
-            rows.insert(0, Row(between, answer.target_position, answer.target_direction, answer, ""))
-    elif len(answers) > 1:  # from the start, to the first target
-        for k, answer in enumerate(answers[:-1], start=1):
-            between = round(number - 1 + k / len(answers), 6)
-            rows.insert(k - 1, Row(between, answer.target_position, answer.target_direction, answer, ""))
+            share = min(max(share, 1e-4), 1 - 1e-4)
+        rows.append(Row(round(number - 1 + share, 6), answer.target_position, answer.target_direction, answer, ""))
+    rows.append(Row(number, position, direction, answers[-1], ""))
     return rows
 
 

@@ -3,35 +3,30 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import Field, PlainValidator, ValidationInfo
 
 from ..files.checked import Entry, Triple, check
-from ..files.fields import Part, asking, described, entry_of, extended, values
+from ..files.fields import EntryOf, Part, asking, described, extended, values
 from ..files.units import UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, Stretch
 from .base import Study
-
-if TYPE_CHECKING:  # to which an entry is whatever can be built
-    StretchEntry = Part
-else:
-    StretchEntry = entry_of(Stretch)
 
 
 @asking(Load)
 class LoadEntry(Part):
     """What pushes on the robot."""
 
-    distributed_mN_per_m: Triple | list[StretchEntry] | None = Field(
+    distributed_mN_per_m: Triple | list[EntryOf[Stretch]] | None = Field(
         None, description="load per length in world axes, all along the arm or on stretches"
     )
 
     def build(self) -> Load:
         """The load in SI; raises InputError where it makes no sense."""
         along: Any = self.distributed_mN_per_m
-        if along and isinstance(along[0], StretchEntry):
+        if along and isinstance(along[0], Part):
             along = tuple(part.build() for part in along)
         elif along is not None:
             along = tuple(to_si(value, UNITS["mN_per_m"]) for value in along) or None
@@ -41,11 +36,6 @@ class LoadEntry(Part):
 def load_entry(path: str | PathLike[str]) -> LoadEntry:
     """What a load file says; raises InputError with one line for every problem."""
     return check(LoadEntry, load_yaml(path), path)
-
-
-def load_load(path: str | PathLike[str]) -> Load:
-    """The load in a YAML file; raises InputError with one line for every problem."""
-    return load_entry(path).build()
 
 
 def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:

@@ -18,7 +18,7 @@ from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
 from ..typing import Array
 from ..validation import ForceRecord, estimate_forces
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, joints_of
+from .base import OnePerTube, Posed, Progress, RobotPath, joints_of
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
 
@@ -40,15 +40,12 @@ class Bearing(Displayed):
     up_to: float
 
 
-class LoadLimitStudy(LoadedStudy):
+class LoadLimitStudy(Posed, LoadedStudy):
     """How many times a load can be put on a robot before its equilibrium is lost."""
 
     doing = "putting the load on"
 
     kind: Literal["load_limit"]
-    robot: RobotPath
-    rotations_deg: OnePerTube | None = TURNED
-    translations_mm: OnePerTube | None = SHIFTED
     from_deg: OnePerTube | None = Field(
         None, description="rotations from which the robot is turned there, unloaded; by default it starts there"
     )
@@ -71,9 +68,7 @@ class LoadLimitStudy(LoadedStudy):
 
     def run(self, progress: Progress | None = None) -> Bearing:
         """The limit; raises SolveError where there is no stable equilibrium without load, or the branch is lost."""
-        if progress is not None:
-            progress(0, 0)
-        rotations, translations = joints_of(self.robot, self.rotations_deg, self.translations_mm)
+        rotations, translations = self.joints
         load, up_to = self.pushing(), float(self.up_to)
         start = None
         if self.from_deg is not None:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 import scipy
@@ -55,6 +56,10 @@ class Columns:
         """(rows, M) numbers in SI; with `missing`, NaN where a cell is empty or NaN."""
         return np.array([[self._number(k, m, missing) for m in meanings] for k in range(len(self.table.rows))])
 
+    def time(self) -> Array | None:
+        """(rows,) s; None where no column has it."""
+        return self.numbers(["time"])[:, 0] if self.has("time") else None
+
     def translations(self, home: Array) -> Array:
         """(rows, n) m; those of `home` (n,) where there is no column."""
         found = np.tile(home, (len(self.table.rows), 1))
@@ -95,9 +100,10 @@ class Columns:
         v = [f"{name}_{sensor}" for name in ("rx", "ry", "rz")]
         m = [f"r{i}{j}_{sensor}" for i in "123" for j in "123"]
         z, x = ([f"{axis}axis_{k}_{sensor}" for k in "xyz"] for axis in "zx")
-        for names, frames in ((q, _of_quaternions), (v, _of_vectors), (m, _of_matrices)):
+        turn = scipy.spatial.transform.Rotation
+        for names, read in ((q, turn.from_quat), (v, turn.from_rotvec), (m, _from_rows)):
             if self.has(*names):
-                return frames(self.numbers(names, missing=True))
+                return _turned(self.numbers(names, missing=True), read)
         if self.has(*z):
             across = self.numbers(x, missing=True) if self.has(*x) else None
             return _of_axes(self.numbers(z, missing=True), across)
@@ -141,20 +147,14 @@ def _numbered(meaning: str) -> str:
     return meaning if meaning == "time" or re.search(r"_\d+$", meaning) else f"{meaning}_1"
 
 
-def _of_quaternions(table: Array) -> Array:
-    """(rows, 3, 3) of quaternions (x, y, z, w); NaN where one is missing or 0."""
-    seen = np.isfinite(table).all(1) & (np.abs(np.nan_to_num(table)).sum(1) > 0)
-    return _where(seen, lambda: scipy.spatial.transform.Rotation.from_quat(table[seen]).as_matrix())
+def _turned(table: Array, read: Callable[[Array], Any]) -> Array:
+    """(rows, 3, 3) of rotations; NaN where one is missing, or a quaternion 0."""
+    seen = np.isfinite(table).all(1) & (np.nan_to_num(table).any(1) | (table.shape[1] != 4))
+    return _where(seen, lambda: read(table[seen]).as_matrix())
 
 
-def _of_vectors(table: Array) -> Array:
-    seen = np.asarray(np.isfinite(table).all(1))
-    return _where(seen, lambda: scipy.spatial.transform.Rotation.from_rotvec(table[seen]).as_matrix())
-
-
-def _of_matrices(table: Array) -> Array:
-    seen = np.asarray(np.isfinite(table).all(1))
-    return _where(seen, lambda: scipy.spatial.transform.Rotation.from_matrix(table[seen].reshape(-1, 3, 3)).as_matrix())
+def _from_rows(table: Array) -> Any:
+    return scipy.spatial.transform.Rotation.from_matrix(table.reshape(-1, 3, 3))
 
 
 def _of_axes(z: Array, x: Array | None) -> Array:
@@ -163,14 +163,14 @@ def _of_axes(z: Array, x: Array | None) -> Array:
     if x is not None:
         seen &= np.isfinite(x).all(1)
 
-    def frames() -> Array:
+    def _frames() -> Array:
         along = z[seen] / np.linalg.norm(z[seen], axis=1, keepdims=True)
         across = x[seen] if x is not None else np.eye(3)[np.argmin(np.abs(along), axis=1)]
         across = across - (across * along).sum(1, keepdims=True) * along
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         return np.stack([across, np.cross(along, across), along], axis=2)
 
-    return _where(seen, frames)
+    return _where(seen, _frames)
 
 
 def _where(seen: Mask, frames: Callable[[], Array]) -> Array:

@@ -18,14 +18,13 @@ from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
 from ..robots.eccentric import EccentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from ..validation.errors import ErrorTable
+from ..validation.comparison import ErrorTable
 from ..validation.measurements import Measurements
-from .measurement_checks import unwrapped
 from .measurement_columns import Columns, columns_of
-from .measurement_map import finished, load_mapped, seen_rows
+from .measurement_map import load_mapped, measured
 from .tracker_file import QUATERNION
 
-MIRROR = ("direction_deg", "separation_deg")
+MIRROR = {"direction_deg": "direction", "separation_deg": "separation"}
 ASSIGNMENT, NOTE = "assignment", "note"
 
 
@@ -48,24 +47,9 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
         return load_mapped(path, robot)
     table = read_csv(path)
     columns, mirrored = _columns(path, table, robot)
-    words: list[str] = []
-    time = columns.numbers(["time"])[:, 0] if columns.has("time") else None
-    labels = [columns.table.numbers([c], DEG)[:, 0] if c in table.columns else None for c in MIRROR]
-    direction, separation = labels
-    if mirrored and direction is not None and separation is not None:
-        alpha = _mirrored(table, direction, separation)
-    else:
-        alpha = columns.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)])
-    shift = columns.translations(robot.home_translations)
-    tips, frames = columns.positions(), columns.orientation(columns.sensors()[0])
-    table.check()
-    if time is not None:
-        alpha = unwrapped(time, alpha, words)
-    seen = seen_rows(tips, path, words)
-    optional = {"direction": direction, "separation": separation, "time": time, "orientation": frames}
-    picked = {name: None if value is None else value[seen] for name, value in optional.items()}
-    found = Measurements(alpha[seen], shift[seen], tips[seen], source=Path(path).name, **picked)  # type: ignore[arg-type]
-    return finished(found, robot, words)
+    labels = {name: table.numbers([c], DEG)[:, 0] for c, name in MIRROR.items() if c in table.columns}
+    turned = _mirrored(table, **labels) if mirrored and len(labels) == 2 else None
+    return measured(columns, columns, robot, (str(path), ""), turned=turned, labels=labels)
 
 
 def _columns(path: str | PathLike[str], table: CsvTable, robot: Robot) -> tuple[Columns, bool]:
@@ -82,7 +66,7 @@ def _columns(path: str | PathLike[str], table: CsvTable, robot: Robot) -> tuple[
     problems += [f"column {c} is missing" for c in (MIRROR if mirrored else rotations) if c not in table.columns]
     if mirrored and not isinstance(robot, EccentricRobot):
         problems.append(
-            f"{MIRROR[0]} and {MIRROR[1]} are for an eccentric robot of one segment; this robot needs "
+            f"{' and '.join(MIRROR)} are for an eccentric robot of one segment; this robot needs "
             f"{rotations[0]} to {rotations[-1]}"
         )
     refuse(path, problems)

@@ -1,12 +1,17 @@
-"""Measurements as labs record them: a YAML file names the tables and says what their columns mean."""
+"""Measurements as labs record them: a YAML file names the tables and says what their columns mean.
+
+Whether the numbers can be what their columns say is looked at too: angles that were wrapped are unwrapped, and units
+that cannot be right are told.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import replace
-from decimal import Decimal
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -18,12 +23,26 @@ from ..files.yaml_file import load_yaml
 from ..robots.robot import Robot
 from ..typing import Array, Mask
 from ..validation.measurements import JointLog, Measurements
-from ..validation.timeline import Timeline
-from .measurement_checks import doubts_of, unwrapped
+from ..validation.timeline import Timeline, runs_of
 from .measurement_columns import Columns, columns_of
 from .tracker_file import read_recorded
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+
+A_TURN = 1.5 * math.pi
+"""rad: between rows on end, a larger step of a rotation is a turn that was counted away."""
+
+SMALL, LARGE = 0.02, 8.0
+"""Parts of the arm's length between which the spread of tips that move must lie."""
+
+MOVES = 0.3
+"""rad: a robot whose tubes turn by more against each other moves its tip."""
+
+SLOW = 1.0
+"""s: recorders of a moving arm are faster."""
+
+PATH, ROWS = 0.1, 20
+"""Rows that are at least so many are a path where the joints usually move by less than this part of their range."""
 
 
 class MeasurementMap(Entry):
@@ -63,15 +82,14 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
         own = entry.joint_columns or {k: v for k, v in entry.columns.items() if k in table.columns}
         joints = columns_of(table, own, str(path), robot.n_tubes)
     _complete(path, entry, tips, joints, robot)
-    positions = tips.positions()
-    time = tips.numbers(["time"])[:, 0] if tips.has("time") else None
-    rotations = joints.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)])
-    translations = joints.translations(robot.home_translations)
-    stamps = joints.numbers(["time"])[:, 0] if joints is not tips else None
-    frames = tips.orientation(_foremost(tips, entry))
-    for columns in (tips, joints):
-        columns.table.check()
-    found = _assemble(entry, robot, positions, time, (rotations, translations), stamps, frames)
+    found = measured(
+        tips,
+        joints,
+        robot,
+        (entry.tips, entry.joints or ""),
+        behind=None if entry.behind_mm is None else np.array([to_si(x, MM) for x in entry.behind_mm]),
+        axis=None if entry.axis is None else np.array(AXES[entry.axis], dtype=float),
+    )
     return replace(found, remarks=(*recorded.remarks, *found.remarks))
 
 
@@ -88,27 +106,44 @@ def _complete(path: str | PathLike[str], entry: MeasurementMap, tips: Columns, j
         raise InputError(f"{path}: behind_mm has {len(entry.behind_mm)} numbers; there are {len(sensors)} sensors")
 
 
-def _foremost(tips: Columns, entry: MeasurementMap) -> int:
-    sensors = tips.sensors()
-    behind = entry.behind_mm or [Decimal(0)] * len(sensors)
-    return min(zip(behind, sensors, strict=True))[1]
-
-
-def _assemble(
-    entry: MeasurementMap,
+def measured(
+    tips: Columns,
+    joints: Columns,
     robot: Robot,
-    positions: Array,
-    time: Array | None,
-    joints: tuple[Array, Array],
-    stamps: Array | None,
-    frames: Array | None,
+    where: tuple[str, str],
+    *,
+    turned: Array | None = None,
+    labels: Mapping[str, Array] | None = None,
+    behind: Array | None = None,
+    axis: Array | None = None,
 ) -> Measurements:
+    """The measurements that columns hold, with joints at the times of their rows, and what was noticed.
+
+    Args:
+        joints: columns of the joint readings; the same as `tips` where they stand beside the positions.
+        where: what messages call the two tables.
+        turned: (rows, n) rotations, rad, where no columns hold them.   labels: further fields of `Measurements`.
+        behind, axis: `behind` and `sensor_axis` of `Measurements`.
+
+    Raises:
+        InputError: cells that are not what they must be, no row with a position, no time in common.
+    """
     words: list[str] = []
-    kept = seen_rows(positions, entry.tips, words)
-    rotations, translations = joints
-    turning = stamps if stamps is not None else time
+    time = tips.time()
+    stamps = joints.time() if joints is not tips else None
+    rotations = joints.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)]) if turned is None else turned
+    translations = joints.translations(robot.home_translations)
+    positions = tips.positions()
+    frames = tips.orientation(tips.sensors()[0 if behind is None else int(np.argmin(behind))])
+    for columns in (tips, joints):
+        columns.table.check()
+    kept = np.asarray(np.isfinite(positions[..., 0]).any(1))
+    if not kept.any():
+        raise InputError(f"{where[0]}: no row has a measured position")
+    _count(words, ~kept, "have no measured position and were left out")
+    turning = time if stamps is None else stamps
     if turning is not None:
-        rotations = unwrapped(turning, rotations, words)
+        rotations = _unwrapped(turning, rotations, words)
     log = None
     if stamps is not None and time is not None:
         log = JointLog(stamps, rotations, translations)
@@ -117,43 +152,104 @@ def _assemble(
         kept &= covered
         if not kept.any():
             raise InputError(
-                f"{entry.tips} and {entry.joints} have no time in common: tips from {time[0]:g} to {time[-1]:g} s, "
+                f"{' and '.join(where)} have no time in common: tips from {time[0]:g} to {time[-1]:g} s, "
                 f"joints from {stamps[0]:g} to {stamps[-1]:g} s; both must be of one clock"
             )
         rotations = translations = np.zeros((len(time), robot.n_tubes))
+    rows = {"time": time, "orientation": frames, **(labels or {})}
+    picked: dict[str, Any] = {name: None if value is None else value[kept] for name, value in rows.items()}
     found = Measurements(
         rotations[kept],
         translations[kept],
         positions[kept],
-        source=Path(entry.tips).name,
-        time=None if time is None else time[kept],
-        behind=None if entry.behind_mm is None else np.array([to_si(x, MM) for x in entry.behind_mm]),
-        orientation=None if frames is None else frames[kept],
-        sensor_axis=None if entry.axis is None else np.array(AXES[entry.axis], dtype=float),
+        source=Path(where[0]).name,
+        behind=behind,
+        sensor_axis=axis,
         log=log,
+        **picked,
     )
-    return finished(found, robot, words)
-
-
-def seen_rows(positions: Array, where: str | PathLike[str], words: list[str]) -> Mask:
-    """(rows,) whether any of the sensors (rows, S, 3) was seen; `words` tell how many rows are left out."""
-    seen = np.asarray(np.isfinite(positions[..., 0]).any(1))
-    if not seen.any():
-        raise InputError(f"{where}: no row has a measured position")
-    _count(words, ~seen, "have no measured position and were left out")
-    return seen
-
-
-def finished(found: Measurements, robot: Robot, words: list[str]) -> Measurements:
-    """Measurements with joints at the times of their rows, and what was noticed when they were read."""
-    if found.log is not None:
+    if log is not None:
         rotations, translations = Timeline.of(found).readings(0.0)
         found = replace(found, rotations=rotations, translations=translations)
     for k in range(found.sensors.shape[1]):
         _count(words, np.isnan(found.sensors[:, k, 0]), f"have no position of sensor {k + 1}")
-    return replace(found, remarks=(*words, *doubts_of(found, robot)))
+    return replace(found, remarks=(*words, *_doubts_of(found, robot)))
 
 
 def _count(words: list[str], mask: Mask, what: str) -> None:
     if mask.any():
         words.append(f"{int(mask.sum())} of {len(mask)} rows {what}")
+
+
+def _unwrapped(time: Array, rotations: Array, words: list[str]) -> Array:
+    """Rotations (N, n) without the jumps by full turns between rows of a run; says where there were any."""
+    out = rotations.copy()
+    for rows in runs_of(time):
+        out[rows] = np.unwrap(rotations[rows], discont=A_TURN, axis=0)
+    steps = np.abs(np.diff(rotations - out, axis=0)) > 1.0
+    for tube in np.flatnonzero(steps.any(0)).tolist():
+        count = int(steps[:, tube].sum())
+        often = "once" if count == 1 else f"{count} times"
+        words.append(
+            f"rotation_{tube + 1} jumps by a full turn {often}: taken as an angle that was wrapped, and unwrapped"
+        )
+    return out
+
+
+def _doubts_of(found: Measurements, robot: Robot) -> list[str]:
+    """Remarks on units that the numbers speak against."""
+    words = []
+    turned = np.abs(found.rotations).max()
+    if 0 < turned <= 2 * math.pi / 57:
+        words.append(
+            f"no rotation is beyond {math.degrees(turned):.2g} deg: are they in rad, in a column that says deg?"
+        )
+    if turned > 20 * math.pi:
+        words.append(f"rotations reach {turned / (2 * math.pi):.0f} turns: are they in deg, in a column that says rad?")
+    length = max(tube.length for tube in robot.tubes)
+    tips = found.tip_position[np.isfinite(found.tip_position[:, 0])]
+    spread = float(np.linalg.norm(np.ptp(tips, axis=0))) if len(tips) else 0.0
+    moving = np.ptp(found.rotations, axis=0).max() > MOVES or np.ptp(found.translations, axis=0).max() > 0.1 * length
+    if len(tips) > 1 and moving and spread < SMALL * length:
+        words.append(
+            f"the tips lie within {1e3 * spread:.2g} mm of each other, and the tubes are up to {1e3 * length:.0f} mm "
+            "long: are positions in m, in columns that say mm, or was the sensor not on the tip?"
+        )
+    if spread > LARGE * length:
+        words.append(
+            f"the tips lie up to {1e3 * spread:.0f} mm apart, and the tubes are up to {1e3 * length:.0f} mm long: are "
+            "positions in mm, in columns that say m?"
+        )
+    reach = np.abs(found.translations).max()
+    if 0 < reach < 1e-3 * length and np.ptp(found.translations) > 0:
+        words.append(f"no translation is beyond {1e3 * reach:.2g} mm: are they in m, in columns that say mm?")
+    return words + _doubts_of_clock(found) + _doubts_of_time(found)
+
+
+def _doubts_of_clock(found: Measurements) -> list[str]:
+    """Remarks on times that stand still, or that go back where joint readings are found by them."""
+    if found.time is None:
+        return []
+    steps, words = np.diff(found.time), []
+    still, back = int((steps == 0).sum()), np.flatnonzero(steps < 0)
+    if still:
+        rows = "row has" if still == 1 else "rows have"
+        words.append(f"{still} {rows} the time of the row before: was it recorded twice, or is the clock too coarse?")
+    if found.log is not None and len(back):
+        words.append(
+            f"the time of the positions goes back from {found.time[back[0]]:.3f} to {found.time[back[0] + 1]:.3f} s: "
+            "did the clock start anew? Joint readings are looked for at these times"
+        )
+    return words
+
+
+def _doubts_of_time(found: Measurements) -> list[str]:
+    if found.time is None or len(found) < ROWS:
+        return []
+    step = float(np.median(np.abs(np.diff(found.time))))
+    joints = np.hstack([found.rotations, found.translations])
+    extent = np.ptp(joints, axis=0)
+    moved = np.abs(np.diff(joints, axis=0))[:, extent > 0] / extent[extent > 0]
+    if step <= SLOW or not moved.size or np.median(moved.max(1)) > PATH:
+        return []
+    return [f"rows follow each other after {step:.3g} s on a path of the joints: are times in ms, taken for s?"]

@@ -52,11 +52,7 @@ MOLD_KINDS = {"mold": MoldEntry}
 
 
 def load_mold_spec(path: str | PathLike[str]) -> MoldSpec:
-    """The specification in a YAML file.
-
-    Raises:
-        InputError: no such file, not YAML, or keys or values that make no mold: one line for every problem.
-    """
+    """The specification in a YAML file; raises InputError for what makes none: one line for every problem."""
     return mold_spec_from_dict(load_yaml(path), path)
 
 
@@ -67,11 +63,7 @@ def mold_spec_from_dict(data: object, where: str | PathLike[str] = "") -> MoldSp
 
 
 def load_springback(path: str | PathLike[str]) -> Springback:
-    """The spring-back in a YAML file that `save_springback` wrote.
-
-    Raises:
-        InputError: no such file, not YAML, or keys or values that make no spring-back.
-    """
+    """The spring-back in a YAML file that `save_springback` wrote; raises InputError for what makes none."""
     back: Springback = check(SpringbackEntry, load_yaml(path), path).build()
     return back
 
@@ -86,11 +78,8 @@ def springback_to_dict(back: Springback) -> dict[str, Any]:
 
 
 def save_springback(calibration: Calibration, path: str | PathLike[str]) -> None:
-    """Write the fitted spring-back as YAML, to stand under the key `springback` of a mold file or for --springback.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the fitted spring-back as YAML, to stand under the key `springback` of a mold file or for --springback;
+    raises InputError where that cannot be."""
     trials = len(calibration.mold_curvature)
     save_yaml(path, springback_to_dict(calibration.springback), f"Spring-back of tubes, from {trials} trials.")
 

@@ -43,6 +43,10 @@ MoldPath = Annotated[
 """What is asked of a mold, given as the path of its file."""
 
 
+SpringbackPath = Annotated[Springback, in_file(load_springback, "a spring-back file")]
+SPRINGBACK = Field(None, description="spring-back from `tubeopt mold calibrate`: a YAML file", examples=["FILE.yaml"])
+
+
 class MoldStudy(Study):
     """The mold for the tubes of a robot."""
 
@@ -57,9 +61,7 @@ class MoldStudy(Study):
     material: str | None = Field(
         None, description="of both plates: steel, mdf, glass_mica, calcium_silicate; by default the mold file's"
     )
-    springback: Annotated[Springback, in_file(load_springback, "a spring-back file")] | None = Field(
-        None, description="spring-back from `tubeopt mold calibrate`: a YAML file", examples=["FILE.yaml"]
-    )
+    springback: SpringbackPath | None = SPRINGBACK
     cold_length_mm: NotNegative | None = Field(
         None, description="from a clamp to where the tube is hot; by default estimated"
     )
@@ -67,24 +69,18 @@ class MoldStudy(Study):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         self._spec()
-        chosen_tubes(self.robot, self._numbers())
+        chosen_tubes(self.robot, self.tubes)
         return self
 
     def _spec(self) -> MoldSpec:
         """What is asked of the mold, with what is given in its place."""
-        spec = self.mold or MoldSpec()
-        if self.material is not None:
-            spec = replace(spec, material=mold_material(self.material))
-        if self.springback is not None:
-            spec = replace(spec, springback=self.springback)
-        return spec if self.cold_length_mm is None else replace(spec, cold_length=to_si(self.cold_length_mm, MM))
-
-    def _numbers(self) -> list[int] | None:
-        return None if self.tubes is None else [int(number) for number in self.tubes]
+        material = None if self.material is None else mold_material(self.material)
+        given = {"material": material, **self.in_si("springback", "cold_length_mm")}
+        return replace(self.mold or MoldSpec(), **{name: value for name, value in given.items() if value is not None})
 
     def run(self, progress: Progress | None = None) -> RobotMold:
         """The mold; raises InputError where none can be made."""
-        return plan_robot_mold(self.robot, self._spec(), self._numbers())
+        return plan_robot_mold(self.robot, self._spec(), self.tubes)
 
 
 class MandrelStudy(Study):
@@ -111,9 +107,7 @@ class PegStudy(Study):
     robot: RobotPath
     tube: TubeNumber = 1
     mold: MoldPath | None = Field(None, description="what is asked of pegs and board", examples=["MOLD.yaml"])
-    springback: Annotated[Springback, in_file(load_springback, "a spring-back file")] | None = Field(
-        None, description="spring-back from `tubeopt mold calibrate`: a YAML file", examples=["FILE.yaml"]
-    )
+    springback: SpringbackPath | None = SPRINGBACK
 
     def run(self, progress: Progress | None = None) -> PegBoard:
         """The pegs; raises InputError where there can be none."""

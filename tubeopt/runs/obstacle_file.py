@@ -82,13 +82,9 @@ def _known(value: Any) -> Any:
     if kind is None:
         raise ValueError(f"has no kind, and keys that tell none; its kind must be one of {', '.join(KINDS)}")
     if kind not in KINDS:
-        raise ValueError(f"is of kind {shown(kind)}; its kind must be one of {', '.join(KINDS)}{_hint(kind)}")
+        raise ValueError(f"is of kind {shown(kind)}; its kind must be one of {', '.join(KINDS)}{nearest(kind, KINDS)}")
     named = ALIASES if kind == "capsule" else {}
     return {"kind": kind} | {named.get(key, key): part for key, part in value.items()}
-
-
-def _hint(kind: object) -> str:
-    return nearest(kind, KINDS) if isinstance(kind, str) else ""
 
 
 if TYPE_CHECKING:
@@ -109,11 +105,8 @@ class ObstacleFile(Entry):
 
 
 def load_obstacles(path: str | PathLike[str]) -> tuple[Obstacle, ...]:
-    """The obstacles in a YAML file with the key `obstacles`.
-
-    Raises:
-        InputError: no such file, not YAML, or keys or values that make no obstacles: one line for every problem.
-    """
+    """The obstacles in a YAML file with the key `obstacles`; raises InputError for what makes none: one line for every
+    problem."""
     return _built(check(ObstacleFile, load_yaml(path, "obstacles"), path).obstacles)
 
 

@@ -18,13 +18,12 @@ from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.units import MM, TO_MM, to_si
 from ..planning import PairReach, PairShare
-from ..robots.concentric import ConcentricRobot
 from ..stability import ASSUMING
 from ..typing import Array
 from .anatomy_file import AnatomyKey, BasePart
 from .arms_study import PlacedPart, shared
 from .base import Count, Progress, Study
-from .design_parts import FreeEntry, Requirements
+from .design_parts import FreeEntry, Requirements, task_of
 from .obstacle_file import Place, point
 from .region_part import FEW, HARDLY, MOST, SearchPart, hurried
 
@@ -74,10 +73,7 @@ class PairPart(PlacedPart):
 
     def task(self) -> DesignTask:
         """What may change of it, and what must hold; raises InputError where that makes no task."""
-        if not isinstance(self.robot, ConcentricRobot):
-            raise InputError("robot must be a concentric robot; its tubes are what is designed")
-        free, keep = tuple(entry.build() for entry in self.free), self.requirements.build()
-        return DesignTask(self.robot, free, keep, Objective("change"), self.name, self.ordered)
+        return task_of(self.robot, self.free, self.requirements, [Objective("change")], self.name, self.ordered)
 
 
 class BallPart(Entry):
@@ -172,11 +168,8 @@ class PairStudy(Study, SearchPart):
         found = search_pair(
             (first, second),
             searched,
-            seconds=float(self.seconds),
-            starts=self.starts,
-            seed=self.seed,
-            turns=self.turns,
             progress=progress,
+            **self.in_si("seconds", "starts", "seed", "turns"),
         )
         before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
         after = judge.evaluate(*found.value, found.own)

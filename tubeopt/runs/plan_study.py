@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from decimal import Decimal
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,7 +13,7 @@ from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
-from ..files.fields import Part, entry_of
+from ..files.fields import EntryOf
 from ..files.units import DEG, MM, UNITS, to_si
 from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
 from ..planning.leader import follow_the_leader
@@ -23,10 +23,7 @@ from .base import OnePerTube, Progress, Started, joints_of
 from .load_file import LoadedStudy
 from .obstacle_file import Place, Surrounded, point
 
-if TYPE_CHECKING:  # to which an entry is whatever can be built
-    RatesEntry = Part
-else:
-    RatesEntry = entry_of(RateLimits)
+RatesEntry = EntryOf[RateLimits]
 
 
 class EntryPart(Entry):
@@ -169,8 +166,6 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
 
     def run(self, progress: Progress | None = None) -> Trajectory:
         """The trajectory; raises SolveError where there is none, or none was found in time."""
-        if progress is not None:
-            progress(0, 0)
         plan = self._found(progress)
         if self.cut is None:
             return plan
@@ -178,20 +173,12 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
         return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
 
     def _found(self, progress: Progress | None) -> Trajectory:
-        options = PlanOptions(
-            search=self.search,
-            objective=self.objective,
-            time_limit=float(self.time_limit_s),
-            clearance=to_si(self.clearance_mm, MM),
-            max_force=to_si(self.max_tip_force_mN, UNITS["mN"]),
-            modulo_turns=self.modulo_turns,
-            seed=self.seed,
-        )
+        asked = self.in_si("search", "objective", "time_limit_s", "clearance_mm", "modulo_turns", "seed")
         common: dict[str, Any] = {
             "obstacles": self.bodies,
             "min_margin": float(self.min_margin),
             "rate_limits": self.rates.build(),
-            "options": options,
+            "options": PlanOptions(max_force=to_si(self.max_tip_force_mN, UNITS["mN"]), **asked),
         }
         robot, start, goal = self.robot, self.start, self.goal(self.around)
         if self.tip_path_mm is not None:

@@ -15,6 +15,7 @@ from ..files.checked import Positive, check_kind
 from ..files.csv_file import CsvTable, read_csv, refuse
 from ..files.fields import Part, entry_of, to_data
 from ..files.units import MM, decimal, parse_number, to_si
+from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
 from ..robots.materials import ZERO_CELSIUS
 from ..shaping.heating.logged import HeatingLog
@@ -113,8 +114,9 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
     """
     table = read_csv(path)
     placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
-    table.expect(LOG_COLUMNS[:2], (*LOG_COLUMNS[2:], *placed))
-    values = {name: _readings(table, name) for name in table.columns}
+    needed = LOG_COLUMNS[:2]
+    table.expect(needed, (*LOG_COLUMNS[2:], *placed))
+    values = {name: table.numbers([name], ONE, gaps=name not in needed)[:, 0] for name in table.columns}
     table.check()
     places = ({"temperature_degC": position} if "temperature_degC" in values else {}) | placed
     columns = [values[name] for name in places]
@@ -152,10 +154,9 @@ def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
     table.expect(("time_s",), placed)
     if not placed:
         refuse(path, ["there is no column of temperatures; there must be one for every place, called by it in mm"])
-    time = _readings(table, "time_s")
-    seen = np.column_stack([_readings(table, name) for name in placed])
+    time, seen = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=True)
     table.check()
-    return time, np.array([to_si(decimal(parse_number(name)), MM) for name in placed]), seen + ZERO_CELSIUS
+    return time[:, 0], np.array([to_si(decimal(parse_number(name)), MM) for name in placed]), seen + ZERO_CELSIUS
 
 
 ColourEntry = entry_of(ColourTable, extra={"kind": (Literal["oxide_colours"], ...)})
@@ -169,16 +170,6 @@ def load_colours(path: str | PathLike[str]) -> ColourTable:
     """The table of colours in a YAML file; raises InputError for what makes none: one line for every problem."""
     table: ColourTable = check_kind(COLOUR_KINDS, load_yaml(path), path).build()
     return table
-
-
-def _readings(table: CsvTable, column: str) -> Array:
-    needed = column in ("time_s", "duty")
-    return np.array(
-        [
-            float(table.number(k, column)) if needed or table.cell(k, column) else float("nan")
-            for k in range(len(table.rows))
-        ]
-    )
 
 
 def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
@@ -197,28 +188,23 @@ def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
     for k in range(len(table.rows)):
         result = _result(table, k)
         duty, time = float(table.number(k, "duty")), float(table.number(k, "time_s"))
-        ramp = float(table.number(k, "ramp_s")) if "ramp_s" in table.columns and table.cell(k, "ramp_s") else 0.0
+        ramp = float(table.number(k, "ramp_s")) if table.cell(k, "ramp_s") else 0.0
         try:
-            trials.append(Trial(duty, time, result, ramp, _colour(table, k)))
+            trials.append(Trial(duty, time, result, ramp, table.cell(k, "colour") or None))
         except InputError as error:
             table.problems.append(f"row {k + 1} (line {table.line[k]}): {error}")
     table.check()
     return tuple(trials)
 
 
-def _colour(table: CsvTable, row: int) -> str | None:
-    return (table.cell(row, "colour") or None) if "colour" in table.columns else None
-
-
 def _result(table: CsvTable, row: int) -> str:
-    text = table.cell(row, "result") if "result" in table.columns else ""
+    text = table.cell(row, "result")
     if text:
         if text not in (*RESULTS, "set"):
             table.complain(row, "result", f"is {text!r}; it must be under, good, over or set{nearest(text, RESULTS)}")
             return "set"
         return text
-    measured = "spring_back_percent" in table.columns and bool(table.cell(row, "spring_back_percent"))
-    if not measured and _colour(table, row) is not None:
+    if table.cell(row, "colour") and not table.cell(row, "spring_back_percent"):
         return ""
     if "spring_back_percent" not in table.columns:
         table.complain(row, "result", "is empty; it must be under, good, over or set")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, Self
+from decimal import Decimal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
@@ -35,7 +36,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, joints_of
+from .base import SHIFTED, OnePerTube, Posed, Progress, RobotPath, Study, joints_of
 from .load_file import LoadedStudy
 
 
@@ -51,23 +52,18 @@ class Equilibria(Displayed):
     equilibria: tuple[Equilibrium, ...]
 
 
-class EquilibriaStudy(LoadedStudy):
+class EquilibriaStudy(Posed, LoadedStudy):
     """Every equilibrium of a robot at given joint values, stable and unstable."""
 
     doing = "searching equilibria"
 
     kind: Literal["equilibria"]
-    robot: RobotPath
-    rotations_deg: OnePerTube | None = TURNED
-    translations_mm: OnePerTube | None = SHIFTED
 
     def run(self, progress: Progress | None = None) -> Equilibria:
         """The equilibria; raises SolveError where one is missing."""
-        if progress is not None:
-            progress(0, 0)
-        rotations, translations = joints_of(self.robot, self.rotations_deg, self.translations_mm)
-        found = find_equilibria(self.robot, rotations, translations, load=self.pushing())
-        return Equilibria(self.robot, rotations, translations, tuple(found))
+        return Equilibria(
+            self.robot, *self.joints, tuple(find_equilibria(self.robot, *self.joints, load=self.pushing()))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +107,6 @@ class SnapStudy(LoadedStudy):
 
     def run(self, progress: Progress | None = None) -> Way:
         """The snap; raises SolveError where there is no stable equilibrium to start from or to land on."""
-        if progress is not None:
-            progress(0, 0)
         start, end = self._ends()
         load = self.pushing()
         snap = find_snap(self.robot, start, end, load=load)
@@ -140,11 +134,7 @@ class FollowStudy(LoadedStudy):
         """The motion, with the friction that the robot is known to have; raises SolveError where there is no stable
         equilibrium to start from or to land on."""
         last = len(self.path.rotations) - 1
-
-        def step(waypoint: int) -> None:
-            if progress is not None:
-                progress(waypoint, last)
-
+        step = None if progress is None else lambda waypoint: progress(waypoint, last)
         joints = to_model(self.robot, self.path.rotations, self.path.translations)
         friction = None if self.shaken else friction_of(self.robot)
         if friction is not None and self.pushing() is not None:
@@ -204,28 +194,23 @@ class CertifyStudy(Study):
 
     def run(self, progress: Progress | None = None) -> Certification:
         """The verdict; raises SolveError where `judge` does."""
-        if progress is not None:
-            progress(0, 0)
-        if not self.over_box:
-            translations = joints_of(self.robot, None, self.translations_mm)[1]
-            return self._under_force(
-                Certification(self.robot, judge(self.robot, translations, progress=progress), None)
-            )
-        low, high = np.array(self.robot.limits.translations).T
-        if self.lower_mm is not None:
-            low = joints_of(self.robot, None, self.lower_mm)[1]
-        if self.upper_mm is not None:
-            high = joints_of(self.robot, None, self.upper_mm)[1]
-        worst = worst_certificate(self.robot, low, high)
-        verdict = judge(self.robot, worst.certificate.translations, progress=progress)
-        return self._under_force(Certification(self.robot, verdict, worst))
-
-    def _under_force(self, answer: Certification) -> Certification:
+        worst = self._worst() if self.over_box else None
+        shift = self._shift(self.translations_mm) if worst is None else worst.certificate.translations
+        found = Certification(self.robot, judge(self.robot, shift, progress=progress), worst)
         if self.max_tip_force_mN is None:
-            return answer
+            return found
         force = to_si(self.max_tip_force_mN, UNITS["mN"])
-        shift = answer.verdict.certificate.translations
-        return replace(answer, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
+        shift = found.verdict.certificate.translations
+        return replace(found, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
+
+    def _shift(self, values: list[Decimal] | None) -> Array:
+        return joints_of(self.robot, None, values)[1]
+
+    def _worst(self) -> WorstCertificate:
+        low, high = np.array(self.robot.limits.translations).T
+        low = low if self.lower_mm is None else self._shift(self.lower_mm)
+        high = high if self.upper_mm is None else self._shift(self.upper_mm)
+        return worst_certificate(self.robot, low, high)
 
 
 def _two_tubes(tubes: list[int], info: ValidationInfo) -> list[int]:
@@ -268,7 +253,7 @@ class StabilityMapStudy(Study):
     def run(self, progress: Progress | None = None) -> RobotMap:
         """The map; raises SolveError where there is no stable equilibrium to start from or to land on."""
         translations = joints_of(self.robot, None, self.translations_mm)[1]
-        options: dict[str, Any] = {key: getattr(self, key) for key in ("samples", "directions", "workers")}
+        options = self.in_si("samples", "directions", "workers")
         first, second = self.tubes
         found = stability_map(self.robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)
         return RobotMap(self.robot, translations, found)

@@ -38,11 +38,7 @@ STOCK_KINDS: dict[str, type[StockList]] = {"tubes": StockList}
 
 
 def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
-    """The sizes in a stock list.
-
-    Raises:
-        InputError: no such file, not YAML, or keys or values that make no sizes: one line for every problem.
-    """
+    """The sizes in a stock list; raises InputError for what makes none: one line for every problem."""
     found = check_kind(STOCK_KINDS, load_yaml(path, "tubes"), path)
     sizes = tuple(entry.build() for entry in found.tubes)
     if len({size.name for size in sizes}) < len(sizes):

@@ -12,11 +12,12 @@ Keys are paths in the study; through `robot`, `rig` and `mold` they go on into t
 from __future__ import annotations
 
 import copy
+import functools
 import hashlib
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
@@ -25,7 +26,7 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import BeforeValidator, Field, model_validator
 
 from ..errors import InputError, nearest
-from ..files.checked import Entry, Number, Whole, check, check_kind
+from ..files.checked import Entry, Number, Whole, check, check_kind, path_of
 from ..files.units import decimal, shown
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
@@ -101,19 +102,25 @@ class SweepEntry(Entry):
 
 
 @dataclass(frozen=True)
-class StudyAt:
-    """A study with some of its keys set anew: a function of their values, for the workers of a sweep.
+class SweepFile:
+    """A sweep as its file describes it: the study as data, its points, and a mark that tells it from others.
 
     data: the study's; robot, rig and mold are loaded, or as data where their own keys vary.   where: its file.
-    summarise: turns the study's answer into plain data.   columns: beginnings of the names that are kept.
+    columns: beginnings of the names that are kept.
     """
 
     data: Data
     where: Path
-    summarise: Callable[[Any], Mapping[str, Any]]
+    points: Points
+    fingerprint: str
     columns: tuple[str, ...] | None = None
 
-    def __call__(self, values: Mapping[str, Value]) -> Mapping[str, Any]:
+    def function(self, summarise: Callable[[Any], Mapping[str, Any]]) -> Callable[[Any], Mapping[str, Any]]:
+        """The study as a function of a point, for the workers of a sweep; `summarise` turns its answer into plain data,
+        and must be a function of a module."""
+        return functools.partial(self._at, summarise)
+
+    def _at(self, summarise: Callable[[Any], Mapping[str, Any]], values: Mapping[str, Value]) -> Mapping[str, Any]:
         """The answer at one point; raises InputError and SolveError as the study does."""
         data = copy.deepcopy(self.data)
         for key, value in values.items():
@@ -121,7 +128,7 @@ class StudyAt:
         for name, build in FILES.items():
             if isinstance(data.get(name), dict):
                 data[name] = build(data[name], name)
-        record = flatten(self.summarise(self._study(data).run()), NOT_A_RESULT)
+        record = flatten(summarise(self._study(data).run()), NOT_A_RESULT)
         if self.columns is None:
             return record
         for column in self.columns:
@@ -140,21 +147,6 @@ def _begins_a_result(column: str, results: list[str]) -> None:
     names = {re.split(r"[.\[]", result)[0] for result in results}
     if not any(result.startswith(column) for result in results) and re.split(r"[.\[]", column)[0] not in names:
         raise InputError(f"columns: no result begins with {column!r}{nearest(column, names)}")
-
-
-@dataclass(frozen=True)
-class SweepFile:
-    """A sweep as its file describes it: the study as data, its points, and a mark that tells it from others."""
-
-    data: Data
-    where: Path
-    points: Points
-    fingerprint: str
-    columns: tuple[str, ...] | None = field(default=None)
-
-    def function(self, summarise: Callable[[Any], Mapping[str, Any]]) -> StudyAt:
-        """The study as a function of a point; `summarise` must be a function of a module."""
-        return StudyAt(self.data, self.where, summarise, self.columns)
 
 
 def load_sweep(path: str | PathLike[str]) -> SweepFile:
@@ -228,7 +220,7 @@ def _known(data: Data, key: str) -> None:
     *way, last = _parts(key)
     place: Any = data
     for k, part in enumerate([*way, last]):
-        at = _name([*way, last][:k])
+        at = path_of([*way, last][:k])
         if isinstance(part, int):
             if not isinstance(place, list) or part >= len(place):
                 size = f"a list of {len(place)}, counted from 0" if isinstance(place, list) else shown(place)
@@ -239,19 +231,9 @@ def _known(data: Data, key: str) -> None:
                 return
             names = list(place) if isinstance(place, dict) else []
             what = f"{at} has" if at else "the study gives"
-            raise InputError(f"vary {key}: {what} no {part}{_give(part in fields) or nearest(part, names)}")
+            give = "; give it a value, of which a part can then vary" if part in fields else nearest(part, names)
+            raise InputError(f"vary {key}: {what} no {part}{give}")
         place = place[part]
-
-
-def _give(known: bool) -> str:
-    return "; give it a value, of which a part can then vary" if known else ""
-
-
-def _name(parts: list[str | int]) -> str:
-    text = ""
-    for part in parts:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
 
 
 def _put(data: Data, key: str, value: object) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,17 +86,11 @@ class Points(Sequence[dict[str, Value]]):
     def __len__(self) -> int:
         return self.total
 
-    def __iter__(self) -> Iterator[dict[str, Value]]:
-        return (self.point(k) for k in range(self.total))
-
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        """The point at an index from 0, or a list of points."""
+        """The value of every key at a point, from 0, or a list of points. On a grid the last axis runs fastest."""
         if isinstance(index, slice):
-            return [self.point(k) for k in range(self.total)[index]]
-        return self.point(range(self.total)[index])
-
-    def point(self, index: int) -> dict[str, Value]:
-        """The value of every key at a point, from 0. On a grid the last axis runs fastest."""
+            return [self[k] for k in range(self.total)[index]]
+        index = range(self.total)[index]
         if self.method == "grid":
             places = np.unravel_index(index, [axis.places for axis in self.axes])
             chosen = [axis.on_grid(int(k)) for axis, k in zip(self.axes, places, strict=True)]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..files.files import atomic_write
+from ..files.files import atomic_write, save_arrays
 
 LONGEST_LIST = 16
 """Longer lists of an answer, curves and maps, are left out of the table."""
@@ -54,19 +53,15 @@ def write_table(directory: Path, entries: Entries) -> list[Path]:
         InputError: the files cannot be written.
     """
     columns = _columns(entries)
-    text, arrays = directory / "table.csv", directory / "table.npz"
+    text = directory / "table.csv"
     with atomic_write(text) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         for entry in entries():
             row = _row(entry)
             writer.writerow([_cell(row.get(column)) for column in columns])
-    stored: dict[str, Any] = {column: _array([_row(entry).get(column) for entry in entries()]) for column in columns}
-    content = io.BytesIO()
-    np.savez(content, **stored)
-    with atomic_write(arrays) as temporary:
-        temporary.write_bytes(content.getvalue())
-    return [text, arrays]
+    stored = {column: _array([_row(entry).get(column) for entry in entries()]) for column in columns}
+    return [text, save_arrays(directory / "table.npz", **stored)]
 
 
 def _columns(entries: Entries) -> list[str]:
@@ -80,13 +75,15 @@ def _columns(entries: Entries) -> list[str]:
 
 
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
-    failure = entry.get("failure")
-    fixed = {
-        "point": entry["index"] + 1,
-        "status": "failed" if failure else "done",
-        "reason": f"{failure['kind']}: {failure['reason']}" if failure else "",
-    }
+    reason = why_failed(entry)
+    fixed = {"point": entry["index"] + 1, "status": "failed" if reason else "done", "reason": reason}
     return {**entry.get("record", {}), **entry["parameters"], **fixed}
+
+
+def why_failed(entry: Mapping[str, Any]) -> str:
+    """Why a point failed, from its line in the journal; empty where it did not."""
+    failure = entry.get("failure")
+    return f"{failure['kind']}: {failure['reason']}" if failure else ""
 
 
 def _cell(value: Any) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import pickle
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..files.journal import Journal
 from ..solvers.parallel.executors import Failure, Outcome, each
 from .sweep_points import Points
-from .sweep_table import flatten, write_table
+from .sweep_table import flatten, why_failed, write_table
 
 JOURNAL = "journal.jsonl"
 
@@ -125,7 +125,8 @@ def sweep(
             if progress is not None:
                 progress(len(done), len(points), len(journal.failed & done))
         table, arrays = write_table(directory, journal.entries)
-        return Sweep(len(points), len(left), tuple(_failures(journal)), table, arrays, journal.path)
+        failures = tuple((entry["index"], why_failed(entry)) for entry in journal.entries() if "failure" in entry)
+        return Sweep(len(points), len(left), failures, table, arrays, journal.path)
 
 
 def _checked(points: Any) -> Sequence[Point]:
@@ -163,12 +164,6 @@ def _no_row(what: str, data: object) -> str:
         if value is not None and not isinstance(value, (str, int, float)):
             return f"{what}: {name} is {value!r:.60}; it must be a number or text"
     return ""
-
-
-def _failures(journal: Journal) -> Iterator[tuple[int, str]]:
-    for entry in journal.entries():
-        if "failure" in entry:
-            yield entry["index"], f"{entry['failure']['kind']}: {entry['failure']['reason']}"
 
 
 def _fingerprint(function: Callable[..., Any], points: Sequence[Point]) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
-from ..files.units import DEG, MM, to_si
+from ..files.units import MM, to_si
 from ..validation import (
     BasePose,
     Comparison,
@@ -84,16 +84,10 @@ class ValidationStudy(Study):
     def _options(self) -> FitOptions:
         folds = self.folds if self.folds is not None else min(10 if self.compare else 5, len(self.measurements))
         return FitOptions(
-            registration=self.registration,
             base=self._base(),
             folds=folds,
-            confidence=float(self.confidence),
-            loss=self.loss,
-            priors=self.priors,
-            noise=(
-                None if self.noise_mm is None else to_si(self.noise_mm, MM),
-                None if self.axis_noise_deg is None else to_si(self.axis_noise_deg, DEG),
-            ),
+            noise=tuple(self.in_si("noise_mm", "axis_noise_deg").values()),
+            **self.in_si("registration", "confidence", "loss", "priors"),
         )
 
     def run(self, progress: Progress | None = None) -> Validation | Fit | Comparison:
@@ -129,14 +123,9 @@ class MeasureStudy(Study):
 
     def run(self, progress: Progress | None = None) -> Placement:
         """The configurations; raises SolveError where too few have the margin."""
-        if progress is not None:
-            progress(0, 0)
         return where_to_measure(
             self.robot,
             self.fit,
             self.count,
-            min_margin=float(self.min_margin),
-            noise=to_si(self.noise_mm, MM),
-            registration=self.registration,
-            seed=self.seed,
+            **self.in_si("min_margin", "noise_mm", "registration", "seed"),
         )

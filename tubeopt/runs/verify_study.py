@@ -85,8 +85,6 @@ class VerifyStudy(Surrounded, LoadedStudy):
 
     def run(self, progress: Progress | None = None) -> Checked:
         """What is found on the trajectory; raises SolveError where it cannot be followed."""
-        if progress is not None:
-            progress(0, 0)
         asked = self._asked()
         file, joints = self.trajectory
         proof = verify_trajectory(

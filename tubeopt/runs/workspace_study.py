@@ -43,20 +43,17 @@ class WorkspaceStudy(Study):
             require_centred(self.robot)
         return self
 
-    def run(self, progress: Progress | None = None) -> Findings:
-        """The workspace with its voxels and volumes; raises InputError where no sample is stable enough."""
-        return self.run_in(None, progress)
-
     def run_in(self, out: Path | None, progress: Progress | None = None) -> Findings:
-        """The workspace; with `out` the samples are saved there as they come, and a run that was stopped goes on."""
+        """The workspace with its voxels and volumes; raises InputError where no sample is stable enough.
+
+        With `out` the samples are saved there as they come, and a run that was stopped goes on.
+        """
         found = workspace(
             self.robot,
             self.samples,
-            method=self.method,
-            seed=self.seed,
             out=out,
-            workers=self.workers,
             progress=progress,
+            **self.in_si("method", "seed", "workers"),
         )
         size = None if self.voxel_mm is None else to_si(self.voxel_mm, MM)
         return examine(found, size, min_margin=float(self.min_margin), loss=self.loss, progress=progress)

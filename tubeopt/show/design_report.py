@@ -27,6 +27,7 @@ from ..runs.design_study import DesignAnswer
 from ..runs.region_part import RegionAnswer
 from .quantities import Quantity, line, within
 from .report import Drawing, Report, drawing, file_name, grid
+from .snap_report import JOINTS
 
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
@@ -59,8 +60,7 @@ BINDING: tuple[Quantity[Sensitivity], ...] = (
 )
 
 POSE: tuple[Quantity[Equilibrium], ...] = (
-    Quantity("rotations_deg", "rotation of every tube"),
-    Quantity("translations_mm", "translation of every tube"),
+    *JOINTS,
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("margin", "stability margin"),
 )

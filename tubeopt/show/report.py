@@ -58,11 +58,7 @@ def drawing(plot: str, what: Any, **options: Any) -> Drawing:
 
 @dataclass(frozen=True)
 class Report(Generic[A]):
-    """An answer, ready to be shown and saved: a list of its quantities, and what else there is to say.
-
-    Args:
-        answer: what is reported.
-    """
+    """An answer, ready to be shown and saved: a list of its quantities, and what else there is to say."""
 
     answer: A
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.live import Live
 
 from ..errors import SolveError
-from ..runs.heating_run import LOG_FILE, HeatingRun, HeatingRunStudy, run_heating
+from ..runs.heating_run import HeatingRun, HeatingRunStudy
 from ..shaping.heating.replanning import Leader
 from .quantities import Quantity
 from .report import Report, two_columns
@@ -78,8 +78,7 @@ def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = Tr
                 )
             )
 
-        log = None if out is None else out / LOG_FILE
-        return run_heating(line, dry=study.dry, log=log, show=show, leader=leader)
+        return study.led(out, line, leader, show)
 
 
 def _foretold(row: dict[str, Any], leader: Leader | None) -> list[tuple[str, str]]:

@@ -13,25 +13,31 @@ from ..robots.tubes import OfCrossSection, Tube
 from .quantities import Quantity, within
 from .report import Report, grid, remarks
 
-TUBE: tuple[Quantity[Tube], ...] = (
-    Quantity("outer_diameter_mm", "outer diameter", digits=9),
-    Quantity("inner_diameter_mm", "inner diameter", digits=9),
-    Quantity("straight_length_mm", "straight length", digits=9),
-    Quantity("curved_length_mm", "curved length", digits=9),
-    Quantity("length_mm", "overall length", digits=9),
-    Quantity("curvature_per_m", "precurvature"),
-    Quantity("material", "material", lambda tube: tube.material.name),
-    Quantity("bending_stiffness_N_mm2", "bending stiffness EI"),
-    Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ"),
-    Quantity("poisson_ratio", "Poisson's ratio", lambda tube: _poisson_ratio(tube)),
-    Quantity("straightened_strain_percent", "strain held straight"),
-)
-
 
 def _poisson_ratio(tube: Tube) -> float | None:
     """That of the material; None where a stiffness was given, of which it says nothing."""
     derived = all(isinstance(k, OfCrossSection) for k in (tube.bending_stiffness, tube.torsional_stiffness))
     return tube.material.poisson_ratio if derived else None
+
+
+def _poisson_words(tube: Tube) -> str:
+    ratio = _poisson_ratio(tube)
+    return "–" if ratio is None else f"{ratio:.6g}"
+
+
+TUBE: tuple[Quantity[Tube], ...] = (
+    Quantity("outer_diameter_mm", "outer diameter", digits=9, form=".6g"),
+    Quantity("inner_diameter_mm", "inner diameter", digits=9, form=".6g"),
+    Quantity("straight_length_mm", "straight length", digits=9, form=".6g"),
+    Quantity("curved_length_mm", "curved length", digits=9, form=".6g"),
+    Quantity("length_mm", "overall length", digits=9, form=".6g"),
+    Quantity("curvature_per_m", "precurvature", form=".6g"),
+    Quantity("material", "material", lambda tube: tube.material.name, words="{material}"),
+    Quantity("bending_stiffness_N_mm2", "bending stiffness EI", form=".6g"),
+    Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ", form=".6g"),
+    Quantity("poisson_ratio", "Poisson's ratio", _poisson_ratio, words=_poisson_words),
+    Quantity("straightened_strain_percent", "strain held straight", form=".6g"),
+)
 
 
 NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (

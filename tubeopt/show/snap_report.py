@@ -100,7 +100,7 @@ PATH: tuple[Quantity[stability.Path], ...] = (
     Quantity("robot", "name of the robot", lambda m: m.equilibria[0].robot.name),
     line("least margin", lambda m: f"{min(e.margin for e in m.equilibria):.3f} at a waypoint"),
     line("friction", lambda m: _rubbed(m)),
-    Quantity("waypoints", "the state at every waypoint", lambda m: m.equilibria, of=(*JOINTS, *STATE)),
+    Quantity("waypoints", "the state at every waypoint", lambda m: list(m.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.equilibria[-1].tip_position, ".4f")),
     Quantity("snaps", "the snaps on the way",
              of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),

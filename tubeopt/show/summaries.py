@@ -59,27 +59,6 @@ class Summary(NamedTuple):
         return None if what is None else drawing(self.plot, what)
 
 
-def every(quantities: Sequence[Quantity[Any]]) -> tuple[Quantity[Any], ...]:
-    """Quantities with a row for each, also for those of which a report's table says nothing."""
-    return tuple(
-        q if q.form or q.words or q.of is not None or not q.key else Quantity(q.key, q.about, q.get, words=_plainly(q))
-        for q in quantities
-    )
-
-
-def _plainly(q: Quantity[Any]) -> Callable[[Any], str]:
-    def words(answer: Any) -> str:
-        value = q.value(answer)
-        if isinstance(value, bool) or value is None:
-            return {True: "yes", False: "no", None: "–"}[value]
-        numbers = np.asarray(value)
-        if numbers.dtype.kind in "if" and numbers.size <= 6:
-            return f"{', '.join(f'{x:.6g}' for x in numbers.ravel())} {q.sign}".strip()
-        return str(value) if numbers.dtype.kind == "U" else f"{' x '.join(map(str, numbers.shape))} numbers"
-
-    return words
-
-
 def _counts(what: Any) -> str:
     failed = counted(len(what.failures), "failure", none="no failure")
     return f"{len(what)} configurations, {failed}"
@@ -199,11 +178,11 @@ SUMMARIES: Mapping[type, Summary] = {
     ProblemSolution: Summary(PROBLEM),
     Proof: Summary(PROOF),
     Snap: Summary(SNAP, "snap.plot_snap"),
-    SnappingLoss: Summary(every(LOSS)),
+    SnappingLoss: Summary(LOSS),
     StabilityMap: Summary(STABILITY_MAP, "maps.plot_stability_map"),
-    Tube: Summary(every(TUBE)),
+    Tube: Summary(TUBE),
     Verdict: Summary(VERDICT, "snap.plot_snap", lambda v: v.snap),
-    Verification: Summary(every(VERIFICATION)),
+    Verification: Summary(VERIFICATION),
     Workspace: Summary(WORKSPACE, "workspace.plot_workspace"),
     WorstCertificate: Summary(WORST_CERTIFICATE),
     WorstMargin: Summary(WORST_MARGIN, "shape.plot_shape", lambda w: w.equilibrium),

@@ -300,5 +300,5 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         here = np.concatenate([alpha, shift])
     family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
     point, snaps = loaded_leg(family, replace(loaded_point(equilibrium), t=0.0), 0)
-    end = to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the load before", 0.0))
+    end = to_loaded(point)
     return Path((equilibrium, end), tuple(snaps))

@@ -14,14 +14,13 @@ from ..block.transcription.loaded import unknowns
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, Member
-from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.loaded import solved
+from ..equilibrium.load_problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, sample_rotation
 from ..errors import InputError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
-from ..solvers.loaded import loaded_newton, turn_of
+from ..solvers.loaded import turn_of
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .certificate import worst_case
@@ -47,7 +46,7 @@ def loaded_equilibria(
     check_load(robot, load, translations)
     if not load.has_energy:
         raise InputError("load has a moment or turns with the tip; it has no energy, so equilibria cannot be counted")
-    member = Member(loaded_problem(robot, translations, load), rotations, translations)
+    member = Member.of(robot, rotations, translations, load)
     if load.tip_force_only and _convex(robot, translations, load, search.certain):
         return [forward_kinematics(robot, rotations, translations, load=load)]
     found: list[LoadedPoint] = []
@@ -63,8 +62,7 @@ def loaded_equilibria(
         # There is a least energy, so a set without a stable equilibrium is not all.
         if not new and _degree(found) == 1 and any(point.margin > 0 for point in found):
             points = sorted(found, key=lambda point: point.state.potential)
-            how = ("search from many starts", 0.0)
-            return [to_loaded(robot, point, load, LOADED_DISCRETISATION, how) for point in points]
+            return [to_loaded(point, ("search from many starts", 0.0)) for point in points]
         count *= 2
     raise SolveError(
         f"{len(found)} equilibria were found, of degree {_degree(found)} instead of 1 or more of them in every round: "
@@ -100,12 +98,12 @@ def _starts(member: Member, samples: Array, twist: float) -> list[Array]:
 
 def _add(found: list[LoadedPoint], member: Member, x: Array, same: float) -> bool:
     """Solve from x; whether that is an equilibrium which was not known."""
-    result = loaded_newton(member.problem, member.rotations, x, iterations=30)
+    result = member.solve(x, iterations=30)
     if not result.converged:
         return False
     if any(turn_of(member.problem, result.state, result.state.x - known.state.x) < same for known in found):
         return False
-    found.append(solved(member, result))
+    found.append(LoadedPoint.of(member, result))
     return True
 
 

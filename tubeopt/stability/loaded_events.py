@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import LoadedState, evaluate
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint, Member, carry
-from ..equilibrium.loaded import bifurcates, solved
+from ..block.transcription.loaded import LoadedState
+from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
+from ..equilibrium.loaded import bifurcates
 from ..solvers.flow import downhill, flow
-from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
+from ..solvers.loaded import loaded_margin, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -32,7 +32,7 @@ class Loss:
     direction: Array
 
 
-def branch_end(family: JointFamily, last: LoadedPoint, goal: float) -> Loss | None:
+def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
     if bifurcates(last):
         found = bifurcation(family, last, goal) or fold(family, last)
@@ -41,14 +41,14 @@ def branch_end(family: JointFamily, last: LoadedPoint, goal: float) -> Loss | No
     return found
 
 
-def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
+def fold(family: Family, near: LoadedPoint) -> Loss | None:
     """The fold of a branch close to a point of it; None where it is not found."""
 
     def at(t: float) -> Callable[[Array], LoadedState] | None:
         there = family.member(t)
         if there.problem.size != near.member.problem.size:
             return None
-        return lambda x: evaluate(there.problem, there.rotations, x, there.factor)
+        return there.at
 
     def turn(step: Array) -> float:
         return turn_of(near.member.problem, near.state, step)
@@ -58,18 +58,18 @@ def fold(family: JointFamily, near: LoadedPoint) -> Loss | None:
     if found is None or abs(found.t - near.t) > CONTINUATION.widest * max(1.0, abs(found.t)):
         return None
     there = family.member(found.t)
-    state = evaluate(there.problem, there.rotations, found.x, there.factor)
+    state = there.at(found.x)
     point = LoadedPoint(found.t, there, state, loaded_margin(there.problem, state), found.steps)
     return Loss(found.t, point, "fold", found.direction)
 
 
-def bifurcation(family: JointFamily, near: LoadedPoint, goal: float) -> Loss | None:
+def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
     """The root of the margin on the branch of `near`, which goes on beyond it; None where it does not."""
 
     def at(t: float) -> LoadedPoint | None:
         there = family.member(t)
-        result = loaded_newton(there.problem, there.rotations, carry(near, there), there.factor)
-        return solved(there, result, t) if result.converged else None
+        result = there.solve(carry(near, there))
+        return LoadedPoint.of(there, result, t) if result.converged else None
 
     ahead = 1e-7
     while ahead < CONTINUATION.widest:
@@ -105,13 +105,10 @@ def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) ->
 def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     """The minimum to which potential energy falls from x (U + 2 N,) after a push along `direction`, to the side that
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
-
-    def at(x: Array) -> LoadedState:
-        return evaluate(member.problem, member.rotations, x, member.factor)
-
-    push = CONTINUATION.nudge / turn_of(member.problem, at(x), direction) * direction
-    ends = [slide(member, start) for start in downhill(x, push, lambda x: at(x).gradient)]
-    rests = [rest for rest in (solved(member, end) for end in ends if end.converged) if rest.margin > -NEUTRAL]
+    push = CONTINUATION.nudge / turn_of(member.problem, member.at(x), direction) * direction
+    ends = [slide(member, start) for start in downhill(x, push, lambda x: member.at(x).gradient)]
+    points = [LoadedPoint.of(member, end) for end in ends if end.converged]
+    rests = [point for point in points if point.margin > -NEUTRAL]
     # Of two that are alike, as beside a bifurcation, the first.
     lowest = min((rest.state.potential for rest in rests), default=0.0)
     return next((rest for rest in rests if rest.state.potential <= lowest + 1e-12), None)
@@ -119,8 +116,7 @@ def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
 
 def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
     """The gradient flow of the potential energy from x to the minimum where it ends."""
-    problem, rotations, factor = member.problem, member.rotations, member.factor
-    begin = evaluate(problem, rotations, x, factor)
+    problem, begin = member.problem, member.at(x)
     scale = begin.energy + abs(begin.work)
 
     def step(state: LoadedState, time: float) -> tuple[Array, float, bool]:
@@ -129,7 +125,7 @@ def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
         return change, turn_of(problem, state, change), failed != 0
 
     def moved(state: LoadedState, change: Array) -> LoadedState | None:
-        there = evaluate(problem, rotations, state.x + change, factor)
+        there = member.at(state.x + change)
         return None if there.potential > state.potential + 1e-13 * scale else there
 
-    return flow(begin, step, moved, lambda state: loaded_newton(problem, rotations, state.x, factor, iterations=4))
+    return flow(begin, step, moved, lambda state: member.solve(state.x, iterations=4))

@@ -12,12 +12,11 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import JointFamily, LoadedPoint, carry, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.loaded import loaded_point, solved
+from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.loaded import loaded_newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .loaded_events import Loss, branch_end, fall
@@ -58,8 +57,8 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
     if loss.kind == "bifurcation":
         t = min(1.0, loss.t + CONTINUATION.past)
         there = family.member(t)
-        result = loaded_newton(there.problem, there.rotations, carry(loss.point, there), there.factor)
-        left = solved(there, result, t) if result.converged else loss.point
+        result = there.solve(carry(loss.point, there))
+        left = LoadedPoint.of(there, result, t) if result.converged else loss.point
     landed = fall(left.member, left.state.x, loss.direction)
     if landed is None:
         raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
@@ -85,7 +84,7 @@ def loaded_legs(
         family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
         point = LoadedPoint(0.0, point.member, point.state, point.margin)
         point, snaps = loaded_leg(family, point, k, first_only=first_only)
-        yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), snaps
+        yield to_loaded(point, ("the waypoint before", 0.0)), snaps
         if first_only and snaps:
             return
 
@@ -100,11 +99,7 @@ def loaded_leg(
         if isinstance(step, LoadedPoint):
             point = step
             continue
-        acting = family.load_at(step.loss.t)
-        before, after = (
-            to_loaded(family.path.robot, place, acting, LOADED_DISCRETISATION, (how, 0.0))
-            for place, how in ((step.loss.point, "fold"), (step.landed, "energy descent"))
-        )
+        before, after = to_loaded(step.loss.point, ("fold", 0.0)), to_loaded(step.landed, ("energy descent", 0.0))
         snaps.append(snap_between(index, step.loss.t, before, after))
         if first_only:
             break

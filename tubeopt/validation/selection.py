@@ -21,12 +21,10 @@ from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Progress
-from .comparison import check_tubes, distances
-from .descent import Descent, Weights, cost_of, descend
-from .errors import ErrorSummary
+from .comparison import ErrorSummary, check_tubes, distances
+from .descent import Descent, Weights, cost_of, descend, predicted_held_out
 from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
-from .held_out import predicted_held_out
 from .measurements import Measurements
 from .model import ArmModel, State
 from .parameters import choose_parameters, groups

@@ -23,8 +23,7 @@ import numpy as np
 
 from ..errors import InputError, SolveError
 from ..typing import Array, Index, Mask
-from .descent import Descent, Weights
-from .held_out import predicted_held_out
+from .descent import Descent, Weights, predicted_held_out
 from .model import ArmModel, State
 from .parameters import Parameter, apply
 

@@ -115,7 +115,7 @@ static void lay_rule(Bearing *b, const Bed *bed, const tubeopt_load *load, int w
     const Rule *rule = RULE + which;
     const Layout *l = &bed->layout;
     Along *along = b->along + which;
-    int k = (int)rule->degree;
+    int k = rule->degree;
     for (int x = 0; x < l->pieces * k; x++) {
         int p = x / k;
         double mass = bed->beyond[p] + bed->mass[p] * l->length[p] * (1 - rule->nodes[x % k]);
@@ -128,11 +128,10 @@ static void lay_rule(Bearing *b, const Bed *bed, const tubeopt_load *load, int w
         }
         for (int r = 0; r < 3; r++) along->force[x][r] = load->force[r] + mass * load->gravity[r];
     }
-    Problem problem = {l->pieces, rule->degree, bed->tip_tube, bed->whole, rule->weights, rule->matrix, l->start,
-                       l->length, along->stiffness[0], along->moment[0], along->phase[0], along->rate[0],
-                       bed->bent[0], bed->felt[0], bed->held, along->force[0], b->base_force, rule->basis, rule->once,
-                       rule->twice, b->ends_stiffness[0], b->ends_moment[0], b->ends_phase[0], b->ends_rate[0],
-                       b->ends_twist[0], b->ends_wound[0]};
+    Problem problem = {l->pieces, bed->tip_tube, bed->whole, l->start, l->length, along->stiffness[0],
+                       along->moment[0], along->phase[0], along->rate[0], bed->bent[0], bed->felt[0], bed->held,
+                       along->force[0], b->base_force, b->ends_stiffness[0], b->ends_moment[0], b->ends_phase[0],
+                       b->ends_rate[0], b->ends_twist[0], b->ends_wound[0]};
     *out = problem;
 }
 
@@ -156,9 +155,6 @@ static void lay_rules(Bearing *b, const Bed *bed, const tubeopt_load *load) {
     lay_rule(b, bed, load, 0, &b->rules.problem);
     lay_rule(b, bed, load, 1, &b->rules.rough);
     lay_rule(b, bed, load, 2, &b->rules.check);
-    b->rules.to_rough = TO_ROUGH;
-    b->rules.to_check = TO_CHECK;
-    b->rules.from_rough = FROM_ROUGH;
 }
 
 /* Elastic rotations at the points of a bed, from those (N) of an arm on another one, `apart` samples from tube to tube and

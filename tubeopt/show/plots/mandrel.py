@@ -19,14 +19,14 @@ BODY = "#D9D4C5"
 
 
 @picture
-def plot_mandrel(mandrel: Mandrel, *, title: str = "") -> Figure:
+def plot_mandrel(mandrel: Mandrel) -> Figure:
     """The mandrel in space, and beside it what the workshop needs: rotation over feed, or the groove from above."""
     figure = new_figure(8.6, 4.0)
     space = figure.add_subplot(1, 2, 1, projection="3d")
     side = figure.add_subplot(1, 2, 2)
     draw_space(space, mandrel)
     draw_plan(side, mandrel)
-    return headed(figure, f"{title or f'Mandrel of tube {mandrel.number}'}, {_made(mandrel)}")
+    return headed(figure, f"Mandrel of tube {mandrel.number}, {_made(mandrel)}")
 
 
 def _made(mandrel: Mandrel) -> str:

@@ -14,7 +14,7 @@ from ...files.units import TO_MM
 from ...inverse.outline import Outline
 from ...planning import Trajectory
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
-from .trajectory import SHOWN, arms_at
+from .trajectory import some_of
 
 CELLS = 300
 """Places along a side of the picture at which it is told whether a body is there."""
@@ -43,7 +43,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     t, plane = trajectory, plane or trajectory.cut
     if plane is None:
         raise InputError("there is no plane to cut along; give one, or a trajectory with a cut")
-    arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
+    arms = some_of(t.arms)
     lines = [Outline(arm).line(ALONG)[0] for arm in arms]
     frame = plane.frame
     seen = frame.seen(np.concatenate([*lines, t.tip_position]))[:, :2]

@@ -274,14 +274,11 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     verdict = f"{margin}, {word}" if word in ("unstable", "at a snap") else margin
     verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({millimetres(equilibrium.tip_position)}) mm", verdict]
-    pushed = [] if equilibrium.load is None else [f"load: {_with_minus(load_in_words(equilibrium.load))}"]
+    load = "" if equilibrium.load is None else f"load: {load_in_words(equilibrium.load)}"
+    pushed = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []
     if narrow:
         return "\n".join([name, *joints, *state, *pushed])
     return "\n".join([f"{name}:  {',  '.join(state)}", ",  ".join(joints), *pushed])
-
-
-def _with_minus(words: str) -> str:
-    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", words)
 
 
 def rotations_in_words(rotations: Array, digits: int = 1) -> str:

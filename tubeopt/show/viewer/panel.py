@@ -32,7 +32,7 @@ from .session import (
 )
 from .view import View
 from .wishes import Wishes
-from .words import hand_words, legend, log_words, message_words, readout
+from .words import hand_words, legend, log_words, message_words, readout, typed
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
@@ -71,7 +71,9 @@ class Panel:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Joints"):
             self._sliders = [self._slider(k, name) for k, name in enumerate(joint_names(robot))]
-            self._buttons()
+            self._button("Home", lambda: tab.change(go_home))
+            self._button("Undo", tab.undo)
+            self._button("All equilibria", tab.ghosts)
             self._mirror = self._mirror_sliders() if isinstance(robot, EccentricRobot) else []
             self._boxes = self._exact()
         with tabs.add_tab("Tip"):
@@ -141,12 +143,12 @@ class Panel:
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * TO_MM)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
-                box.value = _typed(value, EXACT)
+                box.value = typed(value, EXACT)
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
         for box, value in zip(self._targets, session.equilibrium.tip_position * TO_MM, strict=True):
             if box.value == self._aimed.get(id(box), "0"):  # nobody has typed a target
-                box.value = self._aimed[id(box)] = _typed(value, 3)
+                box.value = self._aimed[id(box)] = typed(value, 3)
 
     def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
         """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
@@ -211,11 +213,6 @@ class Panel:
 
         widget.on_update(moved)
         return widget
-
-    def _buttons(self) -> None:
-        self._button("Home", lambda: self._tab.change(go_home))
-        self._button("Undo", self._tab.undo)
-        self._button("All equilibria", self._tab.ghosts)
 
     def _button(self, label: str, act: Callable[[], object]) -> None:
         async def pressed(_: Any) -> None:
@@ -378,8 +375,3 @@ def _ends(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
     low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
     return factor, low, high
-
-
-def _typed(value: float, digits: int) -> str:
-    """A number as one would type it."""
-    return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")

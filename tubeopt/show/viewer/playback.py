@@ -18,6 +18,7 @@ from ...robots.path_file import load_waypoints as load_path
 from ...robots.robot import Robot
 from ...stability import Path, Snap, follow
 from ...typing import Array
+from ..plots.path import place_of
 from .session import Session, check, moved_to, record, strides
 
 TURN_SPEED = np.radians(45.0)
@@ -153,9 +154,4 @@ def state_at(playback: Playback, time: float) -> Equilibrium:
 def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, ...]:
     """The snaps of a trajectory that happen after `start` and not after `end`, s."""
     times = playback.waypoints.time
-    out = []
-    for snap in playback.path.snaps:
-        at = times[snap.index] + snap.fraction * (times[snap.index + 1] - times[snap.index])
-        if start < at <= end:
-            out.append(snap)
-    return tuple(out)
+    return tuple(snap for snap in playback.path.snaps if start < place_of(snap, times) <= end)

@@ -17,6 +17,7 @@ from .pushing import DIRECTIONS, head_of, newtons_per_metre, push_on
 from .scene import Mark, Scene
 from .view import View
 from .wishes import Wishes
+from .words import typed
 
 GIVEN = "as given"
 
@@ -76,7 +77,7 @@ class PushPanel:
         if force != self._shown:
             self._shown = force
             for box, value in zip(self._boxes, force, strict=True):
-                box.value = f"{round(value * TO_MILLI, 4) + 0.0:.4f}".rstrip("0").rstrip(".")
+                box.value = typed(value * TO_MILLI, 4)
 
     def tell(self, words: str) -> None:
         """What the load does, in a sentence."""

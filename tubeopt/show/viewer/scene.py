@@ -58,8 +58,7 @@ class Scene:
     def __init__(self, api: Any, prefix: str = "/robot") -> None:
         self._api, self._prefix = api, prefix
         self._parts: dict[str, Any] = {}
-        self._layers: dict[str, list[Any]] = {}
-        self._contents: dict[str, tuple[Part, ...]] = {}
+        self._layers: dict[str, tuple[tuple[Part, ...], list[Any]]] = {}
         self._trail: Any = None
 
     def set_stage(self, equilibrium: Equilibrium) -> None:
@@ -111,23 +110,22 @@ class Scene:
     def layer(self, name: str, parts: Iterable[Part]) -> None:
         """Replace everything in a named layer."""
         self.clear(name)
-        self._contents[name] = tuple(parts)
-        self._layers[name] = [self._add(f"/{name}/{part.name}", part) for part in self._contents[name]]
+        shown = tuple(parts)
+        self._layers[name] = shown, [self._add(f"/{name}/{part.name}", part) for part in shown]
 
     def clear(self, name: str) -> None:
         """Take a layer away."""
-        self._contents.pop(name, None)
-        for handle in self._layers.pop(name, []):
+        for handle in self._layers.pop(name, ((), []))[1]:
             handle.remove()
 
     @property
     def contents(self) -> dict[str, tuple[Part, ...]]:
         """The surfaces of every layer that is shown now; points are none."""
-        return dict(self._contents)
+        return {name: parts for name, (parts, _) in self._layers.items()}
 
     def has(self, name: str) -> bool:
         """Whether a layer shows something."""
-        return bool(self._layers.get(name))
+        return name in self._layers and bool(self._layers[name][1])
 
     def show_cloud(self, found: Workspace) -> None:
         """The tips of a workspace as points coloured by margin."""
@@ -140,7 +138,7 @@ class Scene:
         cloud = self._api.add_point_cloud(
             "/workspace/tips", points, colours, point_size=size, point_shape="circle", precision="float32"
         )
-        self._layers["workspace"] = [cloud]
+        self._layers["workspace"] = (), [cloud]
 
     def show_force(self, tip: Array, head: Array) -> None:
         """The arrow of a force on the tip, hidden where it has no length, m."""

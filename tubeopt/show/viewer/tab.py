@@ -261,8 +261,7 @@ class Tab(Wishes):
             self.scene.clear(layer)
         elif layer == "obstacles":
             if not self._obstacles:
-                self._say("no obstacles were loaded", bad=True)
-                return
+                raise InputError("no obstacles were loaded")
             reach = max(tube.length for tube in self.session.robot.tubes)
             parts = cut_parts(self._obstacles, reach, self._plane)
             self.scene.layer("obstacles", parts)
@@ -277,8 +276,7 @@ class Tab(Wishes):
 
     def _sweep(self) -> None:
         if self._player.playback is None:
-            self._say("there is no trajectory whose swept volume could be shown", bad=True)
-            return
+            raise InputError("there is no trajectory whose swept volume could be shown")
         self._say("joining shapes …")
         swept = swept_volume(self._player.playback)
         self.scene.layer("swept", [Part("volume", swept.surface, COLOUR, OPACITY)])
@@ -312,8 +310,6 @@ class Tab(Wishes):
         if what == "picture":
             self._say("taking the picture …")
         try:
-            words = saved(what, self.session, self.scene, self._client, trail=self._trail, out=self._view.out)
-        except (InputError, SolveError, RuntimeError, OSError) as error:
-            self._say(str(error), bad=True)
-            return
-        self._say(words)
+            self._say(saved(what, self.session, self.scene, self._client, trail=self._trail, out=self._view.out))
+        except (RuntimeError, OSError) as error:
+            raise InputError(str(error)) from None
