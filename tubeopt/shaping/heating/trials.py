@@ -60,10 +60,11 @@ class Colour:
 
 @dataclass(frozen=True)
 class ColourTable(Displayed):
-    """Colours of the oxide on a heated tube by temperature, as a thermometer that is read afterwards.
+    """Colours by temperature.
 
-    Heat grows a thin oxide on nitinol, and light interferes in it: straw, purple, blue as it gets thicker. How thick it
-    is depends on temperature, time, surface and air, so that a table holds for one laboratory and one time.
+    They are a thermometer that is read afterwards: heat grows a thin oxide on nitinol, and light interferes in it:
+    straw, purple, blue as it gets thicker. How thick it is depends on temperature, time, surface and air, so that a
+    table holds for one laboratory and one time.
 
     Raises:
         InputError: no source, no colours, or two of one name.
