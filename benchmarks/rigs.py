@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 
 from tubeopt import Camera, HeatingSpec, Thermocouple, TubeResistance, lead_by, load_rig, plan_heating
 from tubeopt.shaping.firmware.boards import BOARDS
-from tubeopt.shaping.heating.feedback import wilson
+from tubeopt.shaping.heating.law import wilson
 
 from .timing import ROOT
 

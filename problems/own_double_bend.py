@@ -31,6 +31,7 @@ from tubeopt import (
     forward_kinematics,
     snap_free_certificate,
 )
+from tubeopt.show.plots.style import save_figure
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -132,7 +133,7 @@ def _draw(x: np.ndarray, grown: list[Equilibrium], path: Path) -> None:
     right.legend(fontsize=8, frameon=False)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path)
     plt.close(figure)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 import scipy.integrate
 
 from tubeopt import ConcentricRobot, Equilibrium, EquilibriumBlock, Ipopt, Piece, Problem, Tube, forward_kinematics
+from tubeopt.show.plots.style import save_figure
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -141,7 +142,7 @@ def main(out: Path, samples: int = 12) -> list[Path]:
         *(each[:4] for each in axes[0].get_legend_handles_labels()), frameon=False, fontsize=8, loc="lower left"
     )
     picture = out / "own_follow_the_leader.png"
-    figure.savefig(picture, dpi=150)
+    save_figure(figure, picture)
     plt.close(figure)
     return [picture]
 

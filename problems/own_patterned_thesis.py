@@ -22,6 +22,7 @@ import numpy as np
 import tubeopt
 from tubeopt import ConcentricRobot, Piece, Tube
 from tubeopt.design import count_snaps
+from tubeopt.show.plots.style import save_figure
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -109,7 +110,7 @@ def _draw(before: ConcentricRobot, after: ConcentricRobot, factors: np.ndarray, 
     right.legend(fontsize=8, frameon=False)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path)
     plt.close(figure)
 
 

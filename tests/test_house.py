@@ -134,7 +134,7 @@ FORBIDDEN = {
     "inverse/extra.py": ("from ..planning import plan", "inverse kinematics knows none of the questions"),
     "show/words.py": ("from ..cli import output", "what is shown does not know the commands"),
     "equilibrium/along.py": ("import casadi", "CasADi is used where programs are stated"),
-    "control/why.py": ("import yaml", "YAML is used where files are read and written"),
+    "control/command.py": ("import yaml", "YAML is used where files are read and written"),
     "show/solids.py": ("import matplotlib", "Matplotlib is used where pictures are drawn"),
 }
 """File -> a line that it must not have, and the contract that this breaks."""

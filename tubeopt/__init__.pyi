@@ -86,7 +86,7 @@ from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
 from .shaping import HeatingSolver, Mold, MoldSolver, MoldSpec, RigSolver, plan_mold, predict_tube
-from .shaping.heating.feedback import Feedback
+from .shaping.heating.law import Feedback
 from .shaping.heating.leading import lead_by
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating

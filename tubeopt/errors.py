@@ -94,9 +94,9 @@ class Settings(Displayed):
                 positive(each.name, value)
 
 
-def instance(name: str, value: Any, wanted: type) -> None:
-    """Raise InputError naming `name` unless `value` is a `wanted`."""
-    if not isinstance(value, wanted):
+def instance(name: str, value: Any, wanted: type, *, optional: bool = False) -> None:
+    """Raise InputError naming `name` unless `value` is a `wanted`; where it is optional, None will do."""
+    if not (isinstance(value, wanted) or (optional and value is None)):
         article = "an" if wanted.__name__[0] in "AEIOU" else "a"
         raise InputError(f"{name} is {value!r}; it must be {article} {wanted.__name__}")
 
@@ -119,11 +119,43 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} is {value!r}; it must be {size} numbers ({what})") from None
     if array.shape != (size,):
-        got = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
-        raise InputError(f"{name} has {got}; it must be {size} numbers ({what})")
+        shape = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
+        got = f"has {shape}" if array.ndim else f"is {value!r}"
+        raise InputError(f"{name} {got}; it must be {size} numbers ({what})")
     if not np.isfinite(array).all():
         raise InputError(f"{name} is {array.tolist()}; every number must be finite")
     return array
+
+
+def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.float64]:
+    """`value` as a float array with so many dimensions, else InputError naming the first bad place."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} are not an array of numbers") from None
+    if array.ndim != dimensions:
+        raise InputError(f"{name} have shape {array.shape}; they must have {dimensions} dimensions")
+    if not np.isfinite(array).all():
+        place = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise InputError(f"{name}{place} is {array[tuple(place)]}; every number must be finite")
+    return array
+
+
+def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
+    """`values` as a tuple whose every member is of `kinds`, or InputError naming it; `what` says what they must be."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise InputError(f"{name} is {values!r}; it must be a list of {what}")
+    found = tuple(values)
+    for one in found:
+        if not isinstance(one, kinds):
+            raise InputError(f"{name} holds {one!r}; it must be a list of {what}")
+    return found
+
+
+def triple(name: str, value: ArrayLike) -> tuple[float, float, float]:
+    """Return x, y, z of `value` if they are finite numbers, else raise InputError naming it."""
+    x, y, z = vector(name, value, 3, "x, y, z").tolist()
+    return x, y, z
 
 
 def choice(name: str, value: str, allowed: Iterable[str]) -> str:

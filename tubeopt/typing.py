@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+from collections.abc import Callable
 from enum import Enum
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -15,6 +16,9 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
+
+Progress = Callable[[int, int], object]
+"""Called with how much is done, and how much there is, 0 where nobody knows."""
 
 
 @functools.lru_cache(maxsize=256)

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import ROOT, Run, answer, refused
-from tubeopt import MoldSpec, load_rig
+from tests.shaping.heating_reference import header_duties
+from tubeopt import load_rig
 from tubeopt.cli.commands import CHARGES
 from tubeopt.shaping.heating import robust
-from tubeopt.shaping.heating.files import header_duties
-from tubeopt.shaping.tube_fabrication import mold_spec_for
+from tubeopt.shaping.tube_fabrication import lid_profile
 
 RIG = str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
 ROBOT = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
@@ -196,9 +196,9 @@ def test_the_lid_of_a_fabricated_mold_has_the_vents_that_the_schedule_counts_on(
     rig = load_rig(RIG)
     tube = rig.tube
     assert tube is not None
-    assert mold_spec_for(rig, tube, MoldSpec()).vents.profile == (0.0,)
+    assert lid_profile(rig, tube) == (0.0,)
     vented = replace(rig, mold=replace(rig.mold, vents=(0.0, 0.2)))
-    profile = mold_spec_for(vented, tube, MoldSpec()).vents.profile
+    profile = lid_profile(vented, tube)
     assert profile == pytest.approx(profile[::-1])
     assert 2 * 0.2 * 20 / 67 < profile[0] < profile[4] < 2 * 0.2
     # Along the bend the surface left open is that of the rig: its mean lies halfway between the bend's end and middle.

@@ -11,10 +11,9 @@ from tests.examples import CRL, PIECES, THESIS
 from tubeopt import ConcentricRobot, InputError, follow, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.ahead import PredictiveServo
-from tubeopt.control.command import Command, ServoOptions
+from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.horizon import Knots
 from tubeopt.control.servo import Servo
-from tubeopt.control.why import Why
 from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
 

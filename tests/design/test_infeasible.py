@@ -20,9 +20,9 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.design import Free, InfeasibleDesignError, Length, Objective, Reach, SnapFree, Strain, Target
-from tubeopt.design.multistart import multistart
 from tubeopt.design.program import compile_task
 from tubeopt.design.relaxation import apply_changes
+from tubeopt.design.solve import multistart
 
 
 def refused(task: DesignTask) -> InfeasibleDesignError:

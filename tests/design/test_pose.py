@@ -9,8 +9,7 @@ import pytest
 
 from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
-from tubeopt.design.pose import Pose
-from tubeopt.design.solved import Twist, solve_pose, twist_at
+from tubeopt.design.pose import Pose, Twist, solve_pose, twist_at
 from tubeopt.equilibrium.arm_change import PARAMETERS
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array

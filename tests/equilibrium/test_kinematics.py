@@ -533,7 +533,7 @@ def test_every_array_has_the_shape_that_is_promised() -> None:
     ("arguments", "message"),
     [
         ({"rotations": (0, 1)}, "rotations has 2 numbers; it must be 3 numbers (one per tube)"),
-        ({"rotations": 0.5}, "rotations has an array of shape (); it must be 3 numbers (one per tube)"),
+        ({"rotations": 0.5}, "rotations is 0.5; it must be 3 numbers (one per tube)"),
         ({"rotations": [[0, 1, 2]]}, "rotations has an array of shape (1, 3); it must be 3 numbers (one per tube)"),
         ({"rotations": (0, np.nan, 1)}, "rotations is [0.0, nan, 1.0]; every number must be finite"),
         ({"rotations": (0, np.inf, 1)}, "rotations is [0.0, inf, 1.0]; every number must be finite"),

@@ -382,7 +382,7 @@ def test_the_estimated_error_is_that_of_coarse_meshes(thesis: ConcentricRobot) -
     exact = forward_kinematics(thesis, ROTATIONS, load=load, tolerance=1e-11)
     for degree in (2, 3, 4):
         d = Discretisation(degree=degree)
-        e = to_loaded(thesis, ramp(thesis, plain, load, d), load, d)
+        e = to_loaded(ramp(plain, load, d))
         error = float(np.linalg.norm(e.tip_position - exact.tip_position))
         assert error / 2 < e.tip_error < 2 * error
 

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.shooting import shoot
 from tests.examples import CRL, MM, THESIS, configurations, eccentric_robot, nested
-from tubeopt import ConcentricRobot, Discretisation, Equilibrium, Verification, forward_kinematics
+from tubeopt import ConcentricRobot, Discretisation, Equilibrium, Piece, Tube, Verification, forward_kinematics
 from tubeopt.equilibrium.verification import verify_equilibrium
 
 
@@ -93,3 +93,19 @@ def test_other_joint_values_than_those_solved_show(solved: Equilibrium) -> None:
     assert checked(wrong).base_rotation == pytest.approx(0.01, rel=1e-6)
     moved = replace(solved, translations=solved.translations + np.array([0.0, 0.0, 1e-3]))
     assert checked(moved).tip_position > 1e-5
+
+
+def test_the_same_tubes_in_pieces_miss_by_the_same(solved: Equilibrium) -> None:
+    def halved(tube: Tube) -> Tube:
+        half = Piece(tube.curved_length / 2, tube.curvature)
+        sizes = tube.outer_diameter, tube.inner_diameter
+        return Tube.of_pieces(*sizes, [half, half], straight_length=tube.straight_length, material=tube.material)
+
+    slope = solved.torsion.copy()
+    slope[:, 0] += 1e-3
+    wrong = replace(solved, torsion=slope)
+    one, other = checked(wrong), checked(replace(wrong, robot=ConcentricRobot(tuple(map(halved, THESIS.tubes)))))
+    # Torsion in rad/m, not the torque that goes with it.
+    assert one.end_torsion > 1e-4
+    assert other.end_torsion == pytest.approx(one.end_torsion, rel=1e-6)
+    assert other.tip_position == pytest.approx(one.tip_position, rel=1e-6)

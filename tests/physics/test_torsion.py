@@ -141,8 +141,6 @@ def test_derivatives_of_the_second_variation(bundle: Bundle, entries: list[float
     # The form is of second degree in m, and inversely proportional to the sum of kb.
     assert gradient[2 * n :] @ bundle.moment == pytest.approx(2 * form[0], abs=1e-9)
     assert gradient[n : 2 * n] @ bundle.stiffness == pytest.approx(-form[0], abs=1e-9)
-    columns = [(slope(bundle.theta + h) - slope(bundle.theta - h)) @ y / 2e-5 for h in steps]
-    assert functions["stiffness_slope"](bundle.theta, *rest, y).full() == pytest.approx(np.array(columns).T, abs=1e-7)
     bend = [functions["curvature"](bundle.theta + h, *rest).full().ravel() for h in (*steps, *-steps)]
     expected_bend = (np.array(bend[:n]) - np.array(bend[n:])).T / 2e-5
     assert functions["curvature_slope"](bundle.theta, *rest).full() == pytest.approx(expected_bend, abs=1e-8)

@@ -70,7 +70,7 @@ def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> N
         ({"radius": 1e-3, "box": (1e-3, 0.0, 0.0)}, "several regions"),
         ({"cone": 2.0}, "cone of the entry is 114.592 deg"),
         ({"radius": -1.0}, "radius of the entry is -1"),
-        ({"box": (1e-3, 0.0)}, "must be three numbers"),
+        ({"box": (1e-3, 0.0)}, "must be 3 numbers"),
         ({"places": np.zeros((0, 3))}, "places of the entry"),
     ],
 )

@@ -338,7 +338,7 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
 
 def test_curves_of_joint_values_keep_to_motions_that_bend() -> None:
     """Close to a snap the joints turn back while the tips go straight on."""
-    task, _ = asked(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions())
+    task = asked(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions()).task
     begin = np.zeros(len(task.scale))
     end = begin + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(begin)]
     fine = begin + np.linspace(0, 1, 4_001)[:, None] * (end - begin)
@@ -374,7 +374,7 @@ def test_a_way_with_corners_is_passed_piece_by_piece() -> None:
 
 def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
     """At 180 deg two stable equilibria mirror each other: the way from 100 deg leads to one of them."""
-    task, clock = asked(TWO_TUBE, (), 0.05, DEFAULT_RATES, None, PlanOptions(), None)
+    task = asked(TWO_TUBE, (), 0.05, DEFAULT_RATES, None, PlanOptions(), None).task
     space, start = joint_space(TWO_TUBE), forward_kinematics(TWO_TUBE, [100 * DEG, 0.0])
     q = np.linspace(space.join(start.rotations, start.translations), space.join([180 * DEG, 0.0], [0.0, 0.0]), 9)
     motion = stopping_at([q], Limits(*DEFAULT_RATES.of(space)))
@@ -384,7 +384,7 @@ def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
     for end in ends:
         places = motion.time[-1:], task.chart.of(end)[None]
         same = np.allclose(end.tip_position, led.tip_position, atol=1e-6)
-        assert violated(task, start, motion, clock, places)[0].any() == (not same)
+        assert violated(task, start, motion, task.clock, places)[0].any() == (not same)
 
 
 def test_arguments_of_another_kind_are_named() -> None:
@@ -392,9 +392,9 @@ def test_arguments_of_another_kind_are_named() -> None:
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"obstacles": body}, r"obstacles is Sphere.*it must be a sequence of bodies"),
         ({"obstacles": [3]}, r"obstacle 1 is 3; it must be a body"),
-        ({"rate_limits": {"rotation": 1}}, r"rate_limits is .*; it must be of class RateLimits"),
-        ({"options": {"seed": 1}}, r"options is .*; it must be of class PlanOptions"),
-        ({"limits": 3}, r"limits is 3; it must be of class JointLimits"),
+        ({"rate_limits": {"rotation": 1}}, r"rate_limits is .*; it must be a RateLimits"),
+        ({"options": {"seed": 1}}, r"options is .*; it must be a PlanOptions"),
+        ({"limits": 3}, r"limits is 3; it must be a JointLimits"),
     ]
     for argument, message in wrong:
         for ask in (plan_trajectory, follow_tip_path):

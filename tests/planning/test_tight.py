@@ -42,7 +42,7 @@ from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
 from tubeopt.planning import building
-from tubeopt.planning.tip_place import way_around
+from tubeopt.planning.reach import way_around
 from tubeopt.robots.robot import Robot
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)

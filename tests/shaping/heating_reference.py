@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -17,8 +18,7 @@ from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
 from tubeopt.physics.heat import volume_shapes
 from tubeopt.physics.heat_functions import LUMPED
 from tubeopt.robots.materials import NITINOL
-from tubeopt.shaping.heating.rates import State, at_rest, rates
-from tubeopt.shaping.heating.simulation import History, history_of
+from tubeopt.shaping.heating.simulation import History, State, at_rest, history_of, rates
 from tubeopt.shaping.heating.thermal import ThermalModel
 from tubeopt.shaping.materials import MoldMaterial
 from tubeopt.typing import Array
@@ -89,3 +89,10 @@ def integrate(
     course = np.array(trace)
     cells, lumped = course[:, :size].reshape(-1, *shape), course[:, size:].reshape(-1, 1, LUMPED)
     return history_of(model, slot, State(cells, lumped))
+
+
+def header_duties(text: str) -> list[int]:
+    """The duties in a header of `arduino_header`."""
+    found = re.search(r"HEATING_DUTY\[\w+\] PROGMEM = \{([^}]*)\}", text)
+    assert found is not None
+    return [int(number) for number in found[1].split(",")]

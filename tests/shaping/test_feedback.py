@@ -14,18 +14,15 @@ from scipy.integrate import solve_ivp
 from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Thermocouple, Tube, TubeResistance, lead_by
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
-from tubeopt.shaping.firmware.leader import Leader
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
-from tubeopt.shaping.heating.feedback import wilson
 from tubeopt.shaping.heating.ideal import solve_ideal
-from tubeopt.shaping.heating.law import begin, decide
+from tubeopt.shaping.heating.law import Fleet, begin, decide, run_loop, wilson
 from tubeopt.shaping.heating.leading import RESET, Response, fleet_of, nominal_law, regulator
-from tubeopt.shaping.heating.loop import Fleet, run_loop
 from tubeopt.shaping.heating.planning import plan_heating
-from tubeopt.shaping.heating.rates import at_rest
-from tubeopt.shaping.heating.replanning import planner_for
+from tubeopt.shaping.heating.replanning import Leader, planner_for
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.sensors import followed
+from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 

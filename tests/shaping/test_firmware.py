@@ -21,9 +21,8 @@ from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple,
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.firmware_study import LedHeating
 from tubeopt.runs.heating_run import HeatingRun, run_heating
-from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, hall_slope, pwm_frequency
+from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, hall_slope, parts_list, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine, SimulatedRig
-from tubeopt.shaping.firmware.parts import parts_list
 from tubeopt.shaping.firmware.sketch_files import (
     CHARGES,
     board_header,

@@ -13,9 +13,8 @@ from tubeopt import Rig
 from tubeopt.physics.heat import Resolution
 from tubeopt.physics.heat_functions import instant_functions
 from tubeopt.robots.materials import ThermalData
-from tubeopt.shaping.heating.rates import State, current, march, rates, step_by_step, stored, warming_span
 from tubeopt.shaping.heating.rig import gap_conductance
-from tubeopt.shaping.heating.simulation import advance
+from tubeopt.shaping.heating.simulation import State, advance, current, march, rates, step_by_step, stored, warming_span
 from tubeopt.shaping.heating.thermal import gap_of, leak_resistance, stack, thermal_model
 from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.solvers.compiled.heating import Windows, heating_kernel

@@ -13,13 +13,12 @@ from tubeopt import InputError
 from tubeopt.runs.rig_file import load_camera, load_colours, load_heating_log, load_heating_trials
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.heating.calibration import FACTORS, calibrate, predict
-from tubeopt.shaping.heating.colours import NITINOL_COLOURS, Colour, ColourTable
 from tubeopt.shaping.heating.logged import HeatingLog, believable, step_of, unexplained
 from tubeopt.shaping.heating.plan import ageing, ageing_words
 from tubeopt.shaping.heating.sensors import Thermocouple
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.shaping.heating.trials import Trial, calibrate_from_trials
+from tubeopt.shaping.heating.trials import NITINOL_COLOURS, Colour, ColourTable, Trial, calibrate_from_trials
 from tubeopt.typing import Array
 
 from .heating_reference import CONFIGS, TUBE, thesis_plan, thesis_rig

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse
 
 from tubeopt import HeatingSolver, HeatingSpec, InputError, load_rig, load_robot
-from tubeopt.shaping.heating.haste import soonest
+from tubeopt.shaping.heating.counts import soonest
 from tubeopt.shaping.heating.ideal import Ideal, planned_ramp, solve_ideal
 from tubeopt.shaping.heating.instant import DURATION, VENTS, physics
 from tubeopt.shaping.heating.program import WISHES, Structure, program

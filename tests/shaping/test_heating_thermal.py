@@ -12,9 +12,19 @@ from scipy.special import erfc
 from tubeopt import Tube
 from tubeopt.shaping.heating.counts import sum_up_rounding
 from tubeopt.shaping.heating.instant import AMPERE, CHARGE, DRIVE, LENGTH, OHM, RISE, SAG, VENTS, instant, physics
-from tubeopt.shaping.heating.rates import CLAMP, DRAWN, State, at_rest, current, rates, stored
 from tubeopt.shaping.heating.rig import Rig, air_conductivity, natural_convection
-from tubeopt.shaping.heating.simulation import advance, resimulate, simulate
+from tubeopt.shaping.heating.simulation import (
+    CLAMP,
+    DRAWN,
+    State,
+    advance,
+    at_rest,
+    current,
+    rates,
+    resimulate,
+    simulate,
+    stored,
+)
 from tubeopt.shaping.heating.thermal import (
     COARSE,
     FINE,

@@ -332,7 +332,7 @@ def test_every_check_of_a_plan_holds() -> None:
         (lambda: plan_mold([], 5), "mold is 5; it must be a MoldSpec"),  # type: ignore[arg-type]
         (lambda: MoldSpec(plate="thin"), "plate of the mold is 'thin'; it must be a PlateSpec"),  # type: ignore[arg-type]
         (lambda: PlateSpec(thickness="thin"), "thickness is 'thin'; it must be a number"),  # type: ignore[arg-type]
-        (lambda: PlateSpec(size=5), "size has 1 numbers; it must be the width and the height"),  # type: ignore[arg-type]
+        (lambda: PlateSpec(size=5), "size of the plate is 5; it must be 2 numbers (width and height)"),  # type: ignore[arg-type]
         (lambda: MillingSpec(end_mills=5), "end_mills is 5; it must be a list of EndMill"),  # type: ignore[arg-type]
         (lambda: MillingSpec(end_mills=(1e-3,)), "an entry of end_mills is 0.001; it must be an EndMill"),  # type: ignore[arg-type]
         (lambda: predict_tube(5), "mold is 5; it must be a Mold"),  # type: ignore[arg-type]

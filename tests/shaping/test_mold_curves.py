@@ -20,6 +20,7 @@ from tubeopt import (
     Mold,
     MoldSpec,
     Piece,
+    Slots,
     Tube,
     forward_kinematics,
     plan_mold,
@@ -192,13 +193,15 @@ def test_another_spring_back_is_felt_piece_by_piece() -> None:
 
 
 def test_stiffnesses_stay_with_their_pieces() -> None:
-    soft = Piece(30e-3, 12.0, bending_stiffness=lambda s: 2e-3 + s, torsional_stiffness=1e-3)
+    slots = Slots(0.5)
+    soft = Piece(30e-3, 12.0, bending_stiffness=lambda s: 2e-3 + s, torsional_stiffness=1e-3, slots=slots)
     tube = Tube.of_pieces(*DIAMETERS, [soft, Piece(30e-3, 12.0)])
     mold = plan_mold(tube, MoldSpec(springback=BACK))
     assert len(mold.grooves[0].centreline.bend) == 1  # one curvature is one arc, whatever the stiffness
     (first, _) = predict_tube(mold).pieces
     assert first.bending_stiffness(np.array([0.01])) == pytest.approx([2.01e-2 - 0.81e-2], rel=1e-9)
     assert first.torsional_stiffness == 1e-3
+    assert first.slots == mold.grooves[0].held.pieces[0].slots == slots
 
 
 def test_a_mold_of_pieces_beside_ordinary_ones() -> None:

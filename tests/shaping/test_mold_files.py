@@ -6,6 +6,7 @@ import math
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,8 +14,8 @@ import pytest
 
 from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping import EndMill, MillingSpec, Springback, write_mold
-from tubeopt.shaping.mold import stl
-from tubeopt.shaping.mold.dxf import dxf_deviation, write_dxf
+from tubeopt.shaping.mold.drawing import draw_plate
+from tubeopt.shaping.mold.files import dxf_deviation, manifold, write_dxf, write_solid, write_stl, wrong_volume
 from tubeopt.shaping.mold.gcode import groove_gcode, write_gcode
 from tubeopt.shaping.mold.gcode_reader import read_gcode, toolpath_deviation
 from tubeopt.shaping.mold.groove import Piece
@@ -114,15 +115,19 @@ def test_solids_are_watertight_and_of_the_right_volume(mold: Mold, files: Path) 
 
 
 def test_a_solid_that_is_not_right_is_refused(mold: Mold, files: Path, tmp_path: Path) -> None:
-    with pytest.raises(SolveError, match="the volume of the lid is off by"):
-        stl.check_stl(mold, files / "base.stl", part="lid")
     mesh = trimesh.load_mesh(files / "base.stl")
-    torn = trimesh.Trimesh(mesh.vertices, mesh.faces[1:])
-    (tmp_path / "torn.stl").write_bytes(torn.export(file_type="stl"))
-    with pytest.raises(SolveError, match="not watertight"):
-        stl.check_stl(mold, tmp_path / "torn.stl")
-    with pytest.raises(InputError, match="part is 'side'"):
-        stl.write_stl(mold, tmp_path / "x.stl", part="side")
+    assert wrong_volume(mold, "base", mesh) == ""
+    assert wrong_volume(mold, "lid", mesh).startswith("the volume of the lid is off by")
+    cube = manifold().Manifold.cube((1.0, 1.0, 1.0))
+    with pytest.raises(SolveError, match=r"said\.stl: it is a cube"):
+        write_solid(cube, tmp_path / "said.stl", "base", lambda _: "it is a cube")
+    whole = cube.to_mesh()
+    torn = SimpleNamespace(
+        to_mesh=lambda: SimpleNamespace(vert_properties=whole.vert_properties, tri_verts=whole.tri_verts[1:])
+    )
+    with pytest.raises(SolveError, match=r"torn\.stl: the solid of the base is not watertight"):
+        write_solid(torn, tmp_path / "torn.stl", "base", lambda _: "")
+    assert list(tmp_path.iterdir()) == []
 
 
 def moves(text: str) -> list[tuple[str, dict[str, float]]]:
@@ -231,11 +236,13 @@ def test_a_missing_library_is_named(
     library: str, hint: str, mold: Mold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    write = write_dxf if hint == "DXF" else stl.write_stl
-    with pytest.raises(
-        InputError, match=rf"{hint} files need {library}: python -m pip install 'tubeopt\[fabrication\]'"
-    ):
-        write(mold, tmp_path / "x")
+    missing = rf"{hint} files need {library}: python -m pip install 'tubeopt\[fabrication\]'"
+    if hint == "DXF":
+        with pytest.raises(InputError, match=missing):
+            write_dxf(draw_plate(mold, "base"), drawn(mold), tmp_path / "x")
+    else:
+        with pytest.raises(InputError, match=missing):
+            write_stl(mold, tmp_path / "x", "base")
 
 
 def test_what_needs_a_missing_library_is_left_out_with_a_warning(

@@ -11,10 +11,10 @@ import trimesh
 
 from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping.mold.checks import beyond_edge
+from tubeopt.shaping.mold.files import write_stl
 from tubeopt.shaping.mold.gcode import programs, stages_of, write_gcode
 from tubeopt.shaping.mold.gcode_reader import hazards, milled
 from tubeopt.shaping.mold.spec import PlateSpec, VentSpec, WorkshopSpec
-from tubeopt.shaping.mold.stl import write_stl
 
 from .gcode_machine import Block, mill
 
@@ -71,7 +71,7 @@ def test_all_holes_are_there_and_go_through(dialect: str) -> None:
 def test_what_is_milled_away_is_what_the_solid_lacks(part: str, tmp_path: Path) -> None:
     spec = MoldSpec(vents=VentSpec(profile=(0.1,)))
     mold = plan_mold([SMALL, Tube(1.2e-3, 0.9e-3, 0.0, 20e-3, 20.0)], spec)
-    solid = trimesh.load_mesh(write_stl(mold, tmp_path / "plate.stl", part=part))
+    solid = trimesh.load_mesh(write_stl(mold, tmp_path / "plate.stl", part))
     thickness = 12.7 if part == "base" else 6.35
     block = Block((1e3 * mold.size[0], 1e3 * mold.size[1]), thickness)
     for stage, text in zip(stages_of(mold, part), programs(mold, part).values(), strict=True):

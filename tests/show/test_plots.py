@@ -16,7 +16,7 @@ from PIL import Image
 
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
 from tubeopt.robots.load import PointForce
-from tubeopt.show.arm_surfaces import Centreline, exposed, ring_surface, robot_parts, tube_surface
+from tubeopt.show.arm_surfaces import Centreline, ring_surface, robot_parts, tube_surface, visible
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, save_figure, tube_colour
 from tubeopt.show.plots.mesh import Mesh, facets_of
 from tubeopt.show.plots.shape import forces, robot_mesh
@@ -91,14 +91,14 @@ def test_surfaces_reach_from_the_plate_to_the_tip(actuated: Equilibrium) -> None
 
 
 def test_each_tube_shows_from_the_end_of_the_next_outer_one(home: Equilibrium) -> None:
-    assert [tube for tube, _, _ in exposed(home)] == [2, 1, 0]
-    stretches = [stretch for _, *stretch in exposed(home)]
+    assert [stretch.tube for stretch in visible(home)] == [2, 1, 0]
+    stretches = [[stretch.start, stretch.end] for stretch in visible(home)]
     np.testing.assert_allclose(stretches, [[0.0, 0.1], [0.1, 0.15], [0.15, 0.2]])
 
 
 def test_a_tube_inside_an_outer_one_does_not_show() -> None:
     equilibrium = forward_kinematics(ROBOT, (0.0, 0.5, -1.0), (-0.15, 0.01, -0.11))
-    assert [tube for tube, _, _ in exposed(equilibrium)] == [1]
+    assert [stretch.tube for stretch in visible(equilibrium)] == [1]
     colours = robot_mesh(equilibrium).colours
     assert not np.any(np.all(np.isclose(colours, matplotlib.colors.to_rgba(tube_colour(0))), axis=1))
 
@@ -193,7 +193,7 @@ def test_constant_torsion_is_not_magnified(home: Equilibrium) -> None:
 
 def test_a_robot_wholly_behind_the_plate(tmp_path: Path) -> None:
     withdrawn = forward_kinematics(ROBOT, (0.0, 1.0, 2.0), (-0.2, -0.15, -0.1))
-    assert exposed(withdrawn) == []
+    assert visible(withdrawn) == []
     plot_shape(withdrawn, tmp_path / "shape.png")
     plot_torsion(withdrawn, tmp_path / "torsion.png")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["shape.png", "torsion.png"]

@@ -39,8 +39,8 @@ from tubeopt.show.plots import (
     tube_colour,
 )
 from tubeopt.show.plots.branch import fold_points, landing, smooth
-from tubeopt.show.plots.hysteresis import snap_angle, stretches
 from tubeopt.show.plots.maps import energy_levels
+from tubeopt.show.plots.path import place_of, stretches
 from tubeopt.stability.maps import APPROACH, pieces
 from tubeopt.typing import Array
 
@@ -318,7 +318,7 @@ def test_ways_are_cut_at_the_very_snap(ways: tuple[Path, Path]) -> None:
         assert before[-1] is snap.before
         assert after[0] is snap.after
         assert len(first) + len(second) == len(ANGLES) + 2
-        assert snap_angle(snap, angles) == first[-1]
+        assert place_of(snap, angles) == first[-1]
         for where, what in ((first, before), (second, after)):
             np.testing.assert_allclose(where, [np.degrees(e.rotations[0]) for e in what], atol=1e-9)
 

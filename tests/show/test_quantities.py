@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import pytest
 from tests.command_line import CRL, ROOT, THESIS, Run, answer
 from tubeopt.files.units import UNITS, in_unit, per_si, to_si, unit_of
 from tubeopt.robots.path_file import joint_columns
-from tubeopt.show.quantities import Quantity, in_units, line, record, rows, schema, within
+from tubeopt.show.quantities import Quantity, in_units, line, record, rows, within
 from tubeopt.show.reports import PAGE, page, report, reports, to_dict
 
 CONFIGS = ROOT / "configs"
@@ -59,6 +59,26 @@ def test_every_report_has_a_command_and_every_key_is_described_once() -> None:
             keys = [quantity.key for quantity in level if quantity.key]
             assert len(set(keys)) == len(keys)
             assert all(quantity.about for quantity in level)
+
+
+def schema(quantities: Iterable[Quantity[Any]]) -> dict[str, Any]:
+    """The JSON Schema of what `record` makes of a list."""
+    listed = [quantity for quantity in quantities if quantity.key]
+    return {
+        "type": "object",
+        "properties": {quantity.key: _schema(quantity) for quantity in listed},
+        "required": [quantity.key for quantity in listed if not quantity.optional],
+        "additionalProperties": False,
+    }
+
+
+def _schema(quantity: Quantity[Any]) -> dict[str, Any]:
+    if quantity.unit:
+        return {"type": ["number", "array", "null"]}
+    if quantity.of is not None:
+        part = schema(quantity.of)
+        return {"anyOf": [part, {"type": "array", "items": part}, {"type": "null"}]}
+    return {}
 
 
 def _levels(quantities: tuple[Quantity[Any], ...]) -> Iterator[tuple[Quantity[Any], ...]]:

@@ -13,7 +13,7 @@ from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.stability.rubbing_following import rubbing_start
 from tubeopt.typing import Array
-from tubeopt.validation import rubbed
+from tubeopt.validation import poses as posing
 from tubeopt.validation.poses import Poses
 
 pytestmark = pytest.mark.skipif(kernel_of(THESIS) is None, reason="no C compiler")
@@ -30,13 +30,13 @@ def way(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
 
 def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> Poses:
     alpha, shift = np.hsplit(rows, 2)
-    return rubbed.rubbed_poses(given, (alpha, shift), np.array([0.0, 0.03]), [np.arange(len(rows))], rub)
+    return posing.rubbed_poses(given, (alpha, shift), np.array([0.0, 0.03]), [np.arange(len(rows))], rub)
 
 
 @pytest.mark.parametrize("seed", [2, 4, 15])  # 4 has steps that the kernel leaves to Python, 15 slides
 def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     own = poses(*way(seed))
-    monkeypatch.setattr(rubbed, "sweep", lambda *_, **__: None)
+    monkeypatch.setattr(posing, "sweep", lambda *_, **__: None)
     other = poses(*way(seed))
     assert own.found.all()
     assert own.position == pytest.approx(other.position, abs=1e-10)

@@ -29,7 +29,7 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
-from tubeopt.equilibrium.load_continuation import LoadFamily, Member, reach
+from tubeopt.equilibrium.load_continuation import LoadFamily, reach
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.loaded import loaded_margin
@@ -96,8 +96,9 @@ def test_the_thesis_robot_snaps_under_twenty_two_millinewton() -> None:
     assert limit.after is not None
     assert limit.after.stable
     assert limit.energy_released > 1e-3
-    problem = loaded_problem(THESIS, (0.0, 0.0, 0.0), Load((-0.02, 0, 0)))
-    near = reach(LoadFamily(problem, turned.rotations, (0.0, 0.0, 0.0)), unloaded_point(problem, turned), 1.09)
+    start = unloaded_point(turned, Load((-0.02, 0, 0)))
+    problem = start.member.problem
+    near = reach(LoadFamily(start.member), start, 1.09)
     other = largest_factor(problem, turned.rotations, near.state.x, 1.09)
     assert limit.factor == pytest.approx(other, abs=1e-8)
     # The same event, met by turning under that load.
@@ -279,9 +280,8 @@ def test_what_makes_no_sense_says_so() -> None:
 
 def test_a_fall_ends_in_a_minimum_below() -> None:
     column = rod(0.2, 1e-3)
-    problem = loaded_problem(column, (0.0,), Load((1e-6, 0, -3 * UNIT)))
-    start = unloaded_point(problem, forward_kinematics(column, [0.0]))
-    member = Member(problem, np.zeros(1), (0.0,))
+    start = unloaded_point(forward_kinematics(column, [0.0]), Load((1e-6, 0, -3 * UNIT)))
+    problem, member = start.member.problem, replace(start.member, factor=1.0)
     result = slide(member, start.state.x)
     assert result.converged
     assert loaded_margin(problem, result.state) > -1e-9

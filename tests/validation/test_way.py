@@ -18,12 +18,12 @@ from tubeopt.validation import (
     validate,
     where_to_measure,
 )
+from tubeopt.validation.descent import hold_out, predicted_held_out
 from tubeopt.validation.fitting import FitProblem
 from tubeopt.validation.folds import deal, passes
-from tubeopt.validation.held_out import hold_out, predicted_held_out
 from tubeopt.validation.model import ArmModel, State
 from tubeopt.validation.parameters import choose_parameters
-from tubeopt.validation.subsets import HeldOutSets, Linear, slopes_around
+from tubeopt.validation.subsets import HeldOutSets, slopes_around
 from tubeopt.validation.timeline import Timeline, runs_of
 
 from .laboratory import BASE, MM, TURN, in_device
@@ -146,21 +146,19 @@ def test_sets_cost_what_full_fits_to_the_other_folds_lose() -> None:
     residuals = slopes[..., :2] @ [0.5, -0.3] + rng.normal(0, 0.2, (60, 3))
     nothing = np.zeros(4)
     sets = HeldOutSets(
-        Linear(
-            residuals=residuals,
-            slopes=slopes,
-            weights=np.full(60, 25.0),
-            fold=fold,
-            numbers=180,
-            kinds=("a", "a", "b", "c"),
-            there=frozenset({"a"}),
-            absent=nothing,
-            drawn=nothing,
-            prior=np.full(4, np.inf),
-            low=np.array([-1, -1, -1, 0.0]),
-            high=np.ones(4),
-            jumps={},
-        )
+        residuals=residuals,
+        slopes=slopes,
+        weights=np.full(60, 25.0),
+        fold=fold,
+        numbers=180,
+        kinds=("a", "a", "b", "c"),
+        there=frozenset({"a"}),
+        absent=nothing,
+        drawn=nothing,
+        prior=np.full(4, np.inf),
+        low=np.array([-1, -1, -1, 0.0]),
+        high=np.ones(4),
+        jumps={},
     )
     columns, lost = [0, 1, 2, 4], 0.0
     for k in range(4):

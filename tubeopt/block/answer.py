@@ -13,12 +13,11 @@ from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot, is_general
-from ..robots.tubes import Tube
 from ..typing import Array
 from .composed import ComposedBlock
 from .guess import sample
 from .near import N
-from .pieces import tubes_at
+from .pieces import remade, tubes_at
 from .transcription.chain import chain_of
 from .transcription.model import Model
 
@@ -87,7 +86,7 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     if all(np.array_equal(numbers[name], given[name]) for name in DIMENSIONS):
         return robot
     tubes = tuple(
-        _tube(tube, {name: float(numbers[name][i]) for name in DIMENSIONS}) for i, tube in enumerate(robot.tubes)
+        remade(tube, **{name: float(numbers[name][i]) for name in DIMENSIONS}) for i, tube in enumerate(robot.tubes)
     )
     if isinstance(robot, ConcentricRobot):
         return replace(robot, tubes=tubes)
@@ -105,9 +104,3 @@ def _of_pieces(robot: Robot, numbers: dict[str, Any]) -> Robot:
     own = {**dimensions_of(robot.tubes), **chain_of(robot.tubes).start}
     same = all(np.array_equal(numbers[name], own[name]) for name in own if name != "curvature")
     return robot if same else replace(robot, tubes=tubes_at(robot.tubes, numbers))
-
-
-def _tube(tube: Tube, own: dict[str, float]) -> Tube:
-    """A tube with other dimensions; a stiffness that is not changed keeps following the cross-section."""
-    stiffness = ("bending_stiffness", "torsional_stiffness")
-    return replace(tube, **{k: v for k, v in own.items() if k not in stiffness or v != getattr(tube, k)})  # type: ignore[arg-type]

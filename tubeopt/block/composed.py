@@ -16,11 +16,10 @@ from ..physics.strain import surface_strain
 from ..robots.breakpoints import order_of, where_of
 from ..robots.load import Load
 from ..typing import Array
-from .given import LENGTHS, assembly_at, given_of
+from .given import LENGTHS, assembly_at, given_of, push_of
 from .guess import Shape, columns_of, poses_of, shape_at_start
 from .near import N
 from .program import as_program
-from .pushed import push_of
 from .transcription import burdened, functions
 from .transcription.collocated import Grid
 from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout

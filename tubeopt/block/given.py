@@ -1,4 +1,5 @@
-"""What is given to a block: joint values and dimensions of the tubes, as numbers or as expressions of a program."""
+"""What is given to a block: joint values and dimensions of the tubes, as numbers or as expressions of a program, and
+what of a load such a program can hold."""
 
 from __future__ import annotations
 
@@ -12,10 +13,12 @@ import numpy as np
 from ..errors import InputError, nearest
 from ..robots.assembly import Assembly, assemble
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, places
+from ..robots.load import Load, masses
 from ..robots.robot import Robot, is_general
 from ..typing import Array
 from .near import Near
 from .pieces import piece_numbers, tubes_at
+from .transcription.burdened import Push
 from .transcription.chain import OF_TUBE, PIECES, Chain, chain_of
 
 LENGTHS = ("translations", "straight_length", "curved_length", "piece_length")
@@ -112,6 +115,32 @@ def _column(name: str, value: Any, otherwise: Array, carriages: tuple[tuple[int,
     if numbers.shape != (n,) or not np.isfinite(numbers).all():
         raise InputError(f"{name} is {numbers.tolist()}; it must be {n} finite numbers, one per tube")
     return ca.DM(numbers)
+
+
+def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
+    """The load on a block near an equilibrium, None where nothing pushes."""
+    if load is None:
+        return None
+    if not isinstance(load, Load):
+        raise InputError(f"load is {load!r}; it must be a Load")
+    if bundle.eccentric:
+        raise InputError("load is given for tubes beside one another; only concentric robots can be loaded")
+    along = (0.0, 0.0, 0.0) if load.distributed is None else load.distributed
+    if load.points or callable(along) or any(not isinstance(part, float) for part in along):
+        raise InputError(
+            "load has points, stretches or a function along the arm; a block bears force and moment at the tip, "
+            "weight, and a constant force per length"
+        )
+    gravity = np.array(load.gravity or (0.0, 0.0, 0.0))
+    return Push(
+        force=np.array(load.force),
+        moment=np.array(load.moment),
+        turning=load.frame == "tip",
+        along=np.array(along, dtype=float),
+        weight=masses(near.robot.tubes, load)[:, None] * gravity,
+        tip_tube=int(np.argmax(bundle.end)),
+        typical=float(sum(tube.bending_stiffness for tube in near.robot.tubes)),
+    )
 
 
 def assembly_at(robot: Robot, assembly: Assembly, numbers: Mapping[str, Array]) -> Assembly:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..robots.robot import is_general
 from ..typing import Array
 from .near import Near
-from .pushed import bending_of, torsion_under_load
 from .transcription import arm as arms
 from .transcription import functions
+from .transcription.buffered import section_function
 from .transcription.loaded_fields import rows, size
 from .transcription.model import Model
 
@@ -29,8 +30,8 @@ def points_of(model: Model) -> tuple[Array, Array]:
 def shape_at_start(near: Near, model: Model) -> Shape:
     """An equilibrium at the places of the pieces of a model; beyond its tip, as at the tip."""
     places = points_of(model)
-    torsion = torsion_under_load(near, *places) if near.load is not None else _torsion(near, *places)
-    return (*torsion, *bending_of(near, *places)) if model.grid.loaded else torsion
+    torsion = _torsion_under_load(near, *places) if near.load is not None else _torsion(near, *places)
+    return (*torsion, *_bending_of(near, *places)) if model.grid.loaded else torsion
 
 
 def _torsion(near: Near, start: Array, inside: Array) -> Shape:
@@ -43,6 +44,36 @@ def _torsion(near: Near, start: Array, inside: Array) -> Shape:
         # What is known there is the torque.
         twist = twist / np.array([[tube.torsional_stiffness] for tube in near.robot.tubes])
     return theta, twist, arms.interpolate(problem, arm, inside).T
+
+
+def _torsion_under_load(near: Near, start: Array, inside: Array) -> tuple[Array, Array, Array]:
+    """theta, w (n, P) at arc lengths (P,) and theta (n, N) at arc lengths (N,) of an equilibrium, off its points."""
+    s = near.arc_length
+    theta, w = near.rotation - near.robot.assembly(near.translations).wound(s).T, near.torsion
+    if is_general(near.robot):
+        # Without the natural twist, which ends where a tube does, and as it would be at the stiffness of the tube.
+        w = np.gradient(theta, s, axis=1)
+    between = scipy.interpolate.CubicHermiteSpline(s, theta, w, axis=1)(np.clip(inside, s[0], s[-1]))
+    at_start = [np.array([np.interp(start, s, row) for row in table]) for table in (theta, w)]
+    return at_start[0], at_start[1], between
+
+
+def _bending_of(near: Near, start: Array, inside: Array) -> tuple[Array, Array]:
+    """Bending moments (2, P) and (2, N), N m, that a load makes, at arc lengths (P,) and (N,)."""
+    if near.load is None:
+        return np.zeros((2, len(start))), np.zeros((2, len(inside)))
+    assembly = near.robot.assembly(near.translations)
+    if assembly.general:
+        here = assembly.cross_sections(near.point, near.point)
+        kb, moment = here.stiffness, here.moment
+        theta = near.point_rotation - assembly.wound(near.point) + here.phase
+    else:
+        section = np.searchsorted(assembly.start, near.point, side="right") - 1
+        kb, theta = assembly.bending_stiffness * assembly.present[section], near.point_rotation
+        moment = kb * assembly.curvature * assembly.curved[section]
+    unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, moment)[0]
+    known = (near.point_curvature - unloaded) * kb.sum(1)[:, None]
+    return tuple(np.array([np.interp(s, near.point, row) for row in known.T]) for s in (start, inside))  # type: ignore[return-value]
 
 
 def columns_of(inside: Array, pieces: int) -> Array:

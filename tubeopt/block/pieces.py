@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -51,22 +52,26 @@ def _quantity(joints: Array, table: Array) -> Quantity:
 
 
 def _tube(tube: Tube, pieces: list[Piece], straight: float, stiffness: tuple[float, float]) -> Tube:
-    """A tube of these pieces; a stiffness that is not changed keeps following the cross-section."""
-    own = (tube.bending_stiffness, tube.torsional_stiffness)
-    kb, kt = (old if old == new else new for old, new in zip(own, stiffness, strict=True))
+    """A tube of these pieces."""
     bend, chain = max((piece.largest_curvature for piece in pieces), default=0.0), tuple(pieces)
     # A tube of pieces stays one, even where they are arcs about x: so do the unknowns of the block.
     if not tube.general and all(piece.plain for piece in pieces):
         bend, chain = (float(pieces[0].precurvature[0]) if pieces else tube.curvature), ()
-    return replace(
+    return remade(
         tube,
         straight_length=straight,
         curved_length=math.fsum(piece.length for piece in pieces),
         curvature=bend,
-        bending_stiffness=kb,
-        torsional_stiffness=kt,
+        bending_stiffness=stiffness[0],
+        torsional_stiffness=stiffness[1],
         pieces=chain,
     )
+
+
+def remade(tube: Tube, **own: Any) -> Tube:
+    """A tube with other dimensions or pieces; a stiffness that is not changed keeps following the cross-section."""
+    stiffness = ("bending_stiffness", "torsional_stiffness")
+    return replace(tube, **{k: v for k, v in own.items() if k not in stiffness or v != getattr(tube, k)})
 
 
 def piece_numbers(tubes: Sequence[Tube], like: Chain) -> dict[str, Array]:

@@ -33,8 +33,8 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the pieces. The
     matrices of the determinants are unknowns as well, so that their dense second derivatives stay small.
     """
-    if block.load is not None and not block.load.has_energy:
-        raise InputError("load has a moment or turns with the tip; it has no energy, so the arm has no margin")
+    if block.load is not None:
+        block.load.require_energy("the arm has no margin")
     floor, model = checked("margin", margin), block.model
     n, rows = fields.size(model.grid), fields.rows(model.grid)
     pieces, reach, degree = model.n_pieces, block.reach, model.grid.degree

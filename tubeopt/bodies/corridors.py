@@ -11,14 +11,14 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, extra, positive
+from ..errors import InputError, extra, positive, triple
 from ..files.csv_file import read_csv
 from ..files.marks import POSITIVE, unit
 from ..files.units import MM
 from ..typing import Array
 from .distance_field import DistanceField
 from .frames import Frame, ras
-from .obstacles import Point3, RoundCone, as_points, greater, triple
+from .obstacles import Point3, RoundCone, as_points, distance_of_numbers, greater
 from .scene import Scene
 from .triangles import Triangles, oriented
 
@@ -141,9 +141,8 @@ class MeshObstacle:
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Numbers only: symbols are interpolated in `lattice`."""
-        if not all(isinstance(value, (int, float, np.ndarray)) for value in (x, y, z)):
-            raise InputError("a mesh has no formula for its distance; it is for plans, not for inverse kinematics")
-        return self.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
+        refusal = "a mesh has no formula for its distance; it is for plans, not for inverse kinematics"
+        return distance_of_numbers(self, x, y, z, refusal)
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m: exact for the nearest of a call, farther away a lower bound."""

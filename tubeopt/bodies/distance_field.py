@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from ..typing import Array
 from .frames import Frame
-from .obstacles import as_points, unit_vectors
+from .obstacles import as_points, distance_of_numbers, unit_vectors
 
 ROUND_OFF = 1e-9
 """Length (m) by which the table is lowered, for the rounding of its numbers."""
@@ -116,9 +116,7 @@ class DistanceField:
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Numbers only: a table has no formula."""
-        if not all(isinstance(value, (int, float, np.ndarray)) for value in (x, y, z)):
-            raise InputError("a distance field has no formula for its distance")
-        return self.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
+        return distance_of_numbers(self, x, y, z, "a distance field has no formula for its distance")
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) what the distance of points (..., 3) from the body is at least, m; within the lattice short of it by

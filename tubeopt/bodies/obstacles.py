@@ -15,7 +15,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, positive, vector
+from ..errors import InputError, positive, triple
 from ..files.marks import POSITIVE, unit
 from ..typing import Array
 from .scene import scene_of
@@ -47,6 +47,18 @@ class Obstacle(Protocol):
     def __hash__(self) -> int: ...
 
 
+def checked_obstacles(obstacles: Any) -> tuple[Obstacle, ...]:
+    """The obstacles as a tuple; raises InputError for what is no sequence of bodies."""
+    try:
+        bodies = tuple(obstacles)
+    except TypeError:
+        raise InputError(f"obstacles is {obstacles!r}; it must be a sequence of bodies, as [Sphere(...)]") from None
+    for k, body in enumerate(bodies):
+        if isinstance(body, type) or not hasattr(body, "signed_distance"):
+            raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.bodies")
+    return bodies
+
+
 def root(square: Any) -> Any:
     """The square root, smooth at 0."""
     return (square + SMOOTH**2) ** 0.5
@@ -69,12 +81,6 @@ def as_points(points: ArrayLike) -> Array:
     if array.shape[-1:] != (3,):
         raise InputError(f"points have shape {array.shape}; the last axis must hold x, y, z")
     return array
-
-
-def triple(name: str, value: ArrayLike) -> Point3:
-    """x, y, z as numbers; raises InputError naming them."""
-    x, y, z = vector(name, value, 3, "x, y, z").tolist()
-    return x, y, z
 
 
 class Measured:
@@ -104,48 +110,6 @@ class Measured:
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors along which the distance of points (..., 3) grows."""
         return self.gradients(as_points(points), np.array(self.numbers()))
-
-
-@dataclass(frozen=True)
-class Sphere(Measured):
-    """A ball.
-
-    Raises:
-        InputError: a number that is not finite, a radius that is not greater than 0.
-    """
-
-    centre: Annotated[Point3, unit("mm")]
-    radius: Annotated[float, unit("mm"), POSITIVE]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", triple("centre of the sphere", self.centre))
-        object.__setattr__(self, "radius", positive("radius of the sphere", self.radius))
-
-    def distance(self, x: Any, y: Any, z: Any) -> Any:
-        """Smooth signed distance, m."""
-        a, b, c = self.centre
-        return root((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) - self.radius
-
-    ROUND = True
-    """Whether the ball that covers the body is the body."""
-
-    def balls(self) -> Balls:
-        """Itself."""
-        return np.array([self.centre]), np.array([self.radius])
-
-    def numbers(self) -> tuple[float, ...]:
-        """Centre and radius."""
-        return (*self.centre, self.radius)
-
-    @staticmethod
-    def distances(points: Array, numbers: Array) -> Array:
-        """(...) distances of points (..., 3) from spheres of `numbers` (..., 4), m."""
-        return np.asarray(np.linalg.norm(points - numbers[..., :3], axis=-1) - numbers[..., 3])
-
-    @staticmethod
-    def gradients(points: Array, numbers: Array) -> Array:
-        """(..., 3) unit vectors from the centres of spheres of `numbers` (..., 4) to points (..., 3)."""
-        return unit_vectors(points - numbers[..., :3], np.array([0.0, 0.0, 1.0]))
 
 
 class Axial(Measured):
@@ -217,6 +181,34 @@ class Axial(Measured):
         aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=-1)])
         away, _ = Axial._from_axis(points, numbers)
         return unit_vectors(away, unit_vectors(aside, np.array([0.0, 0.0, 1.0])))
+
+
+@dataclass(frozen=True)
+class Sphere(Axial):
+    """A ball.
+
+    Raises:
+        InputError: a number that is not finite, a radius that is not greater than 0.
+    """
+
+    centre: Annotated[Point3, unit("mm")]
+    radius: Annotated[float, unit("mm"), POSITIVE]
+
+    ROUND = True
+    """Whether the ball that covers the body is the body."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", triple("centre of the sphere", self.centre))
+        object.__setattr__(self, "radius", positive("radius of the sphere", self.radius))
+
+    def ends(self) -> tuple[Point3, Point3, float, float]:
+        """Itself, twice."""
+        return self.centre, self.centre, self.radius, self.radius
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """The same of spheres, for which neither axis nor slope count."""
+        return np.asarray(np.linalg.norm(points - numbers[..., :3], axis=-1) - numbers[..., 7])
 
 
 @dataclass(frozen=True)
@@ -360,6 +352,13 @@ class Box(Measured):
         nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
         outside = np.maximum(beyond, 0.0) * side
         return np.where((beyond.max(-1) > 0)[..., None], unit_vectors(outside, np.array([0.0, 0.0, 1.0])), nearest)
+
+
+def distance_of_numbers(body: Obstacle, x: Any, y: Any, z: Any, refusal: str) -> Array:
+    """The `distance` of a body that has no formula for it; raises InputError with the `refusal` for symbols."""
+    if not all(isinstance(value, (int, float, np.ndarray)) for value in (x, y, z)):
+        raise InputError(refusal)
+    return body.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
 
 
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import triple
 from ..typing import Array
 from .corridors import Corridor, MeshObstacle
 from .distance_field import DistanceField
 from .frames import Frame
-from .obstacles import Capsule, HalfSpace, Obstacle, Sphere, as_points, triple
+from .obstacles import Capsule, HalfSpace, Obstacle, Sphere, as_points
 
 
 @dataclass(frozen=True, eq=False)

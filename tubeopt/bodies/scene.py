@@ -138,24 +138,22 @@ class Scene:
         chosen = np.asarray(chosen, dtype=int)
         points = np.broadcast_to(points, (len(chosen), *points.shape[-2:]))
         out = np.empty(points.shape[:2])
-        for kind, rows, numbers in self._by_kind(chosen):
-            if kind is None:
-                out[rows] = [self.bodies[chosen[row]].signed_distance(points[row]) for row in rows]
+        for asked, rows, numbers in self._by_kind(chosen):
+            if numbers is None:
+                out[rows] = [asked.signed_distance(points[row]) for row in rows]
             else:
-                out[rows] = kind.distances(points[rows], numbers[:, None])
+                out[rows] = asked.distances(points[rows], numbers[:, None])
         return out
 
     def pair_distances(self, chosen: Index, points: Array, within: Array) -> Array:
         """(c,) signed distance of each of points (c, 3) from its own body of `chosen` (c,), m, where it is less than
         `within` (c,), else no less than that."""
         out = np.empty(len(chosen))
-        for kind, rows, numbers in self._by_kind(chosen):
-            if kind is not None:
-                out[rows] = kind.distances(points[rows], numbers)
-                continue
-            for k in np.unique(chosen[rows]):
-                mine = rows[chosen[rows] == k]
-                out[mine] = _within(self.bodies[k], points[mine], within[mine])
+        for asked, rows, numbers in self._by_kind(chosen):
+            if numbers is None:
+                out[rows] = _within(asked, points[rows], within[rows])
+            else:
+                out[rows] = asked.distances(points[rows], numbers)
         return out
 
     def gradients(self, chosen: Sequence[int] | Index, points: Array) -> Array:
@@ -163,31 +161,29 @@ class Scene:
         grows."""
         chosen = np.asarray(chosen, dtype=int)
         out = np.empty((len(chosen), 3))
-        for kind, rows, numbers in self._by_kind(chosen):
-            if kind is not None:
-                out[rows] = kind.gradients(points[rows], numbers)
-                continue
-            for k in np.unique(chosen[rows]):
-                mine = rows[chosen[rows] == k]
-                out[mine] = self.bodies[k].gradient(points[mine])
+        for asked, rows, numbers in self._by_kind(chosen):
+            out[rows] = asked.gradient(points[rows]) if numbers is None else asked.gradients(points[rows], numbers)
         return out
 
-    def _by_kind(self, chosen: Index) -> Iterator[tuple[Any, Index, Array]]:
-        """Rows of `chosen` whose bodies are of one kind with a table, with their rows of it; None for all others."""
-        crowds, _ = self._parts
+    def _by_kind(self, chosen: Index) -> Iterator[tuple[Any, Index, Array | None]]:
+        """Kinds with a table, the rows of `chosen` whose bodies are of each, and their rows of the table; and bodies
+        without, each with its own rows of `chosen` and None."""
+        crowds, rest = self._parts
         crowd, place = self._places
         for c in np.unique(crowd[chosen]).tolist():
             rows = np.flatnonzero(crowd[chosen] == c)
-            if c < 0:
-                yield None, rows, np.zeros((len(rows), 0))
-            else:
+            if c < len(crowds):
                 yield crowds[c].kind, rows, crowds[c].table[place[chosen[rows]]]
+            else:
+                yield self.bodies[rest[c - len(crowds)]], rows, None
 
     @cached_property
     def _places(self) -> tuple[Index, Index]:
-        """Of every body which crowd it is in, -1 for none, and the how many-th there."""
-        crowd, place = np.full(len(self.bodies), -1), np.zeros(len(self.bodies), dtype=int)
-        for c, each in enumerate(self._parts[0]):
+        """Of every body which crowd it is in, those in none behind the last, and the how many-th there."""
+        crowds, rest = self._parts
+        crowd, place = np.zeros((2, len(self.bodies)), dtype=int)
+        crowd[rest] = len(crowds) + np.arange(len(rest))
+        for c, each in enumerate(crowds):
             crowd[each.members], place[each.members] = c, np.arange(len(each.members))
         return crowd, place
 
@@ -266,7 +262,7 @@ def _within(body: Any, points: Array, least: Array) -> Array:
     return np.asarray(body.signed_distance(points))
 
 
-class _Same:
+class Same:
     """Bodies as a key: the same ones, not equal ones, which a mesh would take long to compare."""
 
     def __init__(self, bodies: Sequence[Any]) -> None:
@@ -277,14 +273,14 @@ class _Same:
         return hash(self._identity)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self._identity == other._identity
+        return isinstance(other, Same) and self._identity == other._identity
 
 
 @lru_cache(maxsize=8)
-def _scene(key: _Same) -> Scene:
+def _scene(key: Same) -> Scene:
     return Scene(key.bodies)
 
 
 def scene_of(bodies: Sequence[Any]) -> Scene:
     """The scene of bodies, its trees built once for the same bodies."""
-    return _scene(_Same(bodies))
+    return _scene(Same(bodies))

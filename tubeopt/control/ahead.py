@@ -24,11 +24,10 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .command import Command, ServoOptions, ServoStep
+from .command import Command, ServoOptions, ServoStep, Why
 from .horizon import Aim, Knots, improvement
 from .servo import Servo
 from .settings import DEFAULT_HORIZON, HorizonSolver
-from .why import Why
 
 
 class PredictiveServo:

@@ -22,8 +22,8 @@ from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary, c_library
-from .servo import Command, Servo, ServoOptions
-from .why import Why
+from .command import Command, ServoOptions, Why
+from .servo import Servo
 
 LOGGER = logging.getLogger("tubeopt")
 

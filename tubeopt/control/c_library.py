@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import __version__
-from ..block.transcription.tableau import tableau
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
@@ -25,14 +24,7 @@ from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.robot import Robot, is_general
-from ..solvers.compiled.constants import COARSE_DEGREE, DEGREE
-from ..solvers.compiled.library import (
-    MOST_TUBES,
-    ROOM,
-    Room,
-    between_points,
-    kernel_text,
-)
+from ..solvers.compiled.library import MOST_TUBES, ROOM, Room, kernel_text
 from ..solvers.compiled.text import c_tables, numbers, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -150,21 +142,11 @@ def _plain(robot: Robot) -> bool:
 
 
 def _data(robot: Robot, space: JointSpace) -> str:
-    """Tubes, method, joints and limits as C."""
+    """Tubes, joints and limits as C."""
     n, m = robot.n_tubes, len(space.lower)
-    home = robot.assembly(robot.home_translations)
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
     first = [0] * n + [group[0] for group in space.carriages]
-    coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
-    twice, back = between_points(home.general)
     tables: dict[str, ArrayLike] = {
-        **{
-            f"{name}_{part}": getattr(t, part)
-            for name, t in (("COARSE", coarse), ("FINE", fine))
-            for part in ("nodes", "weights", "matrix")
-        },
-        "TWICE": twice,
-        "TWICE_BACK": back,
         "SPREAD": space.spread,
         "OFFSET": space.offset,
         "LOWER": space.lower,
@@ -193,11 +175,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
     lines += [c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
-    lines += [pieces_text(robot), f"static const Tubes ROBOT = {tubes_text(robot)};"]
-    lines += [
-        f"static const Method METHOD = {{{{{COARSE_DEGREE}, COARSE_nodes, COARSE_weights, COARSE_matrix}},\n"
-        f"                              {{{DEGREE}, FINE_nodes, FINE_weights, FINE_matrix}}, TWICE, TWICE_BACK}};\n\n"
-    ]
+    lines += [pieces_text(robot), f"static const Tubes ROBOT = {tubes_text(robot)};\n\n"]
     return "\n".join(lines)
 
 

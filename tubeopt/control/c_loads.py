@@ -10,9 +10,7 @@ import casadi as ca
 import numpy as np
 
 from .. import __version__
-from ..block.transcription.collocated import ENDS
 from ..block.transcription.mesh import BEND_PER_PIECE, LOADED_WAVES, loaded_counts
-from ..block.transcription.tableau import tableau
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError
 from ..physics.certificate import coupling_rate_function
@@ -21,8 +19,8 @@ from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.constants import piece_constants
 from ..solvers.compiled.library import MOST_CUTS
-from ..solvers.compiled.loaded import CHECK_DEGREE, DEGREE, MOST_PIECES, ROUGH_DEGREE, between_rules, loaded_text
-from ..solvers.compiled.text import HERE, numbers, static_table, with_included
+from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
+from ..solvers.compiled.text import HERE, numbers, with_included
 from ..typing import Array
 from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
 
@@ -32,14 +30,6 @@ SEEN = re.compile(r"^(size_t (?:workspace|answer)_size|int solve_loaded|void sol
 BEARABLE, SPARE = 10.0, 1.25
 """Forces up to this times the stiffness of the tip over the square of the length have room on meshes of tubes made of
 pieces: they bend arms by more than half a circle; and by how much more room there is than some configurations need."""
-
-RULE = """
-typedef struct {
-    long long degree;
-    const double *nodes, *weights, *matrix, *basis, *once, *twice;
-} Rule;
-"""
-"""Points per piece, and what does not depend on the robot: of the answer, of the growing of the load, of the check."""
 
 
 def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
@@ -72,7 +62,6 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
         with_included(HERE / "layout.c"),
         pieces_text(robot),
         f"static const Tubes ROBOT = {tubes_text(robot)};\nstatic const double MASS[] = {{{numbers(mass)}}};\n",
-        _rules(),
         (C_FOLDER / "bear.c").read_text(),
     ]
     return "".join(parts)
@@ -108,23 +97,3 @@ def loaded_cases(robot: Robot, cases: Sequence[Array]) -> list[Array]:
             continue
         found.append(np.concatenate([rotations, translations, push, down, pose.tip_position, [pose.margin]]))
     return found
-
-
-def _rules() -> str:
-    """Points of the three rules, and what carries over between them."""
-    degrees = DEGREE, ROUGH_DEGREE, CHECK_DEGREE
-    lines, rows = [], []
-    for k, degree in enumerate(degrees):
-        rule = tableau("gauss", degree)
-        basis, once, twice = (rule.lagrange(ENDS, integrals=i) for i in range(3))
-        tables = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
-        tables |= {"basis": basis, "once": once, "twice": twice}
-        lines += [static_table(f"RULE{k}_{name}", table) for name, table in tables.items()]
-        rows.append(f"{{{degree}, {', '.join(f'RULE{k}_{name}' for name in tables)}}}")
-    for name, a, b in (
-        ("TO_ROUGH", DEGREE, ROUGH_DEGREE),
-        ("TO_CHECK", DEGREE, CHECK_DEGREE),
-        ("FROM_ROUGH", ROUGH_DEGREE, DEGREE),
-    ):
-        lines.append(static_table(name, between_rules(a, b)))
-    return "\n".join([*lines, RULE, f"static const Rule RULE[] = {{{', '.join(rows)}}};\n"])

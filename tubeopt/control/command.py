@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,6 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, vector
 from ..inverse.joints import Configuration
 from ..typing import Array
-from .why import Why
 
 TASKS = ("position", "velocity", "direction", "pivot", "joints")
 OBJECTIVES = ("margin", "centre", "compliance")
@@ -75,6 +75,34 @@ class ServoOptions:
             raise InputError(f"priorities are {list(self.priorities)}; each of {', '.join(TASKS)} may stand there once")
         if self.objective is not None and self.objective not in OBJECTIVES:
             raise InputError(f"objective is {self.objective!r}; it must be one of {', '.join(OBJECTIVES)}")
+
+
+class Why(enum.IntFlag):
+    """Why a servo step is not all that was asked for; 0: nothing is in the way. The C library has the first six."""
+
+    RATE = 1
+    RANGE = 2
+    ORDER = 4
+    MARGIN = 8
+    SHORTENED = 16
+    HELD = 32
+    OBSTACLE = 64
+
+    @property
+    def words(self) -> str:
+        """In words, empty where nothing is in the way."""
+        return "; ".join(WORDS[bit] for bit in Why if bit in self)
+
+
+WORDS = {
+    Why.RATE: "a joint moves as fast as it may",
+    Why.RANGE: "a joint is at the end of its range",
+    Why.ORDER: "tubes or carriages touch",
+    Why.MARGIN: "the margin is held at its floor",
+    Why.SHORTENED: "the guard has shortened the step",
+    Why.HELD: "no step is safe, the robot stays where it is",
+    Why.OBSTACLE: "the arm slides along an obstacle",
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,8 @@ from ..errors import InputError, nearest, vector
 from ..files.units import TO_MM
 from ..typing import Array
 from .c_binding import CServo
-from .servo import Command, Servo
-from .why import Why
+from .command import Command, Why
+from .servo import Servo
 
 ARRIVED = 1e-6
 """Distance (m) and angle (rad) at which a move ends."""

@@ -23,8 +23,7 @@ from ..inverse.question import seed_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from .command import Command, ServoOptions
-from .why import Why
+from .command import Command, ServoOptions, Why
 
 HALVINGS = 4
 """Times that a step is halved which the guard does not let pass."""

@@ -27,9 +27,8 @@ from ..robots.robot import Robot
 from ..solvers.compiled.quadratic import least_squares_of
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index
-from .command import OBJECTIVES, Command, ServoOptions, ServoStep
+from .command import OBJECTIVES, Command, ServoOptions, ServoStep, Why
 from .guard import Guard
-from .why import Why
 
 __all__ = ["OBJECTIVES", "Command", "Servo", "ServoOptions", "ServoStep"]
 
@@ -225,20 +224,18 @@ class Servo:
         return (np.concatenate(rows), np.concatenate(right), True) if rows else None
 
     def _position(self, target: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        gap = target - at.tip
-        most = self.options.speed * dt / max(hypot(*gap.tolist()), 1e-300)
-        return at.jacobian[0] / self.space.length, gap * (min(most, 1.0) / self.space.length)
+        length = self.space.length
+        return at.jacobian[0] / length, _at_most(self.options.speed * dt, target - at.tip) / length
 
     def _velocity(self, velocity: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        most = self.options.speed / max(hypot(*velocity.tolist()), 1e-300)
-        return at.jacobian[0] / self.space.length, velocity * (min(most, 1.0) * dt / self.space.length)
+        return at.jacobian[0] / self.space.length, _at_most(self.options.speed, velocity) * (dt / self.space.length)
 
     def _direction(self, direction: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         here = at.direction
         gap = direction / np.linalg.norm(direction) - here
         # As fast as the tip would turn about a tenth of the robot.
-        most = 10 * self.options.speed * dt / self.space.length / max(float(np.linalg.norm(gap)), 1e-300)
-        return np.cross(at.jacobian[1], here[:, None], axis=0), min(most, 1.0) * gap
+        most = 10 * self.options.speed * dt / self.space.length
+        return np.cross(at.jacobian[1], here[:, None], axis=0), _at_most(most, gap)
 
     def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         """The arm where it passes the point closest is to come to it, across its tangent."""
@@ -250,9 +247,8 @@ class Servo:
         k = int(np.argmin(((pivot - feet) ** 2).sum(1)))
         moved = (1 - along[k]) * at.along[k] + along[k] * at.along[k + 1]
         across = arm.frame[k][:, :2].T / self.space.length
-        gap = across @ (pivot - feet[k])
-        most = self.options.speed * dt / self.space.length / max(float(np.linalg.norm(gap)), 1e-300)
-        return self.space.by_joints(across @ moved), min(most, 1.0) * gap
+        gap = _at_most(self.options.speed * dt / self.space.length, across @ (pivot - feet[k]))
+        return self.space.by_joints(across @ moved), gap
 
     def _joints(self, goal: Configuration, at: Posture, dt: float) -> tuple[Array, Array]:
         """Straight there, as fast as the slowest joint allows."""
@@ -275,6 +271,11 @@ class Servo:
         size = float(np.linalg.norm(pull))
         longest = self.options.push * min(self.options.turn_rate * dt, TURN)
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
+
+
+def _at_most(length: float, way: Array) -> Array:
+    """A way, shortened to a length where it is longer."""
+    return way * min(length / max(hypot(*way.tolist()), 1e-300), 1.0)
 
 
 def _softness(at: Posture, turn: float = 1e-4) -> Array:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..block.quantities import CLEARANCES, PoseNumber
 from ..block.transcription.linear import cross
-from ..typing import Array
+from ..typing import Array, Index
 from .pose import PiecePose, Pose
 from .state import State
 
@@ -22,8 +21,6 @@ HELD_OFF = 2e-5
 RAMP = 3e-3
 """Length (m) over which a tube's radius runs out beyond its end, for the arm's distance to its anatomy."""
 
-IndexArray = NDArray[np.intp]
-
 
 def _cubic(x: Array) -> tuple[Array, Array]:
     """Weights (4, K) of p0, h t0, p1, h t1 in Hermite's cubic at x (K,), and their derivatives."""
@@ -31,7 +28,7 @@ def _cubic(x: Array) -> tuple[Array, Array]:
     return weights, np.stack([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
 
 
-def _between(pose: Pose | PiecePose, share: Array) -> tuple[IndexArray, Array, Array]:
+def _between(pose: Pose | PiecePose, share: Array) -> tuple[Index, Array, Array]:
     """For parts (K,) of the arm: the shape point before, the length to the next, and how far along it, 0 to 1."""
     s = pose.arc_length
     at = share * s[-1]

@@ -31,9 +31,9 @@ from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
 from .program import BOUNDED, Program, objective_size, objective_value, state_at
 from .requirements import Avoid, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
-from .rows import linear_rows
 from .solve_one import Attempt, attempt
 from .state import Via
+from .statements import linear_rows
 from .task import DesignTask
 
 TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)

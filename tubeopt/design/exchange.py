@@ -17,10 +17,10 @@ from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
 from .parameters import Free
+from .pose import Twist
 from .program import Added, Program, compile_task, corners, state_at
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
 from .solve_one import to_feasibility, violation
-from .solved import Twist
 from .starts import with_joints
 from .state import FreePose
 from .task import DesignTask

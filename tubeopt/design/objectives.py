@@ -8,9 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from ..block.own import OwnObjective
-from ..errors import InputError, choice, finite, positive, vector
-from ..files.marks import POSITIVE, OneOf, unit
-from .checks import row
+from ..errors import InputError, numbers, vector
+from ..files.marks import POSITIVE, OneOf, check_fields, unit
 
 KINDS = {
     "tip_curvature": ("tip curvature", "1/m", 1.0, -1),
@@ -86,12 +85,9 @@ class Objective:
     ] = None
 
     def __post_init__(self) -> None:
-        choice("objective", self.kind, KINDS)
-        positive("weight of an objective", self.weight)
+        check_fields(self, "the objective")
         if (self.kind == "reach_radius") != (self.depth is not None):
             raise InputError("depth belongs to the objective reach_radius, which needs it, and to no other")
-        if self.depth is not None:
-            finite("depth of the objective", self.depth)
         if (self.kind in PUSHED) != (self.tip_force is not None):
             raise InputError(f"tip_force belongs to the objectives {' and '.join(PUSHED)}, which need it, and no other")
         if self.tip_force is not None:
@@ -104,7 +100,7 @@ class Objective:
                 raise InputError(
                     "translations belong to the objectives tip_curvature and turning_radius, and to no other"
                 )
-            object.__setattr__(self, "translations", row("translations of the objective", self.translations))
+            object.__setattr__(self, "translations", numbers("translations of the objective", self.translations))
 
     @property
     def words(self) -> str:

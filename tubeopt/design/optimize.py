@@ -11,17 +11,15 @@ import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, choice, whole
+from ..errors import SolveError, choice, instance, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
-from ..typing import Array, Sentence
+from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
 from .exchange import carry, certified_at, robot_at, violations
-from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .parameters import NAMES, UNITS
-from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, recompiled, state_at
 from .rechecks import Check
 from .relaxation import InfeasibleDesignError, smallest_relaxations
@@ -29,7 +27,7 @@ from .remarks import Dimension, remarks
 from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
-from .solve import METHODS, solve
+from .solve import METHODS, Ranking, multistart, rank, solve
 from .solve_one import Attempt, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
@@ -162,15 +160,14 @@ def optimize_design(
         >>> tubeopt.optimize_design(task).certificate > 0.0499
         True
     """
-    if not isinstance(task, DesignTask):
-        raise InputError(f"task is {task!r}; it must be a DesignTask")
+    instance("task", task, DesignTask)
     for name, value, least in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
         whole(name, value, least)
     if choice("method", method, METHODS) == "collocation":
         check_collocation(task)
     began = time.perf_counter()
     search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
-    one = _forced(task)
+    one = next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
     if one is not None:
         return _bearing(task, one, search, turns, began)
     return solution_of(task, search(task, begin=begin), turns, began)
@@ -232,11 +229,6 @@ def _bearing(
     solution = solution_of(_without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
-
-
-def _forced(task: DesignTask) -> SnapFree | None:
-    """The requirement that names a force; None without one."""
-    return next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
 
 
 def _without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:

@@ -10,11 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError, choice, finite, whole
+from ..errors import InputError, choice, finite, items, whole
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube, second_moment
 from ..typing import Array
-from .checks import items
 from .pieces import (
     PIECE_FIELDS,
     Place,
@@ -219,12 +218,10 @@ class DesignSpace:
         return {name: slope.full() for name, slope in zip(GRADED, self._graded(x), strict=True)}
 
 
-def _entries(free: Sequence[Free], n: int) -> Iterator[tuple[Free, tuple[int, ...]]]:
+def _entries(free: Sequence[Free]) -> Iterator[tuple[Free, tuple[int, ...]]]:
     taken: set[tuple[str, int]] = set()
     for one in free:
         for i in one.tubes:
-            if not 0 <= i < n:
-                raise InputError(f"free {NAMES[one.field]} names tube {i + 1}; the robot has tubes 1 to {n}")
             if (one.field, i) in taken:
                 raise InputError(f"{NAMES[one.field]} of tube {i + 1} is free twice; it must be named once")
             taken.add((one.field, i))
@@ -235,11 +232,15 @@ def _entries(free: Sequence[Free], n: int) -> Iterator[tuple[Free, tuple[int, ..
 
 def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
     """The unknowns of a design that starts from `tubes`; the start is brought within the bounds."""
+    for one in free:
+        for i in one.tubes:
+            if not 0 <= i < len(tubes):
+                raise InputError(f"free {NAMES[one.field]} names tube {i + 1}; the robot has tubes 1 to {len(tubes)}")
     pieced = any(one.field in PIECE_FIELDS for one in free) or any(tube.general for tube in tubes)
     if pieced:
         tubes, found = _piece_entries(tuple(as_pieces(tube) for tube in tubes), free)
     else:
-        found = [(one, Spot(()), group) for one, group in _entries(free, len(tubes))]
+        found = [(one, Spot(()), group) for one, group in _entries(free)]
     if not found:
         raise InputError("free is empty; a design needs at least one free dimension")
     lower, upper = (np.array([getattr(one, side) for one, _, _ in found]) for side in ("lower", "upper"))
@@ -269,7 +270,7 @@ def _piece_entries(
     """The tubes with the slots that are free, and the unknowns of a design of pieces: what, of which pieces, of which
     tubes."""
     straight = [one for one in free if one.field == "straight_length"]
-    found = [(one, Spot(()), group) for one, group in _entries(straight, len(tubes))]
+    found = [(one, Spot(()), group) for one, group in _entries(straight)]
     for one in free:
         if one in straight:
             continue
@@ -298,8 +299,6 @@ def _piece_entries(
 
 def _places(one: Free, i: int, tubes: Sequence[Tube]) -> list[tuple[int, int]]:
     """The pieces of a tube that are meant."""
-    if not 0 <= i < len(tubes):
-        raise InputError(f"free {NAMES[one.field]} names tube {i + 1}; the robot has tubes 1 to {len(tubes)}")
     count = len(tubes[i].pieces)
     for j in one.pieces:
         if j >= count:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
+from ..typing import Progress
 from .exchange import robot_at
-from .multistart import multistart
 from .objectives import key_of
 from .optimize import infeasible, settle
-from .pool import Progress
 from .program import compile_task, objective_value, recompiled, state_at
 from .requirements import SnapFree, SnapFreeInUse
-from .solve import solve
+from .solve import multistart, solve
 from .solve_one import Attempt
 from .task import DesignTask
 

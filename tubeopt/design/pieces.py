@@ -14,7 +14,7 @@ from ..equilibrium.general_change import Change
 from ..equilibrium.general_derivatives import Linearised
 from ..errors import InputError
 from ..robots.pieces import Piece, Slots
-from ..robots.series import Quantity, Series, times, turned
+from ..robots.series import Quantity, Series, times, turned, values
 from ..robots.tubes import Tube
 from ..typing import Array
 
@@ -156,7 +156,7 @@ def largest_bend_slope(tube: Tube, number: int, unknown: tuple[str, int, float])
         return -1.0 if value < 0 else 1.0
     x, y, _ = piece.precurvature
     s = np.linspace(0.0, piece.length, 2001)
-    rows = [q(s) if isinstance(q, Series) else np.full(len(s), q) for q in (x, y)]
+    rows = [values(q, s) for q in (x, y)]
     worst = int(np.argmax(np.hypot(*rows)))
     sign = float(np.sign(rows[0][worst])) or 1.0
     return sign * float(np.cos(order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))

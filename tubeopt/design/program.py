@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -20,11 +21,10 @@ from .aims import aim
 from .lookup import at_state
 from .objectives import POSED as OF_POSES
 from .objectives import AnyObjective, Objective, key_of
+from .pose import Twist
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .rows import Rows, linear_rows, stated_rows
-from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
-from .statements import Points, Statement, statements
+from .statements import Points, Rows, Statement, linear_rows, stated_rows, statements
 from .task import DesignTask, extreme_lengths
 
 STABLE = SnapFreeInUse(0.05, paths=False)
@@ -186,9 +186,7 @@ def points_of(requirements: Sequence[Requirement], added: Added) -> list[Points]
 
 def corners(box: Coverage) -> tuple[tuple[float, ...], ...]:
     """The eight corners of a workspace box."""
-    ends = np.array([box.lower, box.upper])
-    grid = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
-    return tuple(dict.fromkeys(tuple(row) for row in ends[grid, np.arange(3)].tolist()))
+    return tuple(dict.fromkeys(product(*zip(box.lower, box.upper, strict=True))))
 
 
 def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:

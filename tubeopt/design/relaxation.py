@@ -10,16 +10,15 @@ import numpy as np
 from ..errors import SolveError
 from ..typing import Array
 from .program import Program, elastic, evaluate, recompiled
-from .rows import Rows, relaxed
 from .solve import best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
-from .statements import Limit
+from .statements import Limit, Rows, relaxed
 from .task import DesignTask
 
 
 @dataclass(frozen=True)
 class Change:
-    """One limit that must move: `requirement` and `part` as in `rows`, by `amount` (SI, > 0) to `value`."""
+    """One limit that must move: `requirement` and `part` as in `Rows`, by `amount` (SI, > 0) to `value`."""
 
     requirement: int
     part: int
@@ -52,7 +51,7 @@ class InfeasibleDesignError(SolveError):
     """No design meets all requirements; the message says which limits would have to move, and how far.
 
     relaxations: ways to make the task feasible: first the one with the least sum of moves, each in steps of its limit
-    (`rows.Limit.size`), then those in which one limit moves alone; each was verified by solving the relaxed task.
+    (`Limit.size`), then those in which one limit moves alone; each was verified by solving the relaxed task.
     """
 
     def __init__(self, message: str, relaxations: Sequence[Relaxation], closest: Attempt) -> None:

@@ -1,4 +1,4 @@
-"""What a design must keep. Every requirement is data; `design.rows` turns it into constraints."""
+"""What a design must keep. Every requirement is data; `design.statements` turns it into constraints."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
-from ..errors import InputError, finite, positive, whole
-from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
+from ..errors import InputError, finite, finite_array, items, positive, triple, vector, whole
+from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Usual, check_fields, key, unit
 from ..typing import Array
-from .checks import Rows, items, table, triple
 from .drawn import ALONG, SHARES
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+def _rows(name: str, values: Any) -> Rows:
+    return tuple(tuple(row) for row in finite_array(name, values, 2).tolist())
 
 
 @dataclass(frozen=True)
@@ -48,21 +53,20 @@ class SnapFree:
     ] = 0.0
 
     def __post_init__(self) -> None:
-        if finite("margin", self.margin) >= 1:
+        check_fields(self, "the certificate")
+        if self.margin >= 1:
             raise InputError(f"margin of the certificate is {self.margin:g}; it must be less than 1")
-        positive("tolerance of the certificate", self.tolerance)
-        positive("max_force of the certificate", self.max_force, zero=True)
         for name in ("curvature_error", "stiffness_error"):
-            if not 0 <= (share := finite(name, getattr(self, name))) < 1:
-                raise InputError(f"{name} of the certificate is {share:.6g}; it must be at least 0 and less than 1")
+            if (share := getattr(self, name)) >= 1:
+                raise InputError(f"{name} of the certificate is {share:.6g}; it must be less than 1")
         if self.max_force and self.growth > 1:
             raise InputError("max_force is given beside errors of the tubes; a certificate is for one of them")
         if self.max_force and self.box is not None:
             raise InputError("max_force and box are given; under a force a certificate is for given translations")
         if self.translations is not None:
-            object.__setattr__(self, "translations", table("translations of the certificate", self.translations, 0))
+            object.__setattr__(self, "translations", _rows("translations of the certificate", self.translations))
         if self.box is not None:
-            rows = table("box of translations", self.box, 0)
+            rows = _rows("box of translations", self.box)
             if len(rows) != 2:
                 raise InputError(
                     f"box of translations has {len(rows)} rows; it must have 2, the least and the greatest"
@@ -103,9 +107,9 @@ class SnapFreeInUse:
     tolerance: Annotated[float, POSITIVE, "to which it is kept on paths"] = 1e-3
 
     def __post_init__(self) -> None:
-        if not 0 < finite("margin", self.margin) < 1:
+        check_fields(self, "the robot in use")
+        if self.margin >= 1:
             raise InputError(f"margin in use is {self.margin:g}; it must be between 0 and 1")
-        positive("tolerance of the margin in use", self.tolerance)
 
 
 @dataclass(frozen=True)
@@ -127,25 +131,21 @@ class Strain:
 
 
 @dataclass(frozen=True)
-class Nesting:
+class Nesting(Checked):
     """Every tube fits into the next with at least this difference of diameters, m."""
 
     clearance: Annotated[float, key("clearance_mm"), NOT_NEGATIVE, "least difference of diameters of nested tubes"] = (
         0.0
     )
-
-    def __post_init__(self) -> None:
-        positive("clearance", self.clearance, zero=True)
+    _owner = "nested tubes"
 
 
 @dataclass(frozen=True)
-class Wall:
+class Wall(Checked):
     """Every tube has at least this wall thickness, m."""
 
     thickness: Annotated[float, key("wall_mm"), POSITIVE, "least wall thickness"]
-
-    def __post_init__(self) -> None:
-        positive("wall thickness", self.thickness)
+    _owner = "a wall"
 
 
 LENGTHS = ("length", "straight_length", "curved_length")
@@ -168,13 +168,11 @@ class Length:
 
 
 @dataclass(frozen=True)
-class Stroke:
+class Stroke(Checked):
     """No carriage travels more than this between any two task poses, m."""
 
     limit: Annotated[float, key("stroke_mm"), POSITIVE, "longest travel of a carriage between task poses"]
-
-    def __post_init__(self) -> None:
-        positive("stroke", self.limit)
+    _owner = "a stroke"
 
 
 @dataclass(frozen=True)
@@ -200,14 +198,14 @@ class Target:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", triple("position of a target", self.position))
-        positive("tolerance of a target", self.tolerance)
+        check_fields(self, "a target")
         if self.direction is not None:
-            d = np.array(triple("direction of a target", self.direction))
+            d = vector("direction of a target", self.direction, 3, "x, y, z")
             size = float(np.linalg.norm(d))
             if size == 0:
                 raise InputError("direction of a target is 0, 0, 0; it must point somewhere")
             object.__setattr__(self, "direction", tuple((d / size).tolist()))
-            if not 0 < finite("direction_tolerance", self.direction_tolerance) < np.pi / 2:
+            if self.direction_tolerance >= np.pi / 2:
                 raise InputError(
                     f"direction_tolerance is {self.direction_tolerance:g} rad; it must be between 0 and pi/2"
                 )
@@ -240,7 +238,7 @@ class Coverage:
             object.__setattr__(self, name, triple(f"{name} corner of the workspace box", getattr(self, name)))
         if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
             raise InputError("the workspace box is crossed; its lower corner must not be above its upper corner")
-        positive("tolerance of the workspace box", self.tolerance)
+        check_fields(self, "the workspace box")
         whole("samples of the workspace box", self.samples, 0)
 
 
@@ -253,7 +251,7 @@ class Poses:
 
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):
-            object.__setattr__(self, name, table(f"{name} of the poses", getattr(self, name), 0))
+            object.__setattr__(self, name, _rows(f"{name} of the poses", getattr(self, name)))
         if len(self.rotations) != len(self.translations):
             raise InputError("poses have as many rows of rotations as of translations")
 
@@ -271,7 +269,7 @@ def deviations(q: Quantities, poses: Sequence[int]) -> Any:
 
 
 @dataclass(frozen=True)
-class Deployment(OwnRequirement):
+class Deployment(Checked, OwnRequirement):
     """On its way out to every task pose, its tubes drawn back straight, the arm lies where the whole arm will be: to
     within `limit`, m, at SHARES of its length, ALONG it."""
 
@@ -282,9 +280,7 @@ class Deployment(OwnRequirement):
         "largest distance of arms on their way out to the task poses from the whole arm",
     ]
     words, unit, factor, size, most = "deviation of the deployment", "mm", 1e3, 1e-3, True
-
-    def __post_init__(self) -> None:
-        positive("deviation of the deployment", self.limit)
+    _owner = words
 
     def expression(self, q: Quantities) -> Any:
         """What is left of the limit, of every place."""
@@ -309,11 +305,7 @@ class Avoid:
     deployed: bool = False
 
     def __post_init__(self) -> None:
-        bodies = items("obstacles", self.obstacles, object, "bodies")
-        object.__setattr__(self, "obstacles", bodies)
-        for body in bodies:
-            if isinstance(body, type) or not hasattr(body, "signed_distance"):
-                raise InputError(f"obstacles holds {body!r}; it must be a list of bodies (Sphere, Capsule, ...)")
+        object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
         if not self.obstacles:
             raise InputError("obstacles is empty; there must be at least one to avoid")
         finite("clearance of the obstacles", self.clearance)

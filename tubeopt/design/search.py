@@ -13,17 +13,16 @@ import numpy as np
 import scipy
 
 from ..display import Displayed
-from ..errors import InputError, SolveError, positive, whole
+from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
-from ..typing import Array
+from ..typing import Array, Of, Progress
 from .exchange import robot_at
-from .multistart import multistart, rank
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
-from .pool import Progress
 from .program import Program, compile_task
 from .requirements import SnapFree
+from .solve import multistart, rank
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation
 from .starts import start_values
 from .task import DesignTask
@@ -88,15 +87,12 @@ class SearchedDesign(Searched):
     solution: DesignSolution
     """The design, its requirements checked again by other code."""
 
+    status = Of[DesignStatus]("solution")
+
     @property
     def value(self) -> ConcentricRobot:
         """The robot."""
         return self.solution.robot
-
-    @property
-    def status(self) -> DesignStatus:
-        """Whether it keeps what was demanded when it is looked at again."""
-        return self.solution.status
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,8 +317,7 @@ def _searched(
 
 
 def _check(task: DesignTask) -> None:
-    if not isinstance(task, DesignTask):
-        raise InputError(f"task is {task!r}; it must be a DesignTask")
+    instance("task", task, DesignTask)
     if task.has_poses:
         raise InputError(
             "the task has poses; a search without derivatives takes requirements on tubes and certificates"

@@ -24,8 +24,8 @@ from .program import (
     state_at,
     total_objective,
 )
-from .rows import HELD, Rows
 from .state import State
+from .statements import HELD, Rows
 
 FEASIBLE = 1e-7
 """Largest violation, in steps of each limit, of what counts as kept."""

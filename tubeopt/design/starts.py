@@ -12,10 +12,9 @@ from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
 from ..solvers.sampling import sobol
 from ..typing import Array
-from .pose import PiecePose, Pose
+from .pose import PiecePose, Pose, solve_pose, twist_at
 from .program import Program, built_in, points_of
 from .requirements import Avoid
-from .solved import solve_pose, twist_at
 from .state import FreePose
 
 

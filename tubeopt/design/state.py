@@ -17,8 +17,7 @@ from ..typing import Array
 from .drawn import drawn_back
 from .parameters import DesignSpace
 from .pieces import change_of, given_of
-from .pose import PiecePose, Pose
-from .solved import Twist, solve_pose, twist_at, without_solving
+from .pose import PiecePose, Pose, Twist, solve_pose, twist_at, without_solving
 
 
 @dataclass(frozen=True)

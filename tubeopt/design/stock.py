@@ -11,17 +11,17 @@ from typing import Annotated
 import numpy as np
 
 from ..errors import InputError, SolveError, positive, whole
-from ..files.marks import NOT_NEGATIVE, POSITIVE, unit
+from ..files.marks import NOT_NEGATIVE, POSITIVE, check_fields, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
-from ..solvers.parallel.executors import executor
+from ..solvers.parallel.executors import executor, run_all
+from ..typing import Progress
 from .exchange import robot_at
-from .multistart import multistart
 from .objectives import key_of
 from .optimize import settle
-from .pool import Progress, run_all
 from .program import compile_task, objective_value, state_at
 from .requirements import Length, Nesting, Strain, Wall
+from .solve import multistart
 from .task import DesignTask
 
 CHEAP = (Length, Nesting, Wall)
@@ -43,8 +43,7 @@ class StockTube:
     """Of which it is."""
 
     def __post_init__(self) -> None:
-        positive("outer_diameter", self.outer_diameter)
-        positive("inner_diameter", self.inner_diameter, zero=True)
+        check_fields(self)
         if self.inner_diameter >= self.outer_diameter:
             raise InputError(f"stock tube {self.name!r} has no wall: its inner diameter must be less than its outer")
 

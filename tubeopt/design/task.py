@@ -9,11 +9,10 @@ import numpy as np
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
-from ..errors import InputError, instance
+from ..errors import InputError, instance, items
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import must_follow_section, slots_unknown
 from ..typing import Array
-from .checks import items
 from .objectives import KINDS, POSED, PUSHED, AnyObjective, Objective, key_of
 from .order import Place, check_order, ordered_places
 from .parameters import DesignSpace, Free, design_space

@@ -11,14 +11,13 @@ import numpy as np
 import scipy
 
 from ..equilibrium.batch import forward_kinematics_batch
-from ..errors import InputError, SolveError, choice, positive, vector, whole
-from ..files.marks import NOT_NEGATIVE, OneOf, unit
+from ..errors import InputError, SolveError, instance, vector, whole
+from ..files.marks import NOT_NEGATIVE, OneOf, check_fields, unit
 from ..robots.concentric import ConcentricRobot
-from ..robots.tubes import OfCrossSection, Tube
-from ..solvers.parallel.executors import executor
+from ..robots.tubes import Tube
+from ..solvers.parallel.executors import executor, run_all
 from ..stability import snap_free_certificate
-from ..typing import Array
-from .pool import Progress, run_all
+from ..typing import Array, Progress
 
 
 @dataclass(frozen=True)
@@ -36,9 +35,7 @@ class Tolerances:
     distribution: Annotated[str, OneOf(("normal", "uniform"))] = "normal"
 
     def __post_init__(self) -> None:
-        choice("distribution", self.distribution, ("normal", "uniform"))
-        for name in ("curvature", "stiffness", "straight_length", "curved_length"):
-            positive(f"tolerance of {name}", getattr(self, name), zero=True)
+        check_fields(self, "the tolerances")
         if max(self.curvature, self.stiffness) >= 0.3:
             raise InputError("tolerances of curvature and stiffness must be below 30 %")
 
@@ -86,8 +83,7 @@ def tolerance_analysis(
         InputError: fewer than 2 samples, joint values of another number of tubes, no `Tolerances`.
         SolveError: a pose has no equilibrium of the robot as designed.
     """
-    if not isinstance(tolerances, Tolerances):
-        raise InputError(f"tolerances is {tolerances!r}; it must be Tolerances")
+    instance("tolerances", tolerances, Tolerances)
     whole("samples", samples, 2)
     whole("workers", workers, 1)
     rows = [robot.home_translations] if translations is None else translations
@@ -130,27 +126,20 @@ def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, se
 
 
 def _made(tube: Tube, tolerances: Tolerances, errors: Sequence[float]) -> Tube:
-    """A tube as it may be made: what has stiffnesses of its own is as much stiffer as its material."""
+    """A tube as it may be made, pieces with stiffnesses of their own as much stiffer as the others."""
     bend, stiff, straight, curved = errors
     factor = 1 + tolerances.stiffness * stiff
-    material = replace(
-        tube.material,
-        youngs_modulus=tube.material.youngs_modulus * factor,
-        shear_modulus=tube.material.shear_modulus * factor,
-    )
-    own = {name: getattr(tube, name) for name in ("bending_stiffness", "torsional_stiffness")}
-    given = {name: value * factor for name, value in own.items() if not isinstance(value, OfCrossSection)}
     length = max(0.0, tube.curved_length + tolerances.curved_length * curved)
     longer = length / tube.curved_length if tube.pieces else 1.0
     pieces = tuple(piece.stretched(longer).stiffened(factor) for piece in tube.pieces)
     return replace(
         tube,
-        material=material,
         curvature=tube.curvature * (1 + tolerances.curvature * bend),
         straight_length=max(0.0, tube.straight_length + tolerances.straight_length * straight),
         curved_length=length,
+        bending_stiffness=float(tube.bending_stiffness) * factor,
+        torsional_stiffness=float(tube.torsional_stiffness) * factor,
         pieces=pieces,
-        **given,
     )
 
 

@@ -6,18 +6,13 @@ import time
 from collections.abc import Callable
 
 from ..block.transcription.loaded import unknowns
-from ..block.transcription.reduced import to_unknowns
-from ..block.transcription.second_variation import margin
-from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.loaded import loaded_newton
-from ..solvers.newton import newton
 from ..typing import Array
 from .kinematics import forward_kinematics
-from .load_continuation import Member
-from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from .loaded import solved, to_tolerance
+from .load_continuation import LoadedPoint, Member
+from .load_problem import check_load
+from .loaded import to_tolerance
 from .result import Equilibrium
 from .solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 
@@ -43,10 +38,7 @@ def equilibrium_at(
         return _under_load(robot, (rotations, shift), load, (rotation_at, curvature_at))
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     theta = rotation_at(problem.arc_length).T.reshape(-1, robot.n_tubes)
-    result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-    if not result.converged:
-        raise SolveError(FOLD)
-    solution = Solution(problem, rotations, result, margin(problem, result.state))
+    solution = Solution.near(problem, rotations, theta, FOLD)
     near = to_equilibrium(robot, solution, shift, ("newton", "a program", 0.0))
     return forward_kinematics(robot, rotations, translations, guess=near)
 
@@ -56,10 +48,7 @@ def _under_load(
 ) -> Equilibrium:
     """From rotations and curvatures along the arm, under a load."""
     check_load(robot, load, joints[1])
-    began, problem = time.perf_counter(), loaded_problem(robot, joints[1], load)
-    theta, curvature = (each(problem.torsion.arc_length).T for each in along)
-    result = loaded_newton(problem, joints[0], unknowns(problem, joints[0], theta, curvature))
-    if not result.converged:
-        raise SolveError(FOLD)
-    point = solved(Member(problem, *joints), result)
-    return to_tolerance(robot, point, load, LOADED_DISCRETISATION, 1e-8, ("a program", began))
+    began, member = time.perf_counter(), Member.of(robot, *joints, load)
+    theta, curvature = (each(member.problem.torsion.arc_length).T for each in along)
+    point = LoadedPoint.near(member, unknowns(member.problem, joints[0], theta, curvature), FOLD)
+    return to_tolerance(point, 1e-8, ("a program", began))

@@ -1,9 +1,5 @@
 """How torsion along a solved arm changes with joint values and with every dimension and stiffness of the tubes, and
-the breakpoints that move with these.
-
-What moves along the arm is taken at fixed arc lengths; a breakpoint that moves uncovers a stretch on which another
-cross-section takes over, which is a jump of the rates there.
-"""
+the breakpoints that move with these: see `derivatives`."""
 
 from __future__ import annotations
 
@@ -101,6 +97,15 @@ PARAMETERS = ("rotations", "translations", *DIMENSIONS)
 """What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
 
 
+def check_wrt(wrt: Sequence[str], side: int, known: Sequence[str] = PARAMETERS, of: str = "it") -> None:
+    """Raise InputError for a name that is not `known`, or a side that is neither 1 nor -1."""
+    if side not in (1, -1):
+        raise InputError(f"side is {side!r}; it must be 1 (forward) or -1 (backward)")
+    for name in wrt:
+        if name not in known:
+            raise InputError(f"wrt names {name!r}; {of} may name {', '.join(known)}")
+
+
 class ArmChange:
     """Change of one arm with Q parameters, computed where it is asked for.
 
@@ -124,11 +129,7 @@ class ArmChange:
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
     ) -> None:
-        if side not in (1, -1):
-            raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
-        for name in wrt:
-            if name not in PARAMETERS:
-                raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
+        check_wrt(wrt, side)
         self.arm, self.assembly, self.carriages = arm, assembly, carriages
         self.wrt, self.side = tuple(wrt), side
         self.size = 0

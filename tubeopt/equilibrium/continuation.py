@@ -8,7 +8,6 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription.reduced import ReducedProblem, to_unknowns
-from ..block.transcription.second_variation import margin
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.newton import newton
@@ -109,7 +108,7 @@ def solve_at(path: JointPath, t: float, near: Point, before: Point | None = None
     change = (result.state.theta - rotations - _twist(near, problem.arc_length)).ravel()[problem.flat]
     if np.abs(change).max(initial=0.0) > largest_twist(near.solution.margin):
         return None
-    return Point(t, Solution(problem, rotations, result, margin(problem, result.state)))
+    return Point(t, Solution.of(problem, rotations, result))
 
 
 def _twist(point: Point, arc_length: Array) -> Array:

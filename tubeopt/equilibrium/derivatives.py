@@ -19,7 +19,7 @@ from ..block.transcription.linear import (
     Slopes,
     cross,
     cumulate,
-    poses_inside,
+    poses_at_points,
     rotation_change,
     rotation_rates_at,
     rotations_at,
@@ -100,7 +100,8 @@ class Derivatives(ArmChange):
     @cached_property
     def _poses(self) -> tuple[Array, Array]:
         """Frames (P, K, 3, 3) and positions (P, K, 3) at the points."""
-        return poses_inside(self.arm)
+        arm = self.arm
+        return poses_at_points(arm.tableau, arm.length, (arm.frame, arm.position, arm.curvature))
 
     @property
     def _turning(self) -> Array:

@@ -19,14 +19,12 @@ from ..errors import InputError
 from ..files.checked import check
 from ..files.files import atomic_write, read_bytes, read_text, write_text
 from ..robots.file import AnyRobot
-from .result import ARRAYS, Equilibrium, Status
-
-ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
-"""Arrays with a value per point; the others are short enough to be read in the JSON file."""
+from .result import ALONG_THE_ARM, ARRAYS, Equilibrium, Status
 
 LOAD_FIELDS = ("load", "work", "point_curvature", "friction")
 """What a file written without loads and friction does not have."""
 
+# The other arrays are short enough to be read there.
 _IN_JSON = [field.name for field in dataclasses.fields(Equilibrium) if field.name not in ALONG_THE_ARM]
 
 _StatusByName = Annotated[

@@ -24,10 +24,11 @@ from ..block.transcription.buffered import mapped, section_function
 from ..block.transcription.green import INWARDS
 from ..block.transcription.linear import poses_at_points
 from ..block.transcription.whole_arm import evaluate_arm
-from ..errors import InputError, SolveError
+from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..robots.breakpoints import COINCIDE, DIMENSIONS, coincides, of_pieces
 from ..typing import Array
+from .arm_change import check_wrt
 from .derivatives import FLAT
 from .general_change import Answer, Change, Wound, together
 from .kinematics import forward_kinematics
@@ -42,11 +43,7 @@ def general_columns(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Derivatives of tip position (3, Q), tip rotation (3, Q), tip rotations (n, Q), margin and energy (Q,), for
     `jacobian`."""
-    if side not in (1, -1):
-        raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
-    for name in wrt:
-        if name not in WRT:
-            raise InputError(f"wrt names {name!r}; with tubes made of pieces it may name {', '.join(WRT)}")
+    check_wrt(wrt, side, WRT, "with tubes made of pieces it")
     here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
     table, n = columns_of(changes_of(here, equilibrium, wrt, side)), equilibrium.robot.n_tubes
     return table[:3], table[3:6], table[6 : 6 + n], table[6 + n], table[7 + n]
@@ -90,12 +87,8 @@ class Linearised:
         problem = solution.problem
         assert problem.here is not None
         assert problem.assembly.lengthwise is not None
-        self.problem, self.solution, self.here, self.table = (
-            problem,
-            solution,
-            problem.here,
-            problem.assembly.lengthwise,
-        )
+        self.problem, self.solution = problem, solution
+        self.here, self.table = problem.here, problem.assembly.lengthwise
         self.robot, self.t, self.length = equilibrium.robot, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
         self.shape = len(self.length), self.t.degree, self.n

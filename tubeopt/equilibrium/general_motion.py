@@ -39,10 +39,7 @@ class GeneralMotion:
     them those by what `more` says that changes."""
 
     def __init__(
-        self,
-        equilibrium: Equilibrium,
-        side: int = 1,
-        more: Callable[[Linearised], Sequence[Change]] | None = None,
+        self, equilibrium: Equilibrium, side: int = 1, more: Callable[[Linearised], Sequence[Change]] | None = None
     ) -> None:
         self.equilibrium, self.side, self._more = equilibrium, side, more
         self.here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)

@@ -29,6 +29,7 @@ from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
 from .continuation import JointPath, Point, follow_to, largest_twist, small_motion
+from .load_continuation import Member
 from .load_problem import check_load
 from .loaded import loaded_kinematics, solved_by_ipopt
 from .method import NAMED, Method, method_of, only_plain
@@ -112,7 +113,7 @@ def forward_kinematics(  # noqa: PLR0913
         check_load(robot, load, shift)
         only_plain(by, load, verify, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        found = loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began, by.newton)
+        found = loaded_kinematics(first, Member.of(robot, alpha, shift, load), tolerance, began, by.newton)
         return found if by.name == "newton" else solved_by_ipopt(found, by.name, by.ipopt, began)
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
@@ -131,12 +132,7 @@ def forward_kinematics(  # noqa: PLR0913
 
 
 def _quick(
-    robot: Robot,
-    alpha: Array,
-    shift: tuple[float, ...],
-    guess: Equilibrium | None,
-    tolerance: float,
-    began: float,
+    robot: Robot, alpha: Array, shift: tuple[float, ...], guess: Equilibrium | None, tolerance: float, began: float
 ) -> Equilibrium | None:
     """By the compiled kernel, on its usual mesh or on one twice as fine; None where that does not do."""
     for refinement in (0, 1):
@@ -268,7 +264,7 @@ def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, met
         result = solve_ipopt(problem, rotations, guess, formulation, method.ipopt)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Solution.of(problem, rotations, result)
 
 
 def _by_centreline(
@@ -296,7 +292,7 @@ def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
     if problem.assembly.eccentric:
         theta = result.state.theta
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Solution.of(problem, rotations, result)
 
 
 def _refine(
@@ -305,11 +301,8 @@ def _refine(
     """The same equilibrium on a finer mesh, started from the coarse one."""
     problem = reduced_problem(robot, shift, finer)
     theta = arms.interpolate(coarse.problem, coarse.arm, problem.arc_length)
-    z = to_unknowns(problem, coarse.rotations, theta)
-    result = newton(problem, coarse.rotations, z, settings=method.newton)
-    if not result.converged:
-        raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
-    solution = Solution(problem, coarse.rotations, result, margin(problem, result.state))
+    failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
+    solution = Solution.near(problem, coarse.rotations, theta, failure, method.newton)
     return solution if method.name == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
 
 
@@ -343,7 +336,7 @@ def _near(
     far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > largest_twist(guess.margin)
     if not result.converged or result.contraction > CONTINUATION.largest_ratio or far:
         return None
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Solution.of(problem, rotations, result)
 
 
 @small

@@ -6,27 +6,22 @@ import time
 
 import numpy as np
 
-from ..block.transcription.loaded import base_wrench, compliance, evaluate, tip_position, tip_slopes
+from ..block.transcription.loaded import base_wrench, compliance, tip_position, tip_slopes
 from ..block.transcription.loaded_arm import loaded_arm
-from ..robots.load import Load
-from ..robots.robot import Robot
 from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
 from .load_continuation import LoadedPoint, Member, carry
-from .load_problem import EXTRA_POINTS, loaded_problem
+from .load_problem import EXTRA_POINTS
 from .result import Equilibrium, Statistics, Status
-from .solving import Discretisation
+from .solving import told_by_arm
 
 
 def to_loaded(
-    robot: Robot,
     point: LoadedPoint,
-    load: Load,
-    discretisation: Discretisation,
     how: tuple[str, float] = ("the load before", 0.0),
     errors: tuple[float, float, float] | None = None,
 ) -> Equilibrium:
-    """Shape, energy and error estimates of a solved problem under `load`; `how` is the start and when (s) begun."""
+    """Shape, energy and error estimates of a solved problem; `how` is the start and when (s) begun."""
     member, state = point.member, point.state
     problem = member.problem
     found = LoadedAnswer(
@@ -37,7 +32,7 @@ def to_loaded(
         energy=state.energy,
         work=state.work if problem.load.has_energy else float("nan"),
         iterations=point.iterations,
-        errors=mesh_errors(robot, point, discretisation) if errors is None else errors,
+        errors=mesh_errors(point) if errors is None else errors,
         # What follows from the solved state at once need not be solved for again.
         compliance=None if abs(point.margin) < CONTINUATION.least_stiffness else compliance(problem, state),
         base_wrench=base_wrench(problem, state),
@@ -45,35 +40,21 @@ def to_loaded(
     )
     unstable = not (point.margin > 0 or np.isnan(point.margin))
     index = int((np.linalg.eigvalsh(state.hessian) < 0).sum()) if unstable else 0
-    return from_answer(robot, member, load, found, (*how, discretisation.refinement, index))
+    return from_answer(member, found, (*how, index))
 
 
-def from_answer(
-    robot: Robot, member: Member, load: Load, found: LoadedAnswer, how: tuple[str, float, int, int]
-) -> Equilibrium:
-    """The equilibrium of an answer; `how` is the start, when (s) begun, halvings of the mesh, unstable directions."""
-    problem, rotations, arm, margin = member.problem, member.rotations, found.arm, found.margin
-    assembly, mesh = problem.torsion.assembly, problem.mesh
-    ends = np.maximum(assembly.end, 0.0)
-    start, began, refinement, index = how
+def from_answer(member: Member, found: LoadedAnswer, how: tuple[str, float, int]) -> Equilibrium:
+    """The equilibrium of an answer; `how` is the start, when (s) begun, and the number of unstable directions."""
+    problem, mesh, margin = member.problem, member.problem.mesh, found.margin
+    start, began, index = how
     equilibrium = Equilibrium(
-        robot=robot,
-        rotations=rotations,
+        robot=member.robot,
+        rotations=member.rotations,
         translations=np.array(member.translations),
-        tip_position=arm.position[-1],
-        tip_rotation=arm.frame[-1],
-        arc_length=arm.arc_length,
-        position=arm.position,
-        frame=arm.frame,
-        curvature=arm.curvature,
-        rotation=arm.rotation,
-        torsion=arm.torsion,
-        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(arm.arc_length, ends - 1e-12)],
-        section_start=assembly.start,
+        **told_by_arm(found.arm, problem.torsion.assembly),
         point=problem.torsion.arc_length,
         point_rotation=found.theta + problem.wound,
         point_curvature=found.curvature,
-        tube_end=ends,
         margin=margin,
         index=index,
         energy=found.energy,
@@ -89,9 +70,9 @@ def from_answer(
             start=start,
             seconds=time.perf_counter() - began if began else 0.0,
             family=mesh.tableau.family,
-            refinement=refinement,
+            refinement=member.discretisation.refinement,
         ),
-        load=load,
+        load=member.load,
         work=found.work,
     )
     vars(equilibrium)["base_wrench"] = found.base_wrench
@@ -100,13 +81,11 @@ def from_answer(
     return equilibrium
 
 
-def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> tuple[float, float, float]:
+def mesh_errors(point: LoadedPoint) -> tuple[float, float, float]:
     """Estimated errors of theta, rad, of the tip, m, and of the margin: what a Newton step on a finer rule changes."""
     member = point.member
-    finer = Discretisation(d.family, d.degree + EXTRA_POINTS, d.refinement)
-    problem = loaded_problem(robot, member.translations, member.problem.load, finer)
-    there = Member(problem, member.rotations, member.translations, member.factor)
-    state = evaluate(problem, member.rotations, carry(point, there), member.factor)
+    there = member.on(degree=member.discretisation.degree + EXTRA_POINTS)
+    problem, state = there.problem, there.at(carry(point, there))
     # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
     least = CONTINUATION.least_stiffness
     shift = least if abs(point.margin) < least else 0.0

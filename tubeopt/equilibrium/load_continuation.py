@@ -3,29 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import LoadedProblem, LoadedState, unknowns
+from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate, unknowns
+from ..errors import SolveError
 from ..robots.load import Load, between
+from ..robots.robot import Robot
 from ..solvers.loaded import loaded_margin, loaded_newton
+from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .continuation import JointPath, largest_twist
-from .load_problem import loaded_problem
+from .load_problem import LOADED_DISCRETISATION, loaded_problem
+from .solving import Discretisation
 
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """One problem of a family: joint values (n,) and `factor` times the load of the problem."""
+    """One problem of a family: a robot at joint values (n,) under `factor` times the load of the problem."""
 
+    robot: Robot
     problem: LoadedProblem
     rotations: Array
     translations: tuple[float, ...]
+    discretisation: Discretisation = LOADED_DISCRETISATION
     factor: float = 1.0
+
+    @staticmethod
+    def of(
+        robot: Robot,
+        rotations: Array,
+        translations: tuple[float, ...],
+        load: Load,
+        discretisation: Discretisation = LOADED_DISCRETISATION,
+        factor: float = 1.0,
+    ) -> Member:
+        """That of a robot at joint values under `factor` times a load."""
+        problem = loaded_problem(robot, translations, load, discretisation)
+        return Member(robot, problem, rotations, translations, discretisation, factor)
+
+    def on(self, **mesh: Any) -> Member:
+        """The same with another `degree` or `refinement` of the mesh."""
+        d = replace(self.discretisation, **mesh)
+        return Member.of(self.robot, self.rotations, self.translations, self.problem.load, d, self.factor)
+
+    @property
+    def load(self) -> Load:
+        """That acts."""
+        return self.problem.load if self.factor == 1.0 else self.problem.load.scaled(self.factor)
+
+    def at(self, x: Array) -> LoadedState:
+        """The state of unknowns x."""
+        return evaluate(self.problem, self.rotations, x, self.factor)
+
+    def solve(self, x: Array, iterations: int = 20) -> NewtonResult[LoadedState]:
+        """By Newton's method from x."""
+        return loaded_newton(self.problem, self.rotations, x, self.factor, iterations=iterations)
 
 
 class Family(Protocol):
@@ -37,15 +74,13 @@ class Family(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LoadFamily:
-    """The load grows from nothing: t is the factor on it."""
+    """The load of a problem grows from nothing: t is the factor on it."""
 
-    problem: LoadedProblem
-    rotations: Array
-    translations: tuple[float, ...]
+    of: Member
 
     def member(self, t: float) -> Member:
         """The problem at factor t."""
-        return Member(self.problem, self.rotations, self.translations, t)
+        return replace(self.of, factor=t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +100,15 @@ class JointFamily:
     def member(self, t: float) -> Member:
         """The problem at t."""
         rotations, translations = self.path.at(t)
-        shift = tuple(translations.tolist())
         load, factor = (self.load, t) if self.before is None else (self.load_at(t), 1.0)
-        problem = loaded_problem(self.path.robot, shift, load, self.path.discretisation)
-        return Member(problem, rotations, shift, factor)
+        return Member.of(
+            self.path.robot, rotations, tuple(translations.tolist()), load, self.path.discretisation, factor
+        )
+
+    def under_load(self, t: float) -> Member:
+        """The problem under the whole of the load at t."""
+        rotations, translations = self.path.at(t)
+        return Member.of(self.path.robot, rotations, tuple(translations.tolist()), self.load_at(t))
 
     def load_at(self, t: float) -> Load:
         """The load at t."""
@@ -87,6 +127,26 @@ class LoadedPoint:
     margin: float
     iterations: int = 0
 
+    @property
+    def softest(self) -> Array:
+        """(U + 2 N,) direction in which the equilibrium is softest."""
+        vectors: Array = np.linalg.eigh(self.state.hessian)[1]
+        return vectors[:, 0]
+
+    @staticmethod
+    def of(member: Member, result: NewtonResult[LoadedState], t: float | None = None) -> LoadedPoint:
+        """What a solver found, at t, by default the factor."""
+        margin = loaded_margin(member.problem, result.state)
+        return LoadedPoint(member.factor if t is None else t, member, result.state, margin, result.iterations)
+
+    @staticmethod
+    def near(member: Member, x: Array, failure: str) -> LoadedPoint:
+        """What Newton's method finds from unknowns x; raises SolveError, with words of its failure, where it fails."""
+        result = member.solve(x)
+        if not result.converged:
+            raise SolveError(failure)
+        return LoadedPoint.of(member, result)
+
 
 def solve_member(
     family: Family, t: float, near: LoadedPoint, before: LoadedPoint | None = None, *, stable: bool = True
@@ -94,15 +154,14 @@ def solve_member(
     """The equilibrium at t on the branch of `near`, or None where Newton is not at ease or, if `stable`, it is not
     stable. Loads without an energy have no stability: there it is only followed."""
     there = family.member(t)
-    guess = _guess(there, near, before, t)
-    result = loaded_newton(there.problem, there.rotations, guess, there.factor, iterations=8)
+    result = there.solve(_guess(there, near, before, t), iterations=8)
     if not result.converged or result.contraction > CONTINUATION.largest_ratio:
         return None
     if _moved(there, near, result.state) > largest_twist(1.0 if np.isnan(near.margin) else near.margin):
         return None
     if there.problem.load.has_energy and stable and scipy.linalg.lapack.dpotrf(result.state.hessian)[1]:
         return None
-    return LoadedPoint(t, there, result.state, loaded_margin(there.problem, result.state), result.iterations)
+    return LoadedPoint.of(there, result, t)
 
 
 def _guess(there: Member, near: LoadedPoint, before: LoadedPoint | None, t: float) -> Array:

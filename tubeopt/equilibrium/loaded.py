@@ -8,7 +8,7 @@ import numpy as np
 
 from ..block.transcription.arm import arc_lengths
 from ..block.transcription.collocated import STEPS
-from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, compliance, unknowns
+from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
 from ..block.transcription.loaded_arm import compliance_along
 from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointForce
@@ -16,8 +16,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.ipopt import solve_loaded_ipopt
-from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_newton, turn_of
-from ..solvers.newton import NewtonResult
+from ..solvers.loaded import LoadedAnswer, turn_of
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
@@ -29,20 +28,18 @@ from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
 
 
-def ramp(robot: Robot, unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> LoadedPoint:
+def ramp(unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> LoadedPoint:
     """The equilibrium at full load on the branch of an unloaded one.
 
     Raises:
         SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
     """
-    shift = tuple(unloaded.translations.tolist())
-    problem = loaded_problem(robot, shift, load, discretisation)
-    start = unloaded_point(problem, unloaded)
-    point = reach(LoadFamily(problem, start.member.rotations, shift), start, 1.0)
+    start = unloaded_point(unloaded, load, discretisation)
+    point = reach(LoadFamily(start.member), start, 1.0)
     if point.t < 1.0:
         raise SolveError(
             f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(point)} at {100 * point.t:.4g} % of the load",
-            to_loaded(robot, point, load.scaled(point.t), discretisation),
+            to_loaded(point),
         )
     return point
 
@@ -56,25 +53,20 @@ def ending(point: LoadedPoint) -> str:
 
 def bifurcates(point: LoadedPoint) -> bool:
     """Whether the load does not push along the softest direction of a point close to the end of its branch."""
-    soft = np.linalg.eigh(point.state.hessian)[1][:, 0]
     pull = point.state.pull
-    return bool(abs(soft @ pull) <= CONTINUATION.symmetric * np.linalg.norm(pull))
+    return bool(abs(point.softest @ pull) <= CONTINUATION.symmetric * np.linalg.norm(pull))
 
 
-def unloaded_point(problem: LoadedProblem, unloaded: Equilibrium) -> LoadedPoint:
-    """An unloaded equilibrium as the beginning of a family in the factor of the load."""
-    rotations = unloaded.rotations
+def unloaded_point(
+    unloaded: Equilibrium, load: Load, discretisation: Discretisation = LOADED_DISCRETISATION
+) -> LoadedPoint:
+    """An unloaded equilibrium as the beginning of a family in the factor of a load."""
+    shift = tuple(unloaded.translations.tolist())
+    member = Member.of(unloaded.robot, unloaded.rotations, shift, load, discretisation, 0.0)
+    problem = member.problem
     theta = sample_rotation(unloaded, problem.torsion.arc_length)
-    result = loaded_newton(problem, rotations, unknowns(problem, rotations, theta), 0.0)
-    if not result.converged:
-        raise SolveError("the unloaded equilibrium is a fold (margin 0): no load can be put on it")
-    return solved(Member(problem, rotations, tuple(unloaded.translations.tolist()), 0.0), result)
-
-
-def solved(member: Member, result: NewtonResult[LoadedState], t: float | None = None) -> LoadedPoint:
-    """A result as the point of a family, at t, by default the factor."""
-    margin = loaded_margin(member.problem, result.state)
-    return LoadedPoint(member.factor if t is None else t, member, result.state, margin, result.iterations)
+    failure = "the unloaded equilibrium is a fold (margin 0): no load can be put on it"
+    return LoadedPoint.near(member, unknowns(problem, unloaded.rotations, theta), failure)
 
 
 def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
@@ -82,102 +74,68 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
     shift = tuple(equilibrium.translations.tolist())
     if equilibrium.load is None:
         check_load(equilibrium.robot, Load(), shift)
-        return unloaded_point(loaded_problem(equilibrium.robot, shift, Load()), equilibrium)
-    problem = loaded_problem(equilibrium.robot, shift, equilibrium.load, discretisation_of(equilibrium))
-    rotations = equilibrium.rotations
-    x = unknowns(problem, rotations, sample_rotation(equilibrium, equilibrium.point), equilibrium.point_curvature)
-    result = loaded_newton(problem, rotations, x)
-    if not result.converged:
-        raise SolveError("the loaded equilibrium is a fold (margin 0): Newton does not stay there")
-    return solved(Member(problem, rotations, shift), result)
+        return unloaded_point(equilibrium, Load())
+    rotations, theta = equilibrium.rotations, sample_rotation(equilibrium, equilibrium.point)
+    member = Member.of(equilibrium.robot, rotations, shift, equilibrium.load, discretisation_of(equilibrium))
+    x = unknowns(member.problem, rotations, theta, equilibrium.point_curvature)
+    return LoadedPoint.near(member, x, "the loaded equilibrium is a fold (margin 0): Newton does not stay there")
 
 
 def to_tolerance(
-    robot: Robot,
-    point: LoadedPoint,
-    load: Load,
-    discretisation: Discretisation,
-    tolerance: float,
-    how: tuple[str, float],
-    settings: Newton = NEWTON,
+    point: LoadedPoint, tolerance: float, how: tuple[str, float], settings: Newton = NEWTON
 ) -> Equilibrium:
     """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun."""
-    d, finest = discretisation, settings.loaded_refinements
+    d, finest = point.member.discretisation, settings.loaded_refinements
     for level in range(d.refinement, max(finest, d.refinement) + 1):
-        errors = mesh_errors(robot, point, d)
+        errors = mesh_errors(point)
         error = max(errors[0], errors[1] / point.member.problem.torsion.assembly.total_length)
         if error <= tolerance and (errors[2] <= settings.margin_tolerance or level >= finest):
-            return to_loaded(robot, point, load, d, how, errors)
-        d = Discretisation(d.family, d.degree, level + 1)
-        shift = point.member.translations
-        there = Member(loaded_problem(robot, shift, load, d), point.member.rotations, shift)
-        result = loaded_newton(there.problem, there.rotations, carry(point, there))
-        if not result.converged:
-            raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
-        point = solved(there, result)
+            return to_loaded(point, how, errors)
+        there = point.member.on(refinement=level + 1)
+        failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
+        point = LoadedPoint.near(there, carry(point, there), failure)
     wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
-    raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}", to_loaded(robot, point, load, d, how))
+    raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}", to_loaded(point, how))
 
 
 @small
 def loaded_kinematics(
-    robot: Robot,
-    start: Equilibrium,
-    joints: tuple[Array, tuple[float, ...]],
-    load: Load,
-    tolerance: float,
-    began: float,
-    settings: Newton = NEWTON,
+    start: Equilibrium, there: Member, tolerance: float, began: float, settings: Newton = NEWTON
 ) -> Equilibrium:
-    """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load;
-    raises SolveError as `forward_kinematics`."""
-    (rotations, shift), d = joints, LOADED_DISCRETISATION
-    quick = compiled(robot, start, joints, load, tolerance, began, settings)
+    """The equilibrium `there` on the branch of `start`, which has other joint values or another load; raises SolveError
+    as `forward_kinematics`."""
+    quick = compiled(start, there, tolerance, began, settings)
     if quick is not None:
         return quick
-    own, there = np.concatenate([start.rotations, start.translations]), np.concatenate([rotations, shift])
-    if start.load is None and np.array_equal(own, there):
-        point, word = ramp(robot, start, load, d), "the load before, from none"
+    own, goal = (np.concatenate([one.rotations, one.translations]) for one in (start, there))
+    if start.load is None and np.array_equal(own, goal):
+        point, word = ramp(start, there.load, there.discretisation), "the load before, from none"
     else:
-        family, word = JointFamily(JointPath(robot, own, there, d), load, start.load), "guess"
+        path, word = JointPath(there.robot, own, goal, there.discretisation), "guess"
+        family = JointFamily(path, there.load, start.load)
         here, t = _by_parts(family, start, tolerance, began, settings)
         if t == 1.0:
             return here
-        close = None
-        if start.load is not None and t == 0.0:
-            close = _close(start, loaded_problem(robot, shift, load, d), rotations, shift)
+        close = _close(start, there) if start.load is not None and t == 0.0 else None
         point = _along(family, here, t) if close is None else close
-    return to_tolerance(robot, point, load, d, tolerance, (word, began), settings)
+    return to_tolerance(point, tolerance, (word, began), settings)
 
 
 def solved_by_ipopt(found: Equilibrium, method: str, settings: Ipopt | None, began: float) -> Equilibrium:
     """A loaded equilibrium solved once more, by IPOPT; raises SolveError where that fails."""
-    assert found.load is not None
-    point, d = loaded_point(found), discretisation_of(found)
+    point = loaded_point(found)
     result = solve_loaded_ipopt(point.member.problem, found.rotations, point.state, settings)
-    again = to_loaded(found.robot, solved(point.member, result), found.load, d, ("newton", began))
+    again = to_loaded(LoadedPoint.of(point.member, result), ("newton", began))
     return replace(again, statistics=replace(again.statistics, method=method))
 
 
-def compiled(
-    robot: Robot,
-    start: Equilibrium,
-    joints: tuple[Array, tuple[float, ...]],
-    load: Load,
-    tolerance: float,
-    began: float,
-    settings: Newton = NEWTON,
-) -> Equilibrium | None:
+def compiled(start: Equilibrium, there: Member, tolerance: float, began: float, settings: Newton) -> Equilibrium | None:
     """The stable equilibrium under a dead load by the compiled kernel: grown from `start`, which bears none, or a small
     change of it, which bears one; None where the kernel declines, or no mesh is fine enough."""
-    rotations, shift = joints
-    if not load.has_energy:
+    robot, rotations, shift, load = there.robot, there.rotations, there.translations, there.load
+    if not (load.has_energy and start.margin > 0):
         return None
-    rules = loaded_rules(robot, shift, load)
-    problem = rules.problem
-    turn = rotations - start.rotations
-    if not start.margin > 0:
-        return None
+    problem, turn = there.problem, rotations - start.rotations
     given: tuple[Array, Array | None]
     if start.load is None:
         if turn.any() or not np.array_equal(start.translations, shift):
@@ -187,7 +145,7 @@ def compiled(
         given, word = _at_points(start, problem), "guess"
     else:
         return None
-    found = solve_loaded_compiled(rules, (rotations, turn), given, start.margin)
+    found = solve_loaded_compiled(loaded_rules(robot, shift, load), (rotations, turn), given, start.margin)
     refinement = 0
     while found is not None and _too_coarse(found, problem, tolerance, settings):
         refinement += 1
@@ -200,7 +158,8 @@ def compiled(
         found = solve_loaded_compiled(rules, (rotations, 0 * turn), given, found.margin)
     if found is None:
         return None
-    return from_answer(robot, Member(problem, rotations, shift), load, found, (word, began, refinement, 0))
+    d = replace(LOADED_DISCRETISATION, refinement=refinement)
+    return from_answer(Member(robot, problem, rotations, shift, d), found, (word, began, 0))
 
 
 def grow_many(
@@ -259,10 +218,9 @@ def _by_parts(
     family: JointFamily, start: Equilibrium, tolerance: float, began: float, settings: Newton
 ) -> tuple[Equilibrium, float]:
     """The last equilibrium on a way, and where, to which the compiled kernel comes in small parts of it."""
-    robot, here = family.path.robot, start
+    here = start
     if start.load is None:
-        own = start.rotations, tuple(start.translations.tolist())
-        first = compiled(robot, start, own, family.load_at(0.0), tolerance, began, settings)
+        first = compiled(start, family.under_load(0.0), tolerance, began, settings)
         if first is None:
             return start, 0.0
         here = first
@@ -271,9 +229,7 @@ def _by_parts(
     t, part = 0.0, family.path.largest_step()
     while t < 1:
         goal = 1.0 if t + part >= 1 - 1e-12 else t + part
-        rotations, translations = family.path.at(goal)
-        joints = rotations, tuple(translations.tolist())
-        then = compiled(robot, here, joints, family.load_at(goal), tolerance, began, settings)
+        then = compiled(here, family.under_load(goal), tolerance, began, settings)
         if then is not None:
             here, t, part = then, goal, min(2 * part, 1 - goal)
             continue
@@ -285,8 +241,7 @@ def _by_parts(
 
 def _along(family: JointFamily, here: Equilibrium, t: float) -> LoadedPoint:
     """The end of a way in joint values and load, `here` being the equilibrium at t."""
-    first = family.member(0.0)
-    near = unloaded_point(first.problem, here) if here.load is None else loaded_point(here)
+    near = unloaded_point(here, family.load, family.path.discretisation) if here.load is None else loaded_point(here)
     near = replace(near, t=t)
     last = reach(family, near, 1.0, longest=family.path.largest_step(), stable=not near.margin <= 0)
     if last.t < 1.0:
@@ -296,11 +251,10 @@ def _along(family: JointFamily, here: Equilibrium, t: float) -> LoadedPoint:
     return last
 
 
-def _close(
-    guess: Equilibrium, problem: LoadedProblem, rotations: Array, shift: tuple[float, ...]
-) -> LoadedPoint | None:
+def _close(guess: Equilibrium, there: Member) -> LoadedPoint | None:
     """The equilibrium after a small change of joints or load, by one solve; None where Newton is not at ease."""
     assert guess.load is not None
+    problem, rotations, shift = there.problem, there.rotations, there.translations
     turn = rotations - guess.rotations
     same = len(guess.point) == len(problem.softness) and np.isnan(guess.margin) != problem.load.has_energy
     if not same or not small_motion(turn, shift - guess.translations, float(guess.arc_length[-1])):
@@ -312,15 +266,15 @@ def _close(
     bent = unknowns(before, guess.rotations, theta, guess.point_curvature)[before.torsion.size :]
     x = unknowns(problem, rotations, theta + turn)
     x[problem.torsion.size :] = bent * np.repeat(before.softness / problem.softness, 2)
-    result = loaded_newton(problem, rotations, x, iterations=8)
+    result = there.solve(x, iterations=8)
     if not result.converged or result.contraction > CONTINUATION.largest_ratio:
         return None
     limit = largest_twist(1.0 if np.isnan(guess.margin) else guess.margin)
     if turn_of(problem, result.state, result.state.x - x) > limit:
         return None
-    there = solved(Member(problem, rotations, shift), result, 1.0)
+    point = LoadedPoint.of(there, result)
     # A stable branch is followed while it is stable.
-    return None if guess.margin > 0 and there.margin <= 0 else there
+    return None if guess.margin > 0 and point.margin <= 0 else point
 
 
 def compliance_of(equilibrium: Equilibrium) -> Array:
@@ -344,12 +298,10 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     # Where a wrench acts the curvature jumps: elements end there.
     load = equilibrium.load or Load()
     cut = replace(load, points=(*load.points, PointForce(min(arc_length, length), (0.0, 0.0, 0.0))))
-    shift = point.member.translations
-    there = Member(loaded_problem(equilibrium.robot, shift, cut), point.member.rotations, shift)
-    result = loaded_newton(there.problem, there.rotations, carry(point, there))
-    if not result.converged:
-        raise SolveError("the equilibrium is a fold (margin 0), where the compliance is infinite")
-    return compliance_along(there.problem, result.state, min(arc_length, length), chosen)
+    there = Member.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
+    failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
+    state = LoadedPoint.near(there, carry(point, there), failure).state
+    return compliance_along(there.problem, state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:

@@ -24,11 +24,12 @@ from ..robots.breakpoints import DIMENSIONS
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..typing import Array
-from .arm_change import PARAMETERS
+from .arm_change import check_wrt
+from .load_continuation import Member
 from .load_problem import LOADED_DISCRETISATION, loaded_problem
 from .loaded import loaded_kinematics, loaded_point
-from .result import Equilibrium
-from .solving import discretisation_of
+from .result import Equilibrium, small_turn
+from .solving import discretisation_of, told_by_arm
 
 STEP = 1e-5
 """Of the differences: rad, and as a share of the arm's length, of one over it, or of a stiffness."""
@@ -40,13 +41,10 @@ APART = 1e-7
 def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> tuple[Array, Array, Array, Array, Array]:
     """Derivatives as `Jacobian` has them: tip position (3, Q), turn (3, Q), tip rotations (n, Q), margin (Q,), energy
     (Q,); the margin is NaN for loads without one."""
+    check_wrt(wrt, side)
     for name in wrt:
-        if name not in PARAMETERS:
-            raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
         if name in DIMENSIONS and is_general(equilibrium.robot):
             raise InputError(f"wrt names {name!r}; under load, of tubes made of pieces, it may name joint values only")
-    if side not in (1, -1):
-        raise InputError(f"side is {side!r}; it must be 1 or -1")
     point = loaded_point(equilibrium)
     problem, state = point.member.problem, point.state
     if abs(point.margin) < APART:
@@ -70,7 +68,7 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
                 (one - other) / (2 * step) for one, other in zip(ahead, back, strict=True)
             )
             margin = float("nan") if soft is None else float(soft @ stiffness @ soft)
-            columns.append((position, _axis(frame @ equilibrium.tip_rotation.T), tips, margin, float(energy)))
+            columns.append((position, small_turn(frame @ equilibrium.tip_rotation.T), tips, margin, float(energy)))
     return tuple(np.stack(part, axis=-1) for part in zip(*columns, strict=True))  # type: ignore[return-value]
 
 
@@ -133,15 +131,9 @@ def _softest(hessian: Array) -> Array | None:
 def _outcome(problem: LoadedProblem, rotations: Array, x: Array) -> tuple[Array, ...]:
     """Tip position (3,), frame (3, 3), tip rotations (n,), second variation, and energy."""
     state = evaluate(problem, rotations, x)
-    arm = loaded_arm(problem, rotations, state)
-    ends = np.searchsorted(arm.arc_length, np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
-    tips = arm.rotation[np.arange(len(rotations)), ends]
+    tips = told_by_arm(loaded_arm(problem, rotations, state), problem.torsion.assembly)["tip_rotations"]
     energy = np.array(state.energy)
     return tip_position(problem, state), tip_frame(state.orientation), tips, state.hessian, energy
-
-
-def _axis(turn: Array) -> Array:
-    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
 
 
 def _to_one_side(e: Equilibrium, name: str, tube: int, side: int) -> tuple[Array, Array, Array, float, float]:
@@ -151,14 +143,14 @@ def _to_one_side(e: Equilibrium, name: str, tube: int, side: int) -> tuple[Array
     places = [e]
     for k in (1, 2):
         robot, alpha, shift = _moved(e, name, tube, k * step)
-        places.append(loaded_kinematics(robot, places[-1], (alpha, shift), e.load, 1e-8, 0.0))
+        places.append(loaded_kinematics(places[-1], Member.of(robot, alpha, shift, e.load), 1e-8, 0.0))
 
     def slope(values: list[Array]) -> Array:
         return np.asarray((4 * values[1] - 3 * values[0] - values[2]) / (2 * step))
 
     return (
         slope([p.tip_position for p in places]),
-        _axis(slope([p.tip_rotation for p in places]) @ e.tip_rotation.T),
+        small_turn(slope([p.tip_rotation for p in places]) @ e.tip_rotation.T),
         slope([p.tip_rotations for p in places]),
         float(slope([np.array(p.margin) for p in places])),
         float(slope([np.array(p.energy) for p in places])),

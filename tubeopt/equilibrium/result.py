@@ -280,5 +280,13 @@ def refuse_load(equilibrium: Equilibrium) -> None:
         raise InputError("the equilibrium bears friction, which is not supported here; give one without friction")
 
 
+def small_turn(turn: Array) -> Array:
+    """(3,) turn vector of a small turn (3, 3), or of the rate of one: the antisymmetric part, which loses no digits."""
+    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+
+
+ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
+"""Arrays with a value per point."""
+
 ARRAYS = tuple(field.name for field in dataclasses.fields(Equilibrium) if field.type == "Array")
 """Names of the array fields, in order."""

@@ -20,8 +20,9 @@ from ..errors import SolveError
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
+from ..solvers.settings import NEWTON, Newton
 from ..typing import Array
-from .result import Equilibrium, Statistics, Status, refuse_load
+from .result import ALONG_THE_ARM, Equilibrium, Statistics, Status, refuse_load
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,25 @@ class Solution:
     rubbed: tuple[arms.Profile, float] | None = None
 
     @staticmethod
+    def of(problem: ReducedProblem, rotations: Array, result: NewtonResult[Evaluation]) -> Solution:
+        """That of a solver."""
+        return Solution(problem, rotations, result, margin(problem, result.state))
+
+    @staticmethod
+    def near(
+        problem: ReducedProblem, rotations: Array, theta: Array, failure: str, settings: Newton = NEWTON
+    ) -> Solution:
+        """What Newton's method finds from theta (N, n) at the points; raises SolveError, with words of its failure,
+        where it fails."""
+        result = newton(problem, rotations, to_unknowns(problem, rotations, theta), settings=settings)
+        if not result.converged:
+            raise SolveError(failure)
+        return Solution.of(problem, rotations, result)
+
+    @staticmethod
     def at(problem: ReducedProblem, rotations: Array, z: Array) -> Solution:
         """That of unknowns z (U,), which are solved."""
-        state = evaluate(problem, rotations, z)
-        return Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state))
+        return Solution.of(problem, rotations, NewtonResult(evaluate(problem, rotations, z), True, 0, 0.0))
 
     @property
     def arm(self) -> arms.Profile:
@@ -90,10 +106,8 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
     shift = tuple(equilibrium.translations.tolist())
     problem = reduced_problem(equilibrium.robot, shift, discretisation)
     theta = sample_rotation(equilibrium, problem.arc_length)
-    result = newton(problem, equilibrium.rotations, to_unknowns(problem, equilibrium.rotations, theta))
-    if not result.converged:
-        raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
-    return Solution(problem, equilibrium.rotations, result, margin(problem, result.state))
+    failure = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
+    return Solution.near(problem, equilibrium.rotations, theta, failure)
 
 
 def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:
@@ -180,6 +194,19 @@ def from_compiled(
     )
 
 
+def told_by_arm(arm: Any, assembly: Assembly) -> dict[str, Any]:
+    """The fields of an equilibrium that its arm and the bundle tell."""
+    ends = np.maximum(assembly.end, 0.0)
+    return {
+        **{name: getattr(arm, name) for name in ALONG_THE_ARM},
+        "tip_position": arm.position[-1],
+        "tip_rotation": arm.frame[-1],
+        "tip_rotations": arm.rotation[np.arange(len(ends)), np.searchsorted(arm.arc_length, ends - 1e-12)],
+        "section_start": assembly.start,
+        "tube_end": ends,
+    }
+
+
 def to_equilibrium(
     robot: Robot, solution: Solution, translations: tuple[float, ...], how: tuple[str, str, float]
 ) -> Equilibrium:
@@ -188,8 +215,6 @@ def to_equilibrium(
     began = time.perf_counter()
     assembly, mesh = problem.assembly, problem.mesh
     arm = evaluate_arm(problem, rotations, state, solution.arm)
-    s = arm.arc_length
-    ends = np.maximum(assembly.end, 0.0)
     # The inverse of the linearised equation amplifies a defect by at most one over the margin.
     defect = arm.defect if solution.rubbed is None else solution.rubbed[1]
     error = defect / max(min(1.0, abs(solution.margin)), 1e-6)
@@ -198,19 +223,9 @@ def to_equilibrium(
         robot=robot,
         rotations=rotations,
         translations=np.array(translations),
-        tip_position=arm.position[-1],
-        tip_rotation=arm.frame[-1],
-        arc_length=s,
-        position=arm.position,
-        frame=arm.frame,
-        curvature=arm.curvature,
-        rotation=arm.rotation,
-        torsion=arm.torsion,
-        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(s, ends - 1e-12)],
-        section_start=assembly.start,
+        **told_by_arm(arm, assembly),
         point=problem.arc_length,
         point_rotation=state.theta + assembly.wound(problem.arc_length),
-        tube_end=ends,
         margin=solution.margin,
         index=0 if solution.margin > 0 else unstable_directions(problem, state),
         energy=arm.energy,

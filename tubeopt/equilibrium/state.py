@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ..block.transcription.buffered import section_function
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.linear import Arm, interpolation, shape_points
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.tableau import tableau
+from ..block.transcription.tableau import Tableau, tableau
 from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.assembly import Assembly
 from ..typing import Array
@@ -22,20 +23,30 @@ from .solving import Solution, discretisation_of, polish, reduced_problem
 def arm_of(solution: Solution) -> Arm:
     """The arm of a solved problem."""
     problem, t = solution.problem, solution.problem.mesh.tableau
-    assembly, mesh, torsion = problem.assembly, problem.mesh, solution.arm
+    mesh, torsion = problem.mesh, solution.arm
     shape = evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
+    pieces = mesh.start, mesh.length, problem.piece_stiffness, problem.piece_moment
+    inner = arms.rotations_at(problem, torsion, tuple(t.nodes.tolist()))
+    return _arm(t, problem.assembly, pieces, (torsion.rotation, torsion.twist, inner), shape)
+
+
+def _arm(t: Tableau, assembly: Assembly, pieces: tuple[Array, ...], torsion: tuple[Array, ...], shape: Any) -> Arm:
+    """The arm of start, length, kb and m of its pieces, of theta and w where they begin and theta at their points, and
+    of the shape of an arm or an equilibrium."""
+    start, length, stiffness, moment = pieces
+    theta, twist, inner = torsion
     return Arm(
         tableau=t,
-        start=mesh.start,
-        length=mesh.length,
-        stiffness=problem.piece_stiffness,
-        moment=problem.piece_moment,
+        start=start,
+        length=length,
+        stiffness=stiffness,
+        moment=moment,
         torsional_stiffness=assembly.torsional_stiffness,
         transmission=assembly.transmission,
         place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
-        theta=torsion.rotation,
-        twist=torsion.twist,
-        inner=arms.rotations_at(problem, torsion, tuple(t.nodes.tolist())),
+        theta=theta,
+        twist=twist,
+        inner=inner,
         tip=shape.rotation[:, -1],
         position=shape.position,
         frame=shape.frame,
@@ -77,31 +88,15 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
     # Where there are collocation points the equations hold for what was solved there, not for polynomials between.
     solved = np.searchsorted(start, equilibrium.point[:: t.degree]) - 1
     inner[solved] = equilibrium.point_rotation.reshape(-1, t.degree, n)
-    place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     twist = equilibrium.torsion.T[index[:, 0]]
-    if place:
+    if assembly.eccentric:
         kb, m = (np.repeat(table, t.degree, axis=0) for table in (stiffness, moment))
         function = section_function("moment", len(kb), n, True)
-        gain = function(inner.reshape(-1, n), kb, m, *place)[0].reshape(inner.shape) / assembly.torsional_stiffness
+        gain = function(inner.reshape(-1, n), kb, m, assembly.offset, assembly.offset_angle)[0].reshape(inner.shape)
+        gain = gain / assembly.torsional_stiffness
         turned = length[:, None] * (t.weights @ gain)
         twist = -np.cumsum(turned[::-1], axis=0)[::-1]
-    return Arm(
-        tableau=t,
-        start=start,
-        length=length,
-        stiffness=stiffness,
-        moment=moment,
-        torsional_stiffness=assembly.torsional_stiffness,
-        transmission=assembly.transmission,
-        place=place,
-        theta=theta[:, 0],
-        twist=twist,
-        inner=inner,
-        tip=equilibrium.rotation[:, -1],
-        position=equilibrium.position,
-        frame=equilibrium.frame,
-        curvature=equilibrium.curvature,
-    )
+    return _arm(t, assembly, (start, length, stiffness, moment), (theta[:, 0], twist, inner), equilibrium)
 
 
 @lru_cache(maxsize=16)

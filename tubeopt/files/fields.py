@@ -264,16 +264,16 @@ def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str)
     )
 
 
-def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
-    entry = entry_of(kind)
-    lower = BeforeValidator(lambda name: name.lower())
-    named: Any = Annotated[Literal[tuple(known)], lower, Tag("<name>")]
+def named_or(entry: Any, known: Mapping[str, Any]) -> Any:
+    """What pydantic checks where a thing is given by its name, in upper or lower case, or by an entry."""
+    named: Any = Annotated[Literal[tuple(known)], BeforeValidator(str.lower), Tag("<name>")]
     mapping: Any = Annotated[entry, Tag("<mapping>")]
-    either = Annotated[
-        named | mapping, Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>")
-    ]
+    return Annotated[named | mapping, Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>")]
 
-    def _write(thing: Any) -> Any:
+
+def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
+    def write(thing: Any) -> Any:
         return next((name for name, one in known.items() if one == thing), None) or to_data(thing)
 
-    return either, lambda given: known[given] if isinstance(given, str) else given.build(), _write
+    either = named_or(entry_of(kind), known)
+    return either, lambda given: known[given] if isinstance(given, str) else given.build(), write

@@ -19,7 +19,7 @@ import types
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
 from ..errors import InputError, choice, finite, instance, positive
 from .units import unit_of
@@ -142,6 +142,16 @@ def _read(field: dataclasses.Field[Any], hint: Any) -> Marked:
         parts = tuple(part for part in get_args(kind) if part is not types.NoneType)
         kind, optional = (parts[0], True) if len(parts) == 1 else (parts, len(parts) < len(get_args(kind)))
     return Marked(field, kind, optional, tuple(hint.__metadata__))
+
+
+class Checked:
+    """A frozen dataclass whose fields are checked by what they say of themselves, and by nothing else."""
+
+    _owner: ClassVar[str] = ""
+    """What messages say its fields are of."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, self._owner)
 
 
 def check_fields(what: Any, owner: str = "") -> None:

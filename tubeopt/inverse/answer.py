@@ -12,7 +12,7 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, choice, instance, positive, whole
 from ..robots.robot import Robot
-from ..typing import Array, Sentence
+from ..typing import Array, Of, Sentence
 from .goal import OBJECTIVES
 from .outline import Outline
 from .settings import DEFAULT_SOLVER, InverseSolver
@@ -100,15 +100,12 @@ class InverseSolution(Displayed):
     way: JointWay | None = None
     leaps: str = ""
 
+    margin = Of[float]("equilibrium")
+
     @cached_property
     def clearance(self) -> float:
         """Least distance of the surface of the arm from any obstacle, m; infinite without."""
         return Outline(self.equilibrium).clearance(self.scene)
-
-    @property
-    def margin(self) -> float:
-        """Stability margin of the equilibrium."""
-        return self.equilibrium.margin
 
     @property
     def value(self) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ from ..block.transcription.explicit import (
 )
 from ..equilibrium.result import Equilibrium
 from ..robots.load import Load
-from ..typing import Array, Mask
+from ..typing import Array, Mask, Of
 from .clock import Clock, LateError
 from .joints import JointSpace
 from .outline import outer_radius
@@ -92,6 +92,8 @@ class Chart:
     space: JointSpace
     load: Load | None = None
 
+    eccentric = Of[bool]("kind")
+
     @cached_property
     def parameters(self) -> Array:
         """The robot as numbers."""
@@ -101,11 +103,6 @@ class Chart:
     def kind(self) -> Kind:
         """Which function its arms are."""
         return explicit_kind(self.space.robot)
-
-    @property
-    def eccentric(self) -> bool:
-        """Whether tubes run off the centreline."""
-        return self.kind.eccentric
 
     @cached_property
     def radius(self) -> Array:

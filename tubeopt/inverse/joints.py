@@ -31,9 +31,13 @@ class JointSpace:
     spread, offset: (2n, m), (2n,) (rotations, translations) = spread q + offset.
     carriages: tubes, from 0, that each translation moves.
     scale: (m,) what counts as one unit of each: 1 rad, and half the longest tube.
+    limits, carriage_gap, section_length: what it was made of, see `joint_space`.
     """
 
     robot: Robot
+    limits: JointLimits
+    carriage_gap: float
+    section_length: float
     carriages: tuple[tuple[int, ...], ...]
     lower: Array
     upper: Array
@@ -268,6 +272,9 @@ def joint_space(
     kept = np.array([bool(row.any()) for row in rows], dtype=bool)
     space = JointSpace(
         robot=robot,
+        limits=allowed,
+        carriage_gap=carriage_gap,
+        section_length=section_length,
         carriages=carriages,
         lower=lower,
         upper=upper,

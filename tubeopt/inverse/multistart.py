@@ -13,22 +13,13 @@ from ..errors import SolveError
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
 from .clock import Clock
 from .closest import closest_of
-from .descent import (
-    SLACK,
-    Search,
-    correct,
-    held_by,
-    improve,
-    millimetres,
-    missed_by,
-    reach,
-)
+from .descent import SLACK, Search, correct, improve, millimetres, missed_by, reach
 from .goal import Goal
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
 from .table import StartTable, nearest_starts, spread_starts, start_table
-from .way import straight_way
+from .way import answer_at, straight_way
 
 
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
@@ -267,28 +258,17 @@ class Multistart:
             yield self._packed(at, InverseStatus.REACHED, (name, method))
 
     def _packed(self, at: Posture, status: InverseStatus, how: tuple[str, str]) -> InverseSolution:
-        goal, equilibrium = self.goal, at.equilibrium
+        goal, (name, method) = self.goal, how
         origin, begin = ("seed", self.first) if self.first is not None else ("home", known_home(goal.space))
         way = straight_way(origin, begin, at)
         straight = None if self.first is None else way is not None
-        name, method = how
-        return InverseSolution(
-            robot=goal.space.robot,
-            target_position=goal.position,
-            target_direction=goal.direction,
-            rotations=equilibrium.rotations,
-            translations=equilibrium.translations,
-            equilibrium=equilibrium,
-            position_error=goal.position_error(at),
-            direction_error=goal.direction_error(at),
-            scene=goal.scene,
+        return answer_at(
+            goal,
+            at,
+            status,
+            InverseStatistics(method, name, max(self.tries, 1), self.iterations, self.solves, goal.clock.seconds),
             cold_start_agrees=same_place(start_at(goal.space, at.q), at),
             straight_from_seed=straight,
-            active=tuple(held_by(goal, at)),
-            status=status,
-            statistics=InverseStatistics(
-                method, name, max(self.tries, 1), self.iterations, self.solves, goal.clock.seconds
-            ),
             reachable=None if way is None else True,
             way=way,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -99,6 +99,10 @@ class Outline:
     """The surface of the arm of an equilibrium, round at the end of every tube."""
 
     equilibrium: Equilibrium
+    _clear: dict[Scene, tuple[float, bool]] = field(default_factory=dict, init=False, repr=False)
+    """Clearances from scenes, and whether each is exact, not a bound."""
+    _known: dict[Scene, _Near] = field(default_factory=dict, init=False, repr=False)
+    """What is known of scenes."""
 
     @cached_property
     def grid(self) -> Array:
@@ -112,6 +116,10 @@ class Outline:
     def at(self, s: Array) -> tuple[Array, Array]:
         """Centreline (p, 3) and radius of the arm (p,) at arc lengths."""
         return self.centreline(s), self.radius(s)
+
+    def line(self, count: int) -> tuple[Array, Array]:
+        """Centreline (count, 3) and radius of the arm (count,) at evenly spaced points."""
+        return self.at(np.linspace(0.0, self.equilibrium.arc_length[-1], count))
 
     def centreline(self, s: Array) -> Array:
         """(p, 3) at arc lengths."""
@@ -150,11 +158,6 @@ class Outline:
         if not exact and known < enough:
             self._clear[scene] = known, _ = self._clearance(scene, enough)
         return known
-
-    @cached_property
-    def _clear(self) -> dict[Scene, tuple[float, bool]]:
-        """Clearances from scenes, and whether each is exact, not a bound."""
-        return {}
 
     @cached_property
     def _points(self) -> Array:
@@ -214,12 +217,12 @@ class Outline:
         bound = distance - reach
         if scene.solid:
             outside = np.maximum(distance, 0.0)
-            square = outside**2 - (1 + self._bend * outside) * reach**2
+            square = outside**2 - (1 + self.bend * outside) * reach**2
             bound = np.maximum(bound, np.where(square > 0, np.sqrt(np.maximum(square, 0.0)), -np.inf))
         return np.asarray(bound)
 
     @cached_property
-    def _bend(self) -> float:
+    def bend(self) -> float:
         """Curvature of the arm at most, 1/m: with room for what is between its points."""
         return 1.2 * float(np.linalg.norm(self.equilibrium.curvature, axis=1).max(initial=0.0))
 
@@ -265,11 +268,6 @@ class Outline:
         reach = np.concatenate([half[:1], *[half] * PARTS])
         np.maximum(reach[1 : len(length)], half[1:], out=reach[1 : len(length)])
         return np.concatenate([at, between]), reach + (within + float(outer_radius(arm.robot).max()) + BEYOND)
-
-    @cached_property
-    def _known(self) -> dict[Scene, _Near]:
-        """What is known of scenes."""
-        return {}
 
     def _near(self, scene: Scene, within: float, fewest: int | None, also: frozenset[int]) -> _Near:
         """Bodies and stretches of the arm that are far from each other are left out in pairs, first by points far

@@ -14,7 +14,6 @@ import numpy as np
 
 from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
 from ..block.transcription.reduced import to_unknowns
-from ..block.transcription.second_variation import margin
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError
 from ..solvers.ipopt import inside_points
@@ -185,7 +184,7 @@ def _read(goal: Goal, at: Posture, found: ProblemSolution, order: Order) -> Post
     change = np.abs((result.state.theta - guess).ravel()[problem.flat]).max(initial=0.0)
     if not result.converged or change > CONTINUATION.largest_twist:
         return None
-    solution = Solution(problem, rotations, result, margin(problem, result.state))
+    solution = Solution.of(problem, rotations, result)
     if solution.margin <= 0:
         return None
     near = to_equilibrium(goal.space.robot, solution, shift, ("ipopt", "inverse kinematics", 0.0))

@@ -8,16 +8,15 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions
-from .arguments import check_robot, checked_obstacles
 from .extra import extras
 from .goal import Goal
 from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
@@ -26,7 +25,9 @@ from .posture import Posture, posture_of
 
 @lru_cache(maxsize=32)
 def prepared(robot: Robot, limits: JointLimits | None, carriage_gap: float, section_length: float) -> JointSpace:
-    """The joint space of a robot, made once."""
+    """The joint space of a robot, made once, whether its own limits are given or not."""
+    if limits is None:
+        return prepared(robot, robot.limits, carriage_gap, section_length)
     return joint_space(robot, limits, carriage_gap=carriage_gap, section_length=section_length)
 
 
@@ -45,8 +46,7 @@ def pose_question(
     position, direction = wanted
     check_robot(robot)
     instance("options", options, InverseOptions)
-    if limits is not None:
-        instance("limits", limits, JointLimits)
+    instance("limits", limits, JointLimits, optional=True)
     bodies = checked_obstacles(obstacles)
     target = vector("position", position, 3, "x, y, z in m")
     floor = finite("min_margin", min_margin)

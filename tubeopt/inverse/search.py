@@ -50,7 +50,7 @@ def find_way(
 ) -> Way:
     """A way from a point to the first goal that is found, the nearest ones tried first, by one of SEARCHES; for so long
     (s) "optimal" improves what it finds."""
-    tried = 0
+    tried, n = 0, task.chart.space.robot.n_tubes
     for goal in goals:
         tried += 1
         if task.motion(start, goal):
@@ -62,7 +62,9 @@ def find_way(
     if how != "rrt_connect" and between is None:
         share = Clock(min(effort.detour_seconds, effort.detour_share * clock.left))
         for goal in goals:
-            for points in detours(task, start, goal, share):
+            for shift in islice(certified_translations(task, start, goal, share), effort.detours):
+                # Translations change, tips turn where nothing can snap, and translations go on from there.
+                points = [start, np.append(start[:n], shift), np.append(goal[:n], shift), goal]
                 tried += len(points) - 1
                 if task.path(points):
                     detour = Way(np.stack(points), "detour", tried)
@@ -79,14 +81,6 @@ def _improved(task: Task, way: Way, goals: Sequence[Array], clock: Clock, second
     other = by_sampling(task, way.points[0], goals, clock, seconds=seconds, seed=seed, tried=way.motions)
     shorter = other.points is not None and task.length(other.points) < task.length(way.points)
     return other if shorter else replace(way, motions=other.motions)
-
-
-def detours(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[list[Array]]:
-    """Ways that change translations, turn the tips where the certificate excludes any snap, and go on from there."""
-    n = task.chart.space.robot.n_tubes
-    for shift in islice(certified_translations(task, start, goal, clock), task.effort.detours):
-        away, back = np.append(start[:n], shift), np.append(goal[:n], shift)
-        yield [start, away, back, goal]
 
 
 def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[Array]:
@@ -171,7 +165,9 @@ def by_sampling(
         planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
     data = base.PlannerData(information)
     planner.getPlannerData(data)
-    return replace(_way(problem, scale, (start, goals), count[0]), why=_trees(data))
+    tags = [data.getVertex(k).getTag() for k in range(data.numVertices())]
+    trees = f"the trees of {tags.count(1)} states from the start and {tags.count(2)} from the goal did not meet"
+    return replace(_way(problem, scale, (start, goals), count[0]), why=trees)
 
 
 def _posed(
@@ -200,12 +196,6 @@ def _posed(
         wanted.addState(_state(space, goal / task.scale))
     problem.setGoal(wanted)
     return information, problem
-
-
-def _trees(data: Any) -> str:
-    """How many states the trees of RRT-Connect hold, in words."""
-    tags = [data.getVertex(k).getTag() for k in range(data.numVertices())]
-    return f"the trees of {tags.count(1)} states from the start and {tags.count(2)} from the goal did not meet"
 
 
 def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
@@ -19,16 +20,15 @@ from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .clock import Clock
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
-from .goal import Goal, angle
+from .goal import Goal
 from .joints import Configuration
-from .leaps import leap
 from .least_squares import constrained_least_squares
 from .order import Order, beyond, breakpoint_order
 from .posture import Posture, same_place
 from .program import programmable, solve_program
 from .question import pose_question, seed_posture, unit_vector
 from .solving import inverse_kinematics
-from .way import joint_way
+from .way import answer_at, joint_way, leap
 
 LAST = "last target"
 """Where the way to an answer begins."""
@@ -230,22 +230,13 @@ class IkSession:
     ) -> InverseSolution:
         """The answer at the second of two postures, which the session is at from now on, after the first."""
         (before, at), (words, safe, solves, began) = postures, how
-        equilibrium = at.equilibrium
-        answer = InverseSolution(
-            robot=self._robot,
-            target_position=goal.position,
-            target_direction=goal.direction,
-            rotations=equilibrium.rotations,
-            translations=equilibrium.translations,
-            equilibrium=equilibrium,
-            position_error=goal.position_error(at),
-            direction_error=goal.direction_error(at),
-            scene=goal.scene,
+        answer = answer_at(
+            goal,
+            at,
+            InverseStatus.REACHED,
+            InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
             cold_start_agrees=None,
             straight_from_seed=safe,
-            active=tuple(held_by(goal, at)),
-            status=InverseStatus.REACHED,
-            statistics=InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
             reachable=True if safe else None,
             way=joint_way(LAST, goal.space, [before.q, at.q]) if safe else None,
             leaps=words,
@@ -271,17 +262,9 @@ def _parts(goal: Goal, here: Posture) -> int:
 def _between(goal: Goal, first: Posture, share: float) -> Goal:
     """The target on the way from a posture to a goal, `share` of the way on."""
     part = replace(goal, position=first.tip + (goal.position - first.tip) * share)
-    return replace(part, direction=_blend(first.direction, goal, share)) if goal.pointed else part
-
-
-def _blend(start: Array, goal: Goal, share: float) -> Array:
-    """The direction between two, `share` of the angle on."""
-    assert goal.direction is not None
-    turned = angle(start, goal.direction)
-    if turned < 1e-9:
-        return goal.direction
-    between = np.sin((1 - share) * turned) * start + np.sin(share * turned) * goal.direction
-    return np.asarray(between / np.linalg.norm(between))
+    if not goal.pointed:
+        return part
+    return replace(part, direction=scipy.spatial.geometric_slerp(first.direction, goal.direction, share))
 
 
 def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple[Posture, _Slopes, Order | None, bool]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -47,7 +48,7 @@ class Task:
     max_force: float = 0.0
     effort: WaySearch = DEFAULT_WAY
     reserve: float = 0.0
-    clock: Clock | None = None
+    clock: Clock = field(default_factory=lambda: Clock(math.inf))
     _held: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)
     """`fineness` of motions that hold: a way is asked for more than once."""
 
@@ -173,7 +174,7 @@ class Task:
     def _fineness(self, start: Array, end: Array) -> int | None:
         ends = np.stack([start, end])
         arms = self.arms(ends)
-        line = np.concatenate([start[None], self.between(start, end, arms.rotations), end[None]])
+        line = self.line(start, end, arms.rotations)
         spare = np.empty(len(line))
         spare[[0, -1]] = self.spare(ends, arms=arms)
         if (spare[[0, -1]] < 0).any():
@@ -201,8 +202,8 @@ class Task:
             line, spare = np.insert(line, tight + 1, middle, axis=0), np.insert(spare, tight + 1, found)
         return None
 
-    def between(self, start: Array, end: Array, rotations: Array | None = None) -> Array:
-        """(k, m) points of a motion that are to be checked beside its ends, whose `rotations` (2, n) may be known."""
+    def line(self, start: Array, end: Array, rotations: Array | None = None) -> Array:
+        """(k, m) points of a motion that are to be checked, from end to end, whose `rotations` (2, n) may be known."""
         n = self.chart.space.robot.n_tubes
         change = np.abs(end - start)
         turned = self.chart.rotations(np.stack([start, end])) if rotations is None else rotations
@@ -210,7 +211,7 @@ class Task:
         shift = change[n:].max(initial=0.0) / (self.effort.step_shift * self.chart.space.length)
         count = int(np.ceil(max(change[:n].max() / self.effort.step_turn, joint / self.effort.step_joint, shift, 1.0)))
         x = np.arange(1, count)[:, None] / count
-        return np.asarray(start + x * (end - start))
+        return np.concatenate([start[None], start + x * (end - start), end[None]])
 
     def path(self, points: Sequence[Array] | Array) -> bool:
         """Whether every motion from point to point holds."""
@@ -220,7 +221,6 @@ class Task:
         """Length of a path in joint space, in the metric of the joints' scales, curved as its motions are there."""
         total = 0.0
         for a, b in pairwise(points):
-            line = np.concatenate([a[None], self.between(a, b), b[None]])
-            q = self.chart.joints(line) / self.scale
+            q = self.chart.joints(self.line(a, b)) / self.scale
             total += float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
         return total

@@ -138,15 +138,14 @@ def _written_section(n: int, moments: int, eccentric: bool, loaded: bool) -> ca.
 def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     """CasADi functions of (theta, stiffness, moment[, offset, angle]) at one cross-section of n tubes.
 
-    `curvature`: u.  `stiffness_slope`, with a further argument y (n,): d(dM/dtheta y)/dtheta (n, n).
-    `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
-    eccentric tubes only.  `moment`: M, g.  `section`: M, g, u, V.  `variation`, with a further argument y (n,):
-    y' dM/dtheta y, its gradient with respect to theta, kb and m (3 n).  `linear`: M, g, u, V and their derivatives
-    (n, 3 n), (n, 3 n), (2, 3 n), (1, 3 n) with respect to theta, kb and m.  `mode`, of eccentric tubes, with further
-    arguments y, b, c, e (n,):
-    b' dM/dtheta y + c' dg/dtheta y + e' g, its gradient with respect to theta, kb and m (3 n).  `bending`, of
-    concentric tubes: V, M = dV/dtheta, V'' (n, n), u, du/dtheta (2, n), and the diagonals d2u/dtheta_i^2 (2, n) of its
-    second derivatives, which have nothing else: what tubes under load need, whose curvature is not u.
+    `curvature`: u.  `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the
+    last two for eccentric tubes only.  `moment`: M, g.  `section`: M, g, u, V.  `variation`, with a further argument y
+    (n,): y' dM/dtheta y, its gradient with respect to theta, kb and m (3 n).  `linear`: M, g, u, V and their
+    derivatives (n, 3 n), (n, 3 n), (2, 3 n), (1, 3 n) with respect to theta, kb and m.  `mode`, of eccentric tubes,
+    with further arguments y, b, c, e (n,): b' dM/dtheta y + c' dg/dtheta y + e' g, its gradient with respect to theta,
+    kb and m (3 n).  `bending`, of concentric tubes: V, M = dV/dtheta, V'' (n, n), u, du/dtheta (2, n), and the
+    diagonals d2u/dtheta_i^2 (2, n) of its second derivatives, which have nothing else: what tubes under load need,
+    whose curvature is not u.
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
@@ -165,7 +164,6 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "balance": (inputs, outputs),
         "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
         "section": (inputs, values),
-        "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(stiff @ y, theta))]),
         "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, given))]),
         "linear": (inputs, [*values, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),
     }

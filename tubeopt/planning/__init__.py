@@ -11,8 +11,7 @@ from .options import PlanOptions
 from .pair_reach import PairReach, PairShare
 from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
-from .reach_share import ReachShare, evaluate_reach
-from .region import RegionReach
+from .reach_share import ReachShare, RegionReach, evaluate_reach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
 from .tip_path import TipPathSolver, follow_tip_path
 from .trajectory import Entry, PlanStatistics, Trajectory

@@ -23,7 +23,7 @@ import numpy as np
 from ..bodies.frames import Frame
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..typing import Array, Index, Mask
+from ..typing import Array, Index
 from .clearing import SHARE, Table, Wanted, parted
 from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
 from .sections import Intervals
@@ -75,14 +75,22 @@ class Track:
         share = np.clip((t - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)[..., None]
         return self.frame.placed(one[:, None] + share * (other - one)[:, None])
 
-    def finer(self, chosen: Sequence[int]) -> Track:
-        """The same with some links halved."""
+    def finer(self, numbers: Index) -> Track:
+        """The same with those of some links halved that are no rest and not too short to be."""
+        chosen = {k: self.links[k] for k in np.unique(numbers).tolist()}
+        moving = {
+            k: link
+            for k, link in chosen.items()
+            if link.other.at - link.one.at >= SHORTEST and (link.one.joints != link.other.joints).any()
+        }
+        if not moving:
+            return self
         try:
-            split = [half for k in chosen for half in halves(self.follower, self.links[k])]
+            split = [half for link in moving.values() for half in halves(self.follower, link)]
             more, lost = joined(self.follower, split)
         except BranchEndsError:  # not where one branch was shown
             return replace(self, whole=False)
-        kept = [link for k, link in enumerate(self.links) if k not in set(chosen)]
+        kept = [link for k, link in enumerate(self.links) if k not in moving]
         links = sorted([*kept, *more], key=lambda link: link.one.at)
         return replace(self, links=tuple(links), whole=self.whole and not lost)
 
@@ -112,12 +120,6 @@ class Side(Table):
         """(N,) squares of their length, m^2."""
         return np.asarray(((self.points[:, 1] - self.points[:, 0]) ** 2).sum(-1).max(1))
 
-    def sagitta(self, track: Track) -> Array:
-        """(N,) how far the arm bends off them, m."""
-        at, intervals = (self.link, self.section), track.intervals
-        long = np.maximum(*intervals.length)[at] * (self.x[:, 1] - self.x[:, 0])
-        return np.asarray(intervals.bending.most[at] * long**2 / 8)
-
     def halved(self, track: Track, t: Array) -> tuple[Side, Side]:
         """Both halves along the arm."""
         middle = self.x.mean(1)
@@ -132,39 +134,32 @@ class Side(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class PairCells:
+class PairCells(Table):
     """N cells: which while they are of, their times (N, 2), s, and either arm's part of them."""
 
     which: Index
     t: Array
-    sides: tuple[Side, Side]
+    one: Side
+    other: Side
 
-    def __len__(self) -> int:
-        return len(self.which)
-
-    def chosen(self, rows: Mask | Index) -> PairCells:
-        """Some of them."""
-        return PairCells(self.which[rows], self.t[rows], (self.sides[0].chosen(rows), self.sides[1].chosen(rows)))
+    @property
+    def sides(self) -> tuple[Side, Side]:
+        """Both parts."""
+        return self.one, self.other
 
     def gaps(self) -> Array:
         """(N, 2, 2, 2, 3) from the one arm to the other at the corners: along either, and in time, m."""
-        one, other = (side.points for side in self.sides)
-        return np.asarray(other[:, None] - one[:, :, None])
+        return np.asarray(self.other.points[:, None] - self.one.points[:, :, None])
 
     def halved(self, tracks: tuple[Track, Track], most: Index) -> PairCells:
         """Both halves of all, along the first arm (0), the second (1) or in time (2)."""
-        parts = []
-        for k in (0, 1):
-            some = self.chosen(most == k)
-            for half in some.sides[k].halved(tracks[k], some.t):
-                parts.append(replace(some, sides=(half, some.sides[1]) if k == 0 else (some.sides[0], half)))
-        some = self.chosen(most == 2)
-        firsts, seconds = (side.brief() for side in some.sides)
-        for t, one, other in zip(parted(some.t, 1, some.t.mean(1)), firsts, seconds, strict=True):
-            parts.append(replace(some, t=t, sides=(one, other)))
-        first, second = (Side.joined([part.sides[k] for part in parts]) for k in (0, 1))
-        which, t = (np.concatenate([getattr(part, name) for part in parts]) for name in ("which", "t"))
-        return PairCells(which, t, (first, second))
+        long, wide, brief = (self[most == k] for k in range(3))
+        parts = [replace(long, one=half) for half in long.one.halved(tracks[0], long.t)]
+        parts += [replace(wide, other=half) for half in wide.other.halved(tracks[1], wide.t)]
+        times = parted(brief.t, 1, brief.t.mean(1))
+        for t, one, other in zip(times, brief.one.brief(), brief.other.brief(), strict=True):
+            parts.append(replace(brief, t=t, one=one, other=other))
+        return PairCells.joined(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +195,7 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
     measured, when = np.inf, 0.0
     for _ in range(one.follower.effort.proof_arms_rounds):
         times = np.union1d(one.times, other.times)
+        times = times if len(times) > 1 else np.repeat(times, 2)
         bound, sides, closest, then = _bounds((one, other), times, wanted, measured)
         if closest < measured:
             measured, when = closest, then
@@ -207,20 +203,11 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
         over = one.follower.over or other.follower.over
         if not len(short) or over or not (one.whole and other.whole) or measured < wanted.clearance:
             break
-        one, other = (_finer(track, side[short]) for track, side in zip((one, other), sides, strict=True))
+        one, other = (track.finer(side[short]) for track, side in zip((one, other), sides, strict=True))
     if not (one.whole and other.whole):
         bound = np.full(len(bound), -np.inf)
-    if len(times) == 1:
-        times = np.append(times, times)
     bound = np.minimum(bound, most)
     return PairProof(arms, float(bound.min()), min(float(measured), most), float(when), times, bound)
-
-
-def _finer(track: Track, links: Index) -> Track:
-    """The track with those of the links halved that are no rest and not too short to be."""
-    long = [k for k in np.unique(links).tolist() if track.links[k].other.at - track.links[k].one.at >= SHORTEST]
-    moving = [k for k in long if (track.links[k].one.joints != track.links[k].other.joints).any()]
-    return track.finer(moving) if moving else track
 
 
 def _bounds(
@@ -228,8 +215,6 @@ def _bounds(
 ) -> tuple[Array, list[Index], float, float]:
     """(M,) lower bounds of the distance in the whiles between times, the link of either arm there, the least distance
     that was measured, m, and when."""
-    if len(times) == 1:
-        times = np.append(times, times)
     t = np.stack([times[:-1], times[1:]], axis=1)
     links = [track.link_at(t.mean(1)) for track in tracks]
     cells, when = _first(tracks, t, links), float(times[0])
@@ -240,7 +225,8 @@ def _bounds(
         distance = np.sqrt((gaps**2).sum(-1))
         thick = sum(track.intervals.radius[s.link, s.section] for track, s in zip(tracks, cells.sides, strict=True))
         off = sum(track.off[s.link, s.section] for track, s in zip(tracks, cells.sides, strict=True))
-        bend = np.stack([side.sagitta(track) for track, side in zip(tracks, cells.sides, strict=True)])
+        bows = (track.intervals.sagitta(s.link, s.section, s.x) for track, s in zip(tracks, cells.sides, strict=True))
+        bend = np.stack(list(bows))
         along = [side.along() for side in cells.sides]
         spread = np.stack([*along, ((gaps[..., 1, :] - gaps[..., 0, :]) ** 2).sum(-1).max((1, 2))])
         least = distance.min((1, 2, 3))
@@ -255,7 +241,7 @@ def _bounds(
         over = (low - off >= line) | sharp | (total > wanted.cells)
         np.minimum.at(bound, cells.which[over], (low - off)[over])
         taken = spread / (8 * np.maximum(least, 1e-6)) + np.concatenate([bend, np.zeros((1, len(cells)))])
-        cells = cells.chosen(~over).halved(tracks, taken[:, ~over].argmax(0))
+        cells = cells[~over].halved(tracks, taken[:, ~over].argmax(0))
     return bound, links, closest, when
 
 
@@ -272,4 +258,4 @@ def _first(tracks: tuple[Track, Track], t: Array, links: Sequence[Index]) -> Pai
         ends = [track.places(link[which], section, np.full(len(which), x), t[which]) for x in (0.0, 1.0)]
         x = np.tile([0.0, 1.0], (len(which), 1))
         sides.append(Side(link[which], section, x, np.stack(ends, axis=1)))
-    return PairCells(which, t[which], (sides[0], sides[1]))
+    return PairCells(which, t[which], *sides)

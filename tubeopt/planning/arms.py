@@ -5,32 +5,34 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Protocol
 
 import numpy as np
+import scipy
 
 from ..bodies.frames import Frame
-from ..bodies.obstacles import Capsule, Obstacle, Sphere
+from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles
 from ..bodies.placed import seen_from
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, vector
-from ..inverse.arguments import check_robot, checked_obstacles, kind_of
+from ..errors import InputError, instance, vector
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..inverse.way_settings import DEFAULT_WAY, WaySearch
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..typing import Array
-from .apart import PairProof, Track, apart, tracked
-from .clearing import Wanted
+from .apart import PairProof, apart, tracked
+from .clearing import Table, Wanted
 from .cross_sections import Constants
 from .motion import RateLimits
 from .passage import Follower
 from .proof import Proof, ProofStatus, verify_trajectory
+
+PLATE = Frame()
 
 CLOSE = "come as close as about"
 """How a fault of two arms begins that is one, not only nothing that is shown."""
@@ -52,7 +54,7 @@ class PlacedRobot(Displayed):
 
     def __post_init__(self) -> None:
         check_robot(self.robot)
-        kind_of("base", self.base, Frame)
+        instance("base", self.base, Frame)
         vector("origin of the base", self.base.origin, 3, "x, y, z")
         axes = np.asarray(self.base.axes, dtype=float)
         if axes.shape != (3, 3) or not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0:
@@ -121,7 +123,7 @@ def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
     except TypeError:
         raise InputError(f"arms is {arms!r}; it must be a list of PlacedRobot") from None
     for k, arm in enumerate(found):
-        kind_of(f"arm {k + 1}", arm, PlacedRobot)
+        instance(f"arm {k + 1}", arm, PlacedRobot)
     if len(found) < 2:
         raise InputError(f"arms has {len(found)}; several robots are at least 2")
     return found
@@ -204,14 +206,13 @@ def verify_arms(  # noqa: PLR0913
     for k, (arm, motion, begin) in enumerate(zip(known, motions, begins, strict=True)):
         others = [plate for j, plate in enumerate(plates) if j != k]
         with of_arm(known, k):
-            time, rotations, translations = _tables(motion)
-            first = begin or forward_kinematics(arm.robot, rotations[0], translations[0])
+            time, *joints = _tables(motion)
+            first = begin or forward_kinematics(arm.robot, *(part[0] for part in joints))
             proofs.append(
                 verify_trajectory(
                     arm.robot,
                     time,
-                    rotations,
-                    translations,
+                    *joints,
                     start=first,
                     obstacles=seen_from(arm.base, [*bodies, *others]),
                     min_margin=min_margin,
@@ -221,7 +222,9 @@ def verify_arms(  # noqa: PLR0913
                     effort=effort,
                 )
             )
-        tracks.append(_track(arm, motion, first, clock, effort))
+        wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
+        follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(math.inf), effort)
+        tracks.append(tracked(follower, first, time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
@@ -241,14 +244,6 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
     if any(part.ndim < 1 or not len(part) for part in found):
         raise InputError("motion has no rows; it must have one for each time, one time at least")
     return found[0], found[1], found[2]
-
-
-def _track(arm: PlacedRobot, motion: TimedMotion, first: Equilibrium, clock: Clock | None, effort: WaySearch) -> Track:
-    wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
-    until = math.inf if clock is None else clock.began + clock.limit
-    follower = Follower(arm.robot, scene_of(()), wanted, until, effort)
-    joints = np.concatenate([motion.rotations, motion.translations], axis=1)
-    return tracked(follower, first, np.asarray(motion.time, dtype=float), joints, arm.base)
 
 
 def _between(arms: Sequence[PlacedRobot], found: PairProof, clearance: float) -> list[str]:
@@ -274,12 +269,49 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float = DEFAULT_WAY.re
     length = float(equilibrium.arc_length[-1])
     s = np.union1d(np.linspace(0.0, length, 2 + int(length / chord)), ends[(ends > 0) & (ends < length)])
     outline = Outline(equilibrium)
-    points, _ = outline.at(s)
-    bend = float(np.linalg.norm(equilibrium.curvature, axis=1).max(initial=0.0))
-    more = 1.2 * bend * np.diff(s) ** 2 / 8
+    points = outline.centreline(s)
     places = base.placed(points)
-    radius = outline.radius((s[:-1] + s[1:]) / 2) + more
+    radius = outline.radius((s[:-1] + s[1:]) / 2) + outline.bend * np.diff(s) ** 2 / 8
     return tuple(
         Capsule(tuple(a), tuple(b), float(r))
         for a, b, r in zip(places[:-1].tolist(), places[1:].tolist(), radius, strict=True)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Lines(Table):
+    """N arms, or one at N instants: points (N, P, 3) and radii (N, P), m; times (N,), s, where they count."""
+
+    points: Array
+    radius: Array
+    time: Array = field(default_factory=lambda: np.zeros(1))
+
+    @staticmethod
+    def of(equilibria: Sequence[Equilibrium], count: int, base: Frame = PLATE) -> Lines:
+        """Those of equilibria of a robot whose plate stands somewhere, with so many points along each."""
+        points, radius = zip(*(Outline(e).line(count) for e in equilibria), strict=True)
+        return Lines(np.array(points), np.array(radius)).placed(base)
+
+    def placed(self, frame: Frame) -> Lines:
+        """The same, of plates that stand in a frame."""
+        return replace(self, points=frame.placed(self.points))
+
+    def later(self, delay: float) -> Lines:
+        """The same, so many s later."""
+        return replace(self, time=self.time + delay)
+
+    def at_times(self, times: Array) -> Lines:
+        """The same at other times (T,), linear between instants, at rest before and after."""
+        row = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 1)
+        after = np.minimum(row + 1, len(self.time) - 1)
+        step = np.where(after > row, self.time[after] - self.time[row], 1.0)
+        share = np.clip((times - self.time[row]) / step, 0.0, 1.0)[:, None]
+        points, radius = (
+            a[row] + share.reshape(-1, *[1] * (a.ndim - 1)) * (a[after] - a[row]) for a in (self.points, self.radius)
+        )
+        return Lines(points, radius, times)
+
+    def gaps(self, other: Lines) -> Array:
+        """(T,) distances between the surfaces of two arms at the same instants, m."""
+        both = zip(self.points, self.radius, other.points, other.radius, strict=True)
+        return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in both])

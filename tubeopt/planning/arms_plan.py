@@ -9,28 +9,27 @@ arms allows (on fixed paths, delayed: Akella and Hutchinson 2002), and all is pr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import combinations, islice, permutations
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.placed import seen_from
 from ..display import Displayed
-from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError
-from ..inverse.arguments import checked_obstacles, kind_of
+from ..errors import InputError, SolveError, instance
 from ..inverse.clock import Clock
 from ..inverse.question import prepared
-from ..inverse.way_settings import DEFAULT_WAY
+from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .arms import (
     ArmsProof,
+    Lines,
     PlacedRobot,
     at_rest,
     between_plates,
@@ -41,12 +40,14 @@ from .arms import (
     plate_of,
     verify_arms,
 )
-from .arms_clock import Lines, Move, sooner
-from .goals import goal_seen
+from .goals import goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
 from .trajectory import Trajectory
+
+Move = tuple[int, Trajectory]
+"""Of an arm, from time 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,7 @@ class ArmsPlan(Displayed):
         between them."""
         t = np.asarray(times, dtype=float)
         lines = [
-            Lines.of(arm, each, DEFAULT_WAY.delay_points).at_times(t)
+            _moving(arm, each, DEFAULT_WAY.delay_points).at_times(t)
             for arm, each in zip(self.arms, self.trajectories, strict=True)
         ]
         return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
@@ -148,14 +149,15 @@ def plan_arms(
     known = checked_arms(arms)
     one_each("starts", starts, known)
     one_each("goals", goals, known)
-    kind_of("options", options, PlanOptions)
+    instance("options", options, PlanOptions)
     if options.roadmap is not None or options.max_force:
         raise InputError("roadmap and max_force are of one robot; a plan of several arms has none")
     clock, bodies = Clock(options.time_limit), checked_obstacles(obstacles)
     first = []
     for k, start in enumerate(starts):
         with of_arm(known, k):
-            first.append(_start(known[k], start))
+            space = prepared(known[k].robot, None, options.carriage_gap, options.section_length)
+            first.append(start_equilibrium(space, start))
     _check_starts(known, first, options.clearance, options.effort.delay_points)
     goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
 
@@ -176,7 +178,12 @@ def plan_arms(
             return plan_trajectory(arm.robot, ends[k], goal, **asked)
 
     order, moves = _one_by_one(known, first, planned, clock)
-    motions, proof = _proved(known, first, moves, bodies, min_margin, options, clock)
+    asks: dict[str, Any] = {"starts": first, "obstacles": bodies, "clearance": options.clearance}
+    asks |= {"min_margin": min_margin - 1e-6, "clock": clock, "effort": options.effort}
+    for motions in _sooner(known, first, moves, options.clearance, options.effort):
+        proof = verify_arms(known, motions, **asks)
+        if proof.holds or clock.over:
+            break
     twice = tuple(k for k in order if sum(j == k for j, _ in moves) > 1)
     for k in twice:
         own = replace(motions[k], proof=proof.proofs[k], obstacles=seen_from(known[k].base, bodies))
@@ -184,51 +191,9 @@ def plan_arms(
     return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
 
 
-def _proved(
-    arms: tuple[PlacedRobot, ...],
-    first: Sequence[Equilibrium],
-    moves: Sequence[Move],
-    bodies: tuple[Obstacle, ...],
-    min_margin: float,
-    options: PlanOptions,
-    clock: Clock,
-) -> tuple[tuple[Trajectory, ...], ArmsProof]:
-    """Moves on one clock, as soon as their proof holds or time is over, with it."""
-    motions: tuple[Trajectory, ...] = ()
-    proof = None
-    for motions in sooner(arms, first, moves, options.clearance, options.effort):
-        proof = verify_arms(
-            arms,
-            motions,
-            starts=first,
-            obstacles=bodies,
-            min_margin=min_margin - 1e-6,
-            clearance=options.clearance,
-            clock=clock,
-            effort=options.effort,
-        )
-        if proof.holds or clock.over:
-            break
-    assert proof is not None
-    return motions, proof
-
-
-def _start(arm: PlacedRobot, start: Any) -> Equilibrium:
-    known = getattr(start, "equilibrium", start)
-    if isinstance(known, Equilibrium):
-        if known.robot != arm.robot:
-            raise InputError(f"start of {arm.called} is an equilibrium of another robot")
-        return known
-    try:
-        rotations, translations = start
-    except (TypeError, ValueError):
-        raise InputError(f"start of {arm.called} is {start!r}; it must be an equilibrium or joint values") from None
-    return forward_kinematics(arm.robot, rotations, translations)
-
-
 def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float, points: int) -> None:
     """Raise SolveError where two arms are too close before they move."""
-    lines = [Lines.at(arm, [e], points) for arm, e in zip(arms, first, strict=True)]
+    lines = [Lines.of([e], points, arm.base) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
         gap = min(float(lines[i].gaps(lines[j])[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:
@@ -256,36 +221,32 @@ def _one_by_one(
     reasons: dict[str, None] = {}
     for aside in (False, True):
         for order in _orders(len(arms)):
-            ends, moves, limit = list(first), list[Move](), clock.part(0.5)
+            turns = [(k, True) for k in order[1:] if aside] + [(k, False) for k in order]
             try:
-                _move(arms, [(k, True) for k in order[1:]] if aside else [], (ends, moves), planned, limit)
-                _move(arms, [(k, False) for k in order], (ends, moves), planned, limit)
+                return order, _moves(arms, first, turns, planned, clock.part(0.5))
             except SolveError as error:
                 reasons[str(error)] = None
-            else:
-                return order, moves
     raise SolveError(f"no plan was found for all arms, one after the other past those at rest: {'; '.join(reasons)}")
 
 
-def _move(
+def _moves(
     arms: Sequence[PlacedRobot],
+    first: Sequence[Equilibrium],
     turns: Sequence[tuple[int, bool]],
-    so_far: tuple[list[Equilibrium], list[Move]],
     planned: Planned,
     limit: Clock,
-) -> None:
-    """Add the moves of arms, each to its goal or withdrawn, to those so far, and to where all rest after them.
+) -> list[Move]:
+    """The moves of arms, one after the other, each to its goal or withdrawn.
 
     Raises:
         SolveError: one of them does not get to its goal; which cannot withdraw stays where it is.
     """
-    ends, moves = so_far
+    ends, moves = list(first), list[Move]()
     for done, (k, withdrawn) in enumerate(turns):
         try:
             if limit.over:
                 raise SolveError("time was over")
-            left = len(turns) - done + (len(arms) if withdrawn else 0)
-            moves.append((k, planned(k, ends, limit.left / left, withdrawn)))
+            moves.append((k, planned(k, ends, limit.left / (len(turns) - done), withdrawn)))
         except SolveError as error:
             if withdrawn:
                 continue
@@ -293,6 +254,7 @@ def _move(
             when = f" after arm {before}" if before else ""
             raise SolveError(f"{called(arms, k)}{when}: {error}") from None
         ends[k] = moves[-1][1].end
+    return moves
 
 
 def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Array, Array]:
@@ -302,3 +264,65 @@ def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Arr
     q[n:] += 0.9 * (space.lower[n:] - q[n:])
     rotations, translations = space.split(space.nearest(q))
     return rotations, np.array(translations)
+
+
+def _sooner(
+    arms: Sequence[PlacedRobot],
+    first: Sequence[Equilibrium],
+    moves: Sequence[Move],
+    clearance: float,
+    effort: WaySearch,
+) -> Iterator[tuple[Trajectory, ...]]:
+    """Motions on one clock, each move begun as early as those before it leave room; then with more room; at last one
+    after the other."""
+    lines = [_moving(arms[k], motion, effort.delay_points) for k, motion in moves]
+    for room in (effort.delay_room, 4 * effort.delay_room, np.inf):
+        whole = [Lines.of([e], effort.delay_points, arm.base) for arm, e in zip(arms, first, strict=True)]
+        parts: list[list[Trajectory]] = [[] for _ in arms]
+        for (k, motion), line in zip(moves, lines, strict=True):
+            earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
+            delays = np.linspace(earliest, latest, effort.delays)[:-1].tolist() if np.isfinite(room) else []
+            others = [each for j, each in enumerate(whole) if j != k]
+            moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room, effort))
+            at = next(moved, latest)
+            whole[k] = Lines.joined([whole[k], line.later(at)])  # with rest in between
+            parts[k].append(replace(motion, time=motion.time + at))
+        yield tuple(_joined(each) for each in parts)
+
+
+def _moving(arm: PlacedRobot, motion: Trajectory, count: int) -> Lines:
+    """An arm at all samples of its motion, in the frame that arms share."""
+    return replace(Lines.of(motion.arms, count, arm.base), time=motion.time)
+
+
+def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effort: WaySearch) -> bool:
+    """Whether an arm that begins to move at a time keeps its distance from the others until they rest, as they did when
+    it was planned for."""
+    for other in others:
+        if other.time[-1] > since:
+            times = np.linspace(since, other.time[-1], effort.delay_instants)
+            if line.at_times(times).gaps(other.at_times(times)).min() < room:
+                return False
+    return True
+
+
+def _joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Motions of one robot, each from where the one before ends, as one, with rest in between."""
+    whole = parts[0]
+    for part in parts[1:]:
+        rests = part.time[0] > whole.time[-1]
+        kept = slice(0 if rests else 1, None)
+        one, other = whole.statistics, part.statistics
+        summed = {
+            each.name: getattr(one, each.name) + getattr(other, each.name)
+            for each in fields(one)
+            if not isinstance(getattr(one, each.name), str)
+        }
+        tables = ("time", "rotations", "translations", "tip_position", "margin")
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(whole, name), getattr(part, name)[kept]]) for name in tables
+        }
+        turns = tuple(a + b for a, b in zip(whole.turns, part.turns, strict=True))
+        arms, summary = (*whole.arms, *part.arms[kept]), replace(other, **summed)
+        whole = replace(whole, **joined, arms=arms, end=part.end, turns=turns, statistics=summary)
+    return whole

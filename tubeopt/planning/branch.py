@@ -25,6 +25,7 @@ and the largest bend of each section.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,8 +116,7 @@ class _Bounds:
     def rotation(self, moment: Jet, stretch: Jet) -> Jet:
         """|beta| w(0) + int h (1 + stretch) w (B, K, n) at the end of every section, and so all over it."""
         begin, end = self.torques(moment)
-        half = np.array(0.5)
-        mean = Jet((begin.v + end.v) * half, (begin.d + end.d) * half, (begin.dd + end.dd) * half)
+        mean = (begin + end).map(lambda bound: bound / 2)
         one = Jet(1 + stretch.v, stretch.d, stretch.dd)
         along = (self.steps() * (one * mean * self.ease)).map(lambda bound: np.cumsum(bound, axis=1))
         base = self.transmission * begin.map(lambda bound: bound[:, 0])
@@ -153,7 +153,8 @@ class _Bounds:
         its chord by at most an eighth of the square of their distance times its second derivative."""
         own, pair = self.intervals.changes
         # Samples are interpolated; and the natural turn is not quite linear in time.
-        least = _both(self.intervals.interpolated[:, None] + self.drift.bow / 2)
+        wrong = self.intervals.arms.turn_error
+        least = _both((wrong[self.intervals.one] + wrong[self.intervals.other])[:, None] + self.drift.bow / 2)
         own, pair = own + least[0], pair + least[1]
         more = self._between((own, pair))
         wide = own + 2 * more, pair + 2 * _both(more)[1]
@@ -201,13 +202,21 @@ class _Bounds:
     def _varied(self, varied: Jet, gained: Jet, by: Turn, moving: bool) -> Array:
         """(B, K, n) first derivative, as theta turns `by` (and sections and transmissions move), of DF - 1 applied to
         what changes moments by `varied` and stretch by `gained`."""
-        b, still = self.bending, self if moving else _Still(self)
+        b, still = self.bending, self if moving else self._still()
         plain = Jet(self._stretch(b.most), self._stretch(b.change(by[0])), self.zero)
         made = still.rotation(varied, plain).d
         if self.offset.any():
             twist = still.torques(Jet(self.torque, self.torque_change(by), self.zero))[0] * still.ease
             made = made + (still.steps() * gained * twist).map(lambda bound: np.cumsum(bound, axis=1)).d
         return np.asarray(made)
+
+    def _still(self) -> _Bounds:
+        """The same with sections and transmissions at rest."""
+        other = copy(self)
+        other.long, other.transmission, other.ease = (
+            Jet(jet.v, np.zeros_like(jet.v), np.zeros_like(jet.v)) for jet in (self.long, self.transmission, self.ease)
+        )
+        return other
 
     def off(self, turn: Turn, error: Array) -> Array:
         """(B, K) bound of the distance of a point from the straight line between its places at both ends, m.
@@ -226,17 +235,6 @@ class _Bounds:
         slope = np.cumsum(h.v * wrong, axis=1)
         lever = h.v * (slope - h.v * wrong / 2)
         return np.asarray(np.cumsum(second / 8 + lever, axis=1))
-
-
-class _Still(_Bounds):
-    """The same with sections and transmissions at rest."""
-
-    def __init__(self, other: _Bounds) -> None:
-        self.__dict__.update(other.__dict__)
-        self.long, self.transmission, self.ease = (
-            Jet(jet.v, np.zeros_like(jet.v), np.zeros_like(jet.v))
-            for jet in (other.long, other.transmission, other.ease)
-        )
 
 
 def _both(own: Array) -> Turn:

@@ -1,27 +1,36 @@
-"""From a motion to an answer: it is sampled, followed to its end, and proved."""
+"""From a way to an answer: motions near it, as it is and smoothed, each as fast as its limits allow; which are sampled,
+followed to their ends, and proved."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from ..bodies.distance_field import DistanceField
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
 from ..inverse.task import Task
 from ..typing import Array
-from .goals import End, limits_of
-from .motion import Motion, RateLimits
+from .goals import End
+from .motion import Motion
 from .proof import verify_trajectory
-from .timing import Limits, through
+from .question import Question
+from .smooth import joint_curves, smooth, violated
+from .timing import Limits, at_full_speed, stopping_at, through
 from .tracking import Tracked, track
 from .trajectory import PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]
 
+SHORT = 1e-9
+"""Length of a way (joints' scales) on which nothing is smoothed."""
 
-def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
+
+def actuators(question: Question, first: Equilibrium) -> Limits:
     """What limits the speed of motions that begin at an equilibrium."""
+    task, rates = question.task, question.rates
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
@@ -32,17 +41,80 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
     return Limits(*rates.of(task.chart.space), tip, task.effort)
 
 
+def motions_near(question: Question, first: Equilibrium, points: Array) -> list[tuple[Motion, str, int, int]]:
+    """Motions near a way, the best first, and last the way itself with rests at its corners: each as fast as it may be,
+    with the objective of its smoothing, iterations and knots.
+
+    What is smoothed for length is neither longer nor slower than what it began from; what is smoothed for time is no
+    slower than that, nor than what is smoothed for length.
+    """
+    task, clock, limits = question.task, question.clock, actuators(question, first)
+    aim, extra = question.options.objective, question.options.extra_cost
+    curves = joint_curves(task, points)
+    resting = stopping_at(curves, limits)
+    effort, found = task.effort, []
+    scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
+    most = effort.scanned_seconds * clock.crowding if scanned else effort.smoothing_seconds
+    own = Clock(min(most, effort.smoothing_share * clock.left), clock)
+    for name in ("length", "time") if aim == "time" else (aim,):
+        if aim == "none" or own.left < effort.least_smoothing or not _worth_smoothing(question, curves):
+            break
+        best = smooth(task, first, points, limits, (name, extra), own)
+        if best is not None:
+            exact = name == "margin" or extra is not None
+            way = best.motion.sampled(task.scale, effort)[1], best.points[-1]
+            rounder = None if exact else _rounded(task, first, way, limits, own)
+            motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
+            found.append((motion, name, best.iterations, len(best.points)))
+    if aim in ("length", "time") and extra is None:
+        rest = Clock(min(effort.rounding_seconds * clock.crowding, effort.rounding_share * clock.left), clock)
+        way = np.concatenate(curves), points[-1]
+        if len(curves) > 1 and (corners := _rounded(task, first, way, limits, rest)) is not None:
+            found.append((corners, "corners", 0, len(points)))
+        if aim == "time":
+            found = [each for each in found if each[0].duration <= resting.duration]
+            found.sort(key=lambda each: each[0].duration)
+        else:
+            same = 1 + effort.same_length
+            longest, slowest = resting.length(task.scale, effort) * same, resting.duration * same
+            short = [(each[0].length(task.scale, effort), each) for each in found if each[0].duration <= slowest]
+            found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
+    return [*found, (resting, "", 0, len(points))]
+
+
+def _worth_smoothing(question: Question, curves: Sequence[Array]) -> bool:
+    """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
+    straight line. With bodies in the way smoothing takes twice as long; its equations are those without a load."""
+    task, options = question.task, question.options
+    if task.chart.load is not None:
+        return False
+    length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
+    if length < SHORT or options.objective != "length" or options.extra_cost is not None:
+        return length >= SHORT
+    straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
+    return 1 - straight / length > (task.effort.worth_among_bodies if task.obstacles else task.effort.worth_smoothing)
+
+
+def _rounded(task: Task, first: Equilibrium, way: tuple[Array, Array], limits: Limits, clock: Clock) -> Motion | None:
+    """The fastest motion close to a way, its bends as round as they may be; None where even slight rounding leads where
+    the robot may not be, or time is over. `way`: joint values (k, m), and the point of the chart (m,) at its end."""
+    q, end = way
+    for spacing in task.effort.roundings:
+        if clock.over:
+            return None
+        motion = through(q, task.scale, limits, spacing)
+        places = motion.time[-1:], end[None]
+        if not violated(task, first, motion, clock, places)[0].any():
+            return motion
+    return None
+
+
 def build(
-    task: Task,
-    first: Equilibrium,
-    end: End | None,
-    motion: Motion,
-    rates: RateLimits,
-    clock: Clock,
-    found: PlanStatistics,
+    question: Question, first: Equilibrium, end: End | None, motion: Motion, found: PlanStatistics
 ) -> Trajectory | Faults:
     """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these. What was
     `found` before is told with the length of what is made of it and the seconds of the proof."""
+    task, rates, clock = question.task, question.rates, question.clock
     space = task.chart.space
     t, q = motion.sampled(task.scale, task.effort)
     begin = space.join(first.rotations, first.translations)
@@ -64,7 +136,7 @@ def build(
         min_margin=task.min_margin - 1e-6,
         clearance=task.clearance - task.reserve,
         rate_limits=rates,
-        limits=None if space.robot.limits is None else limits_of(space),
+        limits=space.limits,
         clock=clock,
         max_force=task.max_force,
         load=task.chart.load,
@@ -73,7 +145,7 @@ def build(
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < hurry < task.effort.tip_hurry and len(proof.faults) == 1:
-            return build(task, first, end, motion.slower(hurry), rates, clock, found)
+            return build(question, first, end, motion.slower(hurry), found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
     rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.late_seconds))
@@ -106,12 +178,14 @@ def build(
 
 
 def passing(
-    task: Task, first: Equilibrium, q: Array, last: Array, rates: RateLimits, clock: Clock, found: PlanStatistics
+    question: Question, first: Equilibrium, q: Array, last: Array, how: str, motions: int = 0
 ) -> Trajectory | Faults:
-    """The fastest motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart."""
-    motion = through(q, task.scale, actuators(task, first, rates))
+    """The fastest motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart, with
+    how these were found by looking at so many motions."""
+    found = PlanStatistics(how, "", motions, 0.0, 0.0, 0, len(q), question.clock.seconds)
+    motion = through(q, question.task.scale, actuators(question, first))
     end = End(last, q[-1], (0,) * first.robot.n_tubes)
-    made = build(task, first, end, motion, rates, clock, found)
+    made = build(question, first, end, motion, found)
     if isinstance(made, Trajectory):  # nothing was smoothed
         return replace(made, statistics=replace(made.statistics, raw_length=made.statistics.length))
     return made

@@ -48,16 +48,19 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Arrays with a row for each of N."""
+    """Arrays, or other tables, with a row for each of N; the first is an array."""
 
-    def chosen(self, rows: Mask | Index) -> Self:
-        """Some of them."""
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))
+
+    def __getitem__(self, rows: Mask | Index) -> Self:
         return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """All of several."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
+        return cls(*(each[0].joined(each) if isinstance(each[0], Table) else np.concatenate(each) for each in columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +74,6 @@ class Cells(Table):
     t: Array
     points: Array
     distance: Array
-
-    def __len__(self) -> int:
-        return len(self.which)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +91,11 @@ class Sizes(Table):
     def of(cells: Cells, intervals: Intervals, off: Array) -> Sizes:
         """Those of cells of intervals whose arms are off the straight line in time by `off` (B, K)."""
         at = cells.which, cells.section
-        long = np.maximum(*intervals.length)[at] * (cells.x[:, 1] - cells.x[:, 0])
         along = ((cells.points[:, 1] - cells.points[:, 0]) ** 2).sum(-1).max(1)
         time = ((cells.points[:, :, 1] - cells.points[:, :, 0]) ** 2).sum(-1).max(1)
         shape = np.maximum(*(intervals.arms.shape_error[e] for e in (intervals.one, intervals.other)))
-        return Sizes(
-            along, time, intervals.bending.most[at] * long**2 / 8, off[at] + shape[cells.which], intervals.radius[at]
-        )
+        bend = intervals.sagitta(*at, cells.x)
+        return Sizes(along, time, bend, off[at] + shape[cells.which], intervals.radius[at])
 
     def bound(self, distance: Array) -> Array:
         """(N,) lower bounds of the clearance without `off`, m, where (N,) is the least distance at corners."""
@@ -148,8 +146,8 @@ def cleared(intervals: Intervals, off: Array, scene: Scene, wanted: Wanted, clos
         small = gap <= SHARE * max(closest - line, 0.0)
         over = (low - sizes.off >= line) | small | (total > wanted.cells)
         np.minimum.at(bound, cells.which[over], (low - sizes.off)[over])
-        within = max(sizes.chosen(~over).needed(closest), 0.0)
-        cells = _halved(cells.chosen(~over), intervals, sizes.longer(least)[~over], scene, within)
+        within = max(sizes[~over].needed(closest), 0.0)
+        cells = _halved(cells[~over], intervals, sizes.longer(least)[~over], scene, within)
         sizes = Sizes.of(cells, intervals, off)
     return bound, closest
 
@@ -168,7 +166,7 @@ def _first(intervals: Intervals) -> Cells:
 def _halved(cells: Cells, intervals: Intervals, along: Mask, scene: Scene, within: float) -> Cells:
     """Both halves of all cells, in length or else in time; distances at new corners are told up to `within`."""
     parts: list[Cells] = []
-    long, brief = cells.chosen(along), cells.chosen(~along)
+    long, brief = cells[along], cells[~along]
     one, other = intervals.places(long.which, long.section, long.x.mean(1))
     new = (1 - long.t[..., None]) * one[:, None] + long.t[..., None] * other[:, None]
     for some, name, axis, middle in ((long, "x", 1, new), (brief, "t", 2, brief.points.mean(2))):

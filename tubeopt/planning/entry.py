@@ -18,21 +18,18 @@ from ..bodies.obstacles import Obstacle, nearest_distance
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, numbers, positive, whole
-from ..inverse.arguments import kind_of
-from ..inverse.clock import Clock
-from ..inverse.outline import Outline
+from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array
-from .goals import TipGoal, goal_seen, of_the_tip, start_equilibrium
+from .arms import Lines
+from .goals import TipGoal, checked_places, goal_seen, of_the_tip, start_equilibrium
 from .motion import RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
 from .question import asked
-from .reach_share import checked_places
 from .trajectory import Entry, Trajectory
 
 MOST = 16384
@@ -58,9 +55,7 @@ class EntryRegion(Displayed):
 
     def __post_init__(self) -> None:
         positive("radius of the entry", self.radius, zero=True)
-        if len(numbers("box of the entry", self.box)) != 3:
-            raise InputError(f"box of the entry is {self.box!r}; it must be three numbers, along x, y and z")
-        for size in self.box:
+        for size in vector("box of the entry", self.box, 3, "along x, y and z"):
             positive("box of the entry", size, zero=True)
         if self.places is not None:
             object.__setattr__(self, "places", checked_places(self.places, "places of the entry"))
@@ -142,13 +137,13 @@ def plan_from_region(
         >>> plan.proved
         True
     """
-    kind_of("region", region, EntryRegion)
-    task, clock = asked(robot, obstacles, options=options, **given)
+    instance("region", region, EntryRegion)
+    task = asked(robot, obstacles, options=options, **given).task
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:
         progress(0, len(frames))
-    score = _scores(task, first, goal, frames, clock)
+    score = _scores(task, first, goal, frames)
     order = [k for k in np.argsort(score, kind="stable").tolist() if np.isfinite(score[k])]
     if not order:
         raise SolveError(
@@ -157,13 +152,13 @@ def plan_from_region(
         )
 
     def planned(frame: Frame, left: int) -> Trajectory:
-        limit = max(clock.left / min(left, options.effort.entry_share), 1e-3)
+        limit = max(task.clock.left / min(left, options.effort.entry_share), 1e-3)
         bodies, own = seen_from(frame, obstacles), replace(options, time_limit=limit)
         return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=own, **given)
 
     why, unproved, tried = "", None, 0
     for k in order:
-        if clock.over:
+        if task.clock.over:
             break
         frame, tried = frames[k], tried + 1
         try:
@@ -185,13 +180,13 @@ def plan_from_region(
     )
 
 
-def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], clock: Clock) -> Array:
+def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
     """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
     infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
     points, of_tip = task.effort.entry_points, of_the_tip(goal)
-    at_start = _Line.of([first], points)
-    arms = _Line.random(task) if of_tip else _Line.of([start_equilibrium(task.chart.space, goal, name="goal")], points)
-    half, found = clock.part(0.5), list[float]()
+    at_start = Lines.of([first], points)
+    arms = _random(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], points)
+    half, found = task.clock.part(0.5), list[float]()
     for frame in frames:
         if found and half.over:
             break
@@ -204,38 +199,22 @@ def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame], 
     return np.array(found)
 
 
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """Points (N, P, 3) along N arms, and their radii there (N, P), m."""
-
-    points: Array
-    radius: Array
-
-    @classmethod
-    def of(cls, arms: Sequence[Equilibrium], points: int) -> _Line:
-        found = [Outline(e).at(np.linspace(0.0, e.arc_length[-1], points)) for e in arms]
-        return cls(np.array([line for line, _ in found]), np.array([radius for _, radius in found]))
-
-    @classmethod
-    def random(cls, task: Task) -> _Line:
-        """Stable arms of random joint values."""
-        chart = task.chart
-        arms = chart.arms(chart.space.sample(task.effort.entry_arms), task.min_margin)
-        kept = np.flatnonzero(arms.stable)
-        s = np.linspace(0.0, 1.0, task.effort.entry_points) * arms.arc_length[kept, -1:]
-        shown = s[:, :, None] <= arms.tube_end[kept][:, None, :] + 1e-12
-        return cls(arms.at(s, kept), np.where(shown, chart.radius, 0.0).max(2))
-
-    def placed(self, frame: Frame) -> _Line:
-        return replace(self, points=frame.placed(self.points))
+def _random(task: Task) -> Lines:
+    """Stable arms of random joint values."""
+    chart = task.chart
+    arms = chart.arms(chart.space.sample(task.effort.entry_arms), task.min_margin)
+    kept = np.flatnonzero(arms.stable)
+    s = np.linspace(0.0, 1.0, task.effort.entry_points) * arms.arc_length[kept, -1:]
+    shown = s[:, :, None] <= arms.tube_end[kept][:, None, :] + 1e-12
+    return Lines(arms.at(s, kept), np.where(shown, chart.radius, 0.0).max(2))
 
 
-def _room(task: Task, arms: _Line) -> Array:
+def _room(task: Task, arms: Lines) -> Array:
     """(N,) distance of arms from bodies, m."""
     return np.asarray((nearest_distance(task.obstacles, arms.points) - arms.radius).min(1))
 
 
-def _missed(task: Task, arms: _Line, goal: TipGoal, frame: Frame) -> float:
+def _missed(task: Task, arms: Lines, goal: TipGoal, frame: Frame) -> float:
     """How far arms that are turned about the plate's z, as they all may be, stay from a goal, and from their clearance,
     m: the least of both together."""
     least = np.inf
@@ -246,7 +225,7 @@ def _missed(task: Task, arms: _Line, goal: TipGoal, frame: Frame) -> float:
         near = np.argsort(miss)[: task.effort.entry_nearest]
         turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
-        turned = _Line(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
+        turned = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
         short = np.maximum(task.clearance - _room(task, turned), 0.0)
         least = min(least, float((miss[near] + short).min(initial=np.inf)))
     return least

@@ -10,6 +10,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..bodies.frames import Frame
 from ..display import Displayed
@@ -20,16 +21,14 @@ from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..inverse.descent import reach
 from ..inverse.joints import JointSpace, configuration
+from ..inverse.outline import Outline
 from ..inverse.posture import posture_of, start_at
 from ..inverse.question import pose_question
 from ..inverse.task import Task
-from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
-from .reach import least_miss
-from .tip_place import long_enough, place_for_the_tip
-from .tracking import clearance_of
+from .reach import check_place, least_miss
 
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
@@ -37,6 +36,17 @@ FINISHED = 1e-6
 
 LEAST_SECONDS = 1e-3
 """Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
+
+
+def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
+    """(N, 3) places, m; raises InputError for a table of another shape, or of what is no number."""
+    try:
+        places = np.array(targets, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is no table of numbers; it must be rows of x, y, z in m") from None
+    if places.ndim != 2 or not len(places) or places.shape[1] != 3 or not np.isfinite(places).all():
+        raise InputError(f"{name} has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
+    return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +64,7 @@ class TipGoal(Displayed):
         position = np.asarray(self.position, dtype=float)
         if position.ndim != 2:
             return [self]
-        if not len(position) or position.shape[1] != 3 or not np.isfinite(position).all():
-            raise InputError("goal is a region that is no table of finite positions x, y, z in m")
+        position = checked_places(position, "goal")
         chosen = [0]
         far = np.linalg.norm(position - position[0], axis=1)
         while len(chosen) < 6 and far.max() > 0:
@@ -94,7 +103,8 @@ def bearing(equilibrium: Equilibrium, load: Load) -> Equilibrium:
 def check_start(task: Task, start: Equilibrium) -> None:
     """Raise where a plan cannot begin: out of range (InputError); margin or clearance too small (SolveError)."""
     _in_range(task.chart.space, "start", start.rotations, start.translations)
-    _allowed(task, "start", start)
+    if fault := _fault(task, "start", start):
+        raise SolveError(fault, start)
 
 
 def ends(
@@ -119,26 +129,25 @@ def ends(
     found, whole = _beside(task, goal, near, enough, clock), False
     if not found:
         found, whole = _equilibria(task, start, goal, clock)
-    reasons, good = list[str](), []
+    reasons: list[str] = []
     if task.chart.load is not None:
         found, reasons = loaded(found, task.chart.load)
-    for e in found:
-        try:
-            _allowed(task, "goal", e)
-        except SolveError as error:
-            reasons.append(str(error))
-        else:
-            good.append(e)
+    faults = [_fault(task, "goal", e) for e in found]
+    good = [e for e, fault in zip(found, faults, strict=True) if not fault]
     if not good:
-        reason = reasons[0] if reasons else "no plan exists: the goal has no stable equilibrium"
+        reason = next(iter(reasons + faults), "no plan exists: the goal has no stable equilibrium")
         partly = "no plan was found, as far as the equilibria at the goal are known"
         raise SolveError(reason if whole else reason.replace("no plan exists", partly))
     out = [end for e in good for end in _turned(task, e, start.rotations, modulo_turns)]
     if not out:
         raise InputError("goal is out of range: no whole turns bring its rotations into the limits")
+    return _nearest(task, start, out)
+
+
+def _nearest(task: Task, start: Equilibrium, found: list[End]) -> list[End]:
+    """Some of them, those nearest to the start first."""
     here = task.chart.of(start)
-    out.sort(key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))
-    return out[: task.effort.goals]
+    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[: task.effort.goals]
 
 
 def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
@@ -165,24 +174,20 @@ def other_ends(
     wanted = _tip_goal(goal)
     if wanted is None or task.chart.load is not None:
         return []
-    here, found, robot = task.chart.of(start), [], task.chart.space.robot
     postures: list[Equilibrium] = []
     for place in wanted.places()[: task.effort.goal_places]:
         asked = _asked(task, start, place, clock)
         with suppress(SolveError):  # none in so short a time
-            answers = inverse_kinematics(robot, place.position, all_solutions=True, **asked)
+            answers = inverse_kinematics(task.chart.space.robot, place.position, all_solutions=True, **asked)
             postures += [answer.equilibrium for answer in answers]
-    for e in postures:
-        try:
-            _allowed(task, "goal", e)
-        except SolveError:
-            continue
-        found += [
-            end
-            for end in _turned(task, e, start.rotations, modulo_turns)
-            if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goal_apart for other in known)
-        ]
-    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[: task.effort.goals]
+    good = [e for e in postures if not _fault(task, "goal", e)]
+    found = [
+        end
+        for e in good
+        for end in _turned(task, e, start.rotations, modulo_turns)
+        if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goal_apart for other in known)
+    ]
+    return _nearest(task, start, found)
 
 
 def of_the_tip(goal: Any) -> bool:
@@ -243,19 +248,17 @@ def _beside(
     if near is None or wanted is None or task.chart.load is not None:
         return []
     space, found = task.chart.space, list[Equilibrium]()
+    asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
     for place in wanted.places():
-        question = pose_question(space.robot, (place.position, place.direction), **_kept(task, clock))
-        question = replace(question, clock=clock)
+        question = replace(pose_question(space.robot, (place.position, place.direction), **asks), clock=clock)
         points = near(question.position)
         for q in task.chart.joints(points):
             start = start_at(space, q)
             if start is None or start.margin < question.floor or not space.admissible(q):
                 continue
             search = reach(question, start)
-            if search.reached:
-                with suppress(SolveError):
-                    _allowed(task, "goal", search.posture.equilibrium)
-                    found.append(search.posture.equilibrium)
+            if search.reached and not _fault(task, "goal", search.posture.equilibrium):
+                found.append(search.posture.equilibrium)
             if len(found) == enough:
                 return found
     return found
@@ -277,8 +280,7 @@ def _somewhere(task: Task, start: Equilibrium, places: list[TipGoal], clock: Clo
 def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
-    place_for_the_tip(task, position)
-    long_enough(task, position)
+    check_place(task, position)
     miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
     if miss > 0:
         raise SolveError(
@@ -295,31 +297,20 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
 
 def _asked(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     """What inverse kinematics is asked beside the position."""
-    return {"load": task.chart.load, "direction": goal.direction, "seed": start, **_kept(task, clock)}
+    asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
+    return {"load": task.chart.load, "direction": goal.direction, "seed": start, **asks}
 
 
-def _kept(task: Task, clock: Clock) -> dict[str, Any]:
-    """What joint values for a pose of the tip have to keep."""
-    return {
-        "min_margin": task.min_margin + 2 * FINISHED,
-        "limits": limits_of(task.chart.space),
-        "obstacles": task.obstacles,
-        "options": InverseOptions(clearance=task.clearance, time_limit=max(clock.left, LEAST_SECONDS)),
-    }
-
-
-def limits_of(space: JointSpace) -> JointLimits:
-    """The ranges of the joints, tube by tube."""
-    n = space.robot.n_tubes
-    low, high = space.lower, space.upper
-    shift = np.empty((n, 2))
-    for k, tubes in enumerate(space.carriages):
-        for i in tubes:
-            shift[i] = low[n + k] + space.offset[n + i], high[n + k] + space.offset[n + i]
-    return JointLimits(
-        tuple((float(a), float(b)) for a, b in zip(low[:n], high[:n], strict=True)),
-        tuple((float(a), float(b)) for a, b in shift),
+def kept(task: Task, floor: float, seconds: float) -> dict[str, Any]:
+    """What joint values for a place of the tip have to keep, with a margin of at least `floor`, and their time."""
+    space = task.chart.space
+    options = InverseOptions(
+        clearance=task.clearance,
+        carriage_gap=space.carriage_gap,
+        section_length=space.section_length,
+        time_limit=max(seconds, LEAST_SECONDS),
     )
+    return {"min_margin": floor, "limits": space.limits, "obstacles": task.obstacles, "options": options}
 
 
 def _in_range(space: JointSpace, name: str, rotations: Array, translations: Array) -> None:
@@ -344,19 +335,16 @@ def _in_range(space: JointSpace, name: str, rotations: Array, translations: Arra
             )
 
 
-def _allowed(task: Task, name: str, e: Equilibrium) -> None:
+def _fault(task: Task, name: str, e: Equilibrium) -> str:
+    """Why no plan leads to an equilibrium: margin or clearance is too small; empty where they are not."""
     if e.margin < task.min_margin - FINISHED:
-        raise SolveError(
-            f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}", e
-        )
-    clear = clearance_of(task, e)
-    if clear < task.clearance:
-        where = "is inside an obstacle" if clear < 0 else f"has clearance {clear * 1e3:.4g} mm"
-        raise SolveError(
-            f"no plan exists: the arm at the {name} {where} (least distance {clear * 1e3:.4g} mm); "
-            f"it must keep {task.clearance * 1e3:g} mm",
-            e,
-        )
+        return f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}"
+    clear = Outline(e).clearance(task.scene)
+    if clear >= task.clearance:
+        return ""
+    where = "is inside an obstacle" if clear < 0 else f"has clearance {clear * 1e3:.4g} mm"
+    distance = f"(least distance {clear * 1e3:.4g} mm); it must keep {task.clearance * 1e3:g} mm"
+    return f"no plan exists: the arm at the {name} {where} {distance}"
 
 
 def _turned(task: Task, e: Equilibrium, here: Array, modulo: bool) -> list[End]:

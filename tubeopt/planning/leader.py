@@ -27,11 +27,11 @@ from .building import passing
 from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .question import asked, in_time
+from .question import asked
 from .reach import step_constraints
 from .tip_path import distance_from
 from .tracking import track
-from .trajectory import PlanStatistics, Trajectory
+from .trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -101,29 +101,24 @@ def follow_the_leader(  # noqa: PLR0913
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
     instance("solver", solver, LeaderSolver)
-    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
-    with in_time(clock):
-        last, path = _withdrawal(task, goal, begin, solver)
-        q = task.chart.joints(path)
-    q[-1] = task.chart.space.join(last.rotations, last.translations)
-    first = _first(task, last, q[::-1])
-    found = PlanStatistics("leader", "", 0, 0.0, 0.0, 0, len(q), clock.seconds)
-    made = passing(task, first, q, path[-1], rate_limits, clock, found)
+    question = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task = question.task
+    with question.in_time():
+        last = _goal(task, goal)
+        path = [task.chart.of(last)]
+        for share in np.linspace(1.0, begin, solver.lengths + 1)[1:]:
+            path.append(_fit(task, path[-1], last, share * float(last.arc_length[-1]), solver))
+        q = task.chart.joints(np.array(path))
+    q[0] = task.chart.space.join(last.rotations, last.translations)
+    withdrawn = track(task, last, q)
+    if withdrawn.lost:
+        raise SolveError("the arm snaps while it is withdrawn")
+    first = withdrawn.equilibria[-1]
+    made = passing(question, first, q[::-1], path[0], "leader")
     if not isinstance(made, Trajectory):
         raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(made)}")
     way = np.concatenate([first.position, made.tip_position[1:]])
     return replace(made, deviation=np.array([distance_from(way, e.position).max() for e in made.arms]))
-
-
-def _withdrawal(task: Task, goal: Any, begin: float, solver: LeaderSolver) -> tuple[Equilibrium, Array]:
-    """The equilibrium at the end, and points of the chart (k, m) of arms that lie on it, from the shortest on; raises
-    LateError."""
-    last = _goal(task, goal)
-    length = float(last.arc_length[-1])
-    points = [task.chart.of(last)]
-    for share in np.linspace(1.0, begin, solver.lengths + 1)[1:]:
-        points.append(_fit(task, points[-1], last, share * length, solver))
-    return last, np.array(points[::-1])
 
 
 def _goal(task: Task, goal: Any) -> Equilibrium:
@@ -134,19 +129,10 @@ def _goal(task: Task, goal: Any) -> Equilibrium:
         return goal
     home = start_equilibrium(space, space.split(space.middle()))
     end = ends(task, home, goal)[0]
-    rotations, shift = space.split(end.joints)
-    tip = task.chart.of(forward_kinematics(space.robot, rotations, shift))
-    if np.abs(tip - end.point).max() > 1e-6:
+    found = forward_kinematics(space.robot, *space.split(end.joints))
+    if np.abs(task.chart.of(found) - end.point).max() > 1e-6:
         raise InputError("goal has several equilibria; give the Equilibrium that is meant")
-    return forward_kinematics(space.robot, rotations, shift)
-
-
-def _first(task: Task, last: Equilibrium, q: Array) -> Equilibrium:
-    """The equilibrium at the beginning, on the branch of the goal: followed backwards."""
-    tracked = track(task, last, q)
-    if tracked.lost:
-        raise SolveError("the arm snaps while it is withdrawn")
-    return tracked.equilibria[-1]
+    return found
 
 
 def _fit(task: Task, z: Array, last: Equilibrium, length: float, solver: LeaderSolver) -> Array:

@@ -120,7 +120,9 @@ class _Bounds:
     def _between(self, c: _Changes) -> tuple[Array, Array, Array]:
         """Of theta, torques and moments: half the distance of samples times a bound of the slope of what differs."""
         h, dh, lever, du = self.long.v[..., None], self.long.d[..., None], self.lever, self._bent(c)
-        theta = dh * (self.torque / self.kt + self.intervals.twist) + h * c.torque / self.kt
+        known = self.intervals.arms.constants
+        twist = known.most(known.bounds.twist[0], self.intervals.stretch)
+        theta = dh * (self.torque / self.kt + twist) + h * c.torque / self.kt
         theta = theta + h * (self.torque * self.drift.ease.d + self.drift.wound.v * self.intervals.moved)
         twisting = self.pairs.sum(3) + self.slope * lever[..., None]
         turned = (self.pairs * c.turn[1]).sum(3)
@@ -169,21 +171,12 @@ class _Bounds:
         held = (self.spring.v * torque[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt((self.long.v * inside).sum(1) + held))
 
-    def _by_time(self) -> _Moved:
-        """How far the chord is from its nearer end."""
-        turn = self.theta.d / 2, self.pair.d / 2
-        return _Moved(turn, self.tangent.d / 2, self.moment.d / 2)
-
-    def _by_ball(self) -> _Moved:
-        """How far what is in a ball is from its centre, per its radius."""
-        each = self.long.v * self.force.v * self.swing
-        return _Moved(self.weight, self.swing, np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
-
     def variation(self, moved: _Moved, *, stretched: bool) -> Array:
         """(B,) by how much the second variation relative to T differs; `stretched`: with sections as they are at the
         nearer end, and with the load there."""
         b, h, w, lever = self, self.long.v, self.weight, self.lever
-        dh, own, bend, dn = b._stretched() if stretched else b._still()
+        zero = np.zeros_like(h)
+        dh, own, bend, dn = b._stretched() if stretched else (zero, np.zeros_like(w[0]), zero, zero)
         dc, da = (b.pairing.d / 2, b.pull.d / 2) if stretched else (np.zeros(()), np.zeros(()))
         pair = np.hypot(own[..., :, None], own[..., None, :])
         m = moved.moment + lever * moved.frame
@@ -220,13 +213,13 @@ class _Bounds:
         kb, kt = (c.most(most, stretch) for most in c.bounds.stiffest)
         return self.drift.ease.d * np.sqrt(kt) / 4, self.drift.give.d * np.sqrt(kb.sum(-1)) / 4
 
-    def _still(self) -> tuple[Array, Array, Array, Array]:
-        zero = np.zeros_like(self.long.v)
-        return zero, np.zeros_like(self.weight[0]), zero, zero
-
     def radius(self, margin: Array) -> tuple[Array, Mask]:
         """(B,) of the ball in which the equilibria are, and whether it is one in which the energy is convex."""
-        q, bow = self.variation(self._by_time(), stretched=True), self.variation(self._by_ball(), stretched=False)
+        # How far the chord is from its nearer end; and what is in a ball from its centre, per its radius.
+        by_time = _Moved((self.theta.d / 2, self.pair.d / 2), self.tangent.d / 2, self.moment.d / 2)
+        each = self.long.v * self.force.v * self.swing
+        by_ball = _Moved(self.weight, self.swing, np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
+        q, bow = self.variation(by_time, stretched=True), self.variation(by_ball, stretched=False)
         first, left = self.gradient(), margin - q
         root = left**2 - 2 * bow * first
         kept = (left > 0) & (root > 0)

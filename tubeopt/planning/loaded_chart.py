@@ -37,11 +37,7 @@ class LoadedChart(Chart):
         return super().of(known)
 
     def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
-        """The loaded equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,).
-
-        Raises:
-            LateError: the clock is over before all of them are known.
-        """
+        """As those of `Chart`, under the load."""
         plain, shift = super().arms(z, 0.0, clock), self.translations(z)
         floor, found = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
         for k in np.flatnonzero(plain.stable).tolist():
@@ -52,11 +48,10 @@ class LoadedChart(Chart):
                 found[k] = e
         stable = np.array([k in found and found[k].margin > floor[k] for k in range(len(z))], dtype=bool)
         width = max((len(e.arc_length) for e in found.values()), default=plain.points.shape[1])
-        s = _widened(plain.arc_length, width)
-        points, tangents = _widened(plain.points, width), _widened(plain.tangents, width)
+        points, tangents, s = (_widened(table, width) for table in (plain.points, plain.tangents, plain.arc_length))
         for k, e in found.items():
-            s[k] = _widened(e.arc_length[None], width)[0]
-            points[k], tangents[k] = (_widened(table[None], width)[0] for table in (e.position, e.frame[:, :, 2]))
+            own = e.position, e.frame[:, :, 2], e.arc_length
+            points[k], tangents[k], s[k] = (_widened(table[None], width)[0] for table in own)
         return Arms(plain.rotations, stable, points, tangents, s, plain.tube_end)
 
     def _loaded(self, tips: Array, rotations: Array, translations: Array) -> Equilibrium | None:

@@ -131,8 +131,8 @@ class LoadedArms(Arms):
         h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
         bend, ends = Bending.of(c, *self.crossed), self.ends[owner]
         drift = Drift.of(c, np.array(1.0), *self.crossed)
-        force = np.linalg.norm(self.pull.on(self.arc_length[inner], ends), axis=1)
-        force = np.maximum(force, np.linalg.norm(self.pull.on(self.arc_length[inner + 1], ends), axis=1))
+        pulls = (self.pull.on(self.arc_length[k], ends) for k in (inner, inner + 1))
+        force = np.maximum(*(np.linalg.norm(each, axis=1) for each in pulls))
         # No moment is larger than the forces ahead make on a straight arm; torque grows by |u| |a| per length.
         moment = self._lever[owner]
         u = bend.most + moment / bend.stiffness
@@ -181,12 +181,6 @@ class LoadedIntervals(Intervals):
         """Bounds of curvature, (B, K), with what the load bends."""
         plain = Bending.of(self.arms.constants, self.stretch)
         return replace(plain, most=plain.most + self.lever / plain.stiffness)
-
-    @cached_property
-    def twist(self) -> Array:
-        """(B, K, n) natural twist, 1/m, by size."""
-        c = self.arms.constants
-        return c.most(c.bounds.twist[0], self.stretch)
 
     @cached_property
     def loads(self) -> tuple[Array, Array, Array]:

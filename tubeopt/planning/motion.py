@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, positive
+from ..errors import InputError, numbers, positive
 from ..files.marks import POSITIVE, key
 from ..inverse.joints import JointSpace
 from ..inverse.way_settings import WaySearch
@@ -50,30 +50,23 @@ class RateLimits(Displayed):
         if self.tip is not None:
             object.__setattr__(self, "tip", positive("tip of the rate limits", self.tip))
         for name in OF_JOINTS:
-            try:
-                values = np.array(getattr(self, name), dtype=float)
-            except (TypeError, ValueError):
-                values = np.array([np.nan])
-            if values.ndim > 1 or not np.isfinite(values).all() or (values <= 0).any():
-                raise InputError(
-                    f"{name} of the rate limits is {getattr(self, name)!r}; it must be a number greater than 0, or one "
-                    "per tube"
-                )
-            object.__setattr__(self, name, tuple(values.tolist()) if values.ndim else float(values))
+            given, label = getattr(self, name), f"{name} of the rate limits"
+            values = tuple(positive(label, each) for each in numbers(label, given))
+            object.__setattr__(self, name, values if np.ndim(given) else values[0])
 
     def of(self, space: JointSpace) -> tuple[Array, Array]:
         """(m,) rates and (m,) accelerations of independent joints; raises InputError for another number of tubes."""
-        n = space.robot.n_tubes
-        out = []
-        for turn, move in (("rotation", "translation"), ("rotation_acceleration", "translation_acceleration")):
-            both = []
-            for name in (turn, move):
-                values = np.atleast_1d(np.array(getattr(self, name)))
-                if len(values) not in (1, n):
-                    raise InputError(f"{name} of the rate limits has {len(values)} numbers; it must be 1 or {n}")
-                both.append(np.broadcast_to(values, (n,)))
-            out.append(np.concatenate([both[0], [both[1][list(tubes)].min() for tubes in space.carriages]]))
-        return out[0], out[1]
+        n, table = space.robot.n_tubes, []
+        for name in OF_JOINTS:
+            values = np.atleast_1d(np.array(getattr(self, name)))
+            if len(values) not in (1, n):
+                raise InputError(f"{name} of the rate limits has {len(values)} numbers; it must be 1 or {n}")
+            table.append(np.broadcast_to(values, (n,)))
+        rates, accelerations = (
+            np.concatenate([turn, [move[list(tubes)].min() for tubes in space.carriages]])
+            for turn, move in (table[:2], table[2:])
+        )
+        return rates, accelerations
 
 
 DEFAULT_RATES = RateLimits()

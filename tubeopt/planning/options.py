@@ -69,10 +69,8 @@ class PlanOptions(Displayed):
     def __post_init__(self) -> None:
         choice("search", self.search, SEARCHES)
         choice("objective", self.objective, (*OBJECTIVES, "none"))
-        extra: object = self.extra_cost
-        if extra is not None and not isinstance(extra, OwnObjective):
-            raise InputError(f"extra_cost is {extra!r}; it must be an OwnObjective")
-        if extra is not None and self.objective == "none":
+        instance("extra_cost", self.extra_cost, OwnObjective, optional=True)
+        if self.extra_cost is not None and self.objective == "none":
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
         if self.roadmap is not None and not hasattr(self.roadmap, "way"):
             raise InputError(f"roadmap is {self.roadmap!r}; it must be a Roadmap")
@@ -81,9 +79,7 @@ class PlanOptions(Displayed):
         positive("search_seconds", self.search_seconds)
         for name in ("clearance", "max_force", "carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
-        turns: object = self.modulo_turns
-        if not isinstance(turns, bool):
-            raise InputError(f"modulo_turns is {turns!r}; it must be True or False")
+        instance("modulo_turns", self.modulo_turns, bool)
         object.__setattr__(self, "seed", whole("seed", self.seed, 0))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -20,9 +21,9 @@ from ..robots.robot import Robot
 from ..typing import Array, Mask
 from .arms import PlacedRobot
 from .arms_plan import plan_arms
+from .goals import checked_places
 from .options import DEFAULT_PLAN, PlanOptions
-from .reach_share import ReachShare, checked_places
-from .region import RegionReach
+from .reach_share import ReachShare, RegionReach, score
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +140,7 @@ class PairReach(Displayed):
     def __call__(self, one: Robot, other: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all pairs are held to 1, and the share; places that are missed count by how far."""
         found = self.evaluate(one, other, own)
-        close = self.options.effort.region_close
-        missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / close, 1.0) for each in found.reached]
-        return float(np.mean(missed) + 1 - found.share) / 2, found.share
+        return score(found.reached, found.share, self.options.effort.region_close)
 
     def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
         """How many motions of both arms to pairs that are held, evenly picked, are proved, and how many were asked."""
@@ -149,21 +148,12 @@ class PairReach(Displayed):
         some = pairs[np.unique(np.linspace(0, len(pairs) - 1, most).astype(int))] if len(pairs) else pairs
         arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]
         options, proved = replace(self.options, objective="none"), 0
+        asked: dict[str, Any] = {"obstacles": self.obstacles, "min_margin": self.min_margin, "options": options}
         for pair in some.tolist():
             ends = zip(found.reached, (one, other), pair, strict=True)
             goals = [goal for side, robot, k in ends if (goal := side.arm(robot, k)) is not None]
-            try:
-                plan = plan_arms(
-                    arms,
-                    self.starts,
-                    goals,
-                    obstacles=self.obstacles,
-                    min_margin=self.min_margin,
-                    options=options,
-                )
-            except SolveError:
-                continue
-            proved += plan.proved
+            with suppress(SolveError):
+                proved += plan_arms(arms, self.starts, goals, **asked).proved
         return proved, len(some)
 
 
@@ -179,13 +169,13 @@ def _at_rest(robot: Robot, found: ReachShare, base: Frame, points: int) -> dict[
         e = found.arm(robot, k)
         if e is None:
             continue
-        s = np.linspace(0.0, e.arc_length[-1], points)
-        line, radius = Outline(e).at(s)
+        outline = Outline(e)
+        line, radius = outline.line(points)
         # The arm is as thick up to the next point as it is at the one before: it grows thinner towards its tip.
         thick = np.maximum.accumulate(radius[::-1])[::-1]
         thick[1:] = np.maximum(thick[1:], thick[:-1])
-        bend = 1.2 * float(np.linalg.norm(e.curvature, axis=1).max(initial=0.0))
-        arms[k] = base.placed(line), thick, s[1] ** 2, bend * s[1] ** 2 / 8
+        square = (float(e.arc_length[-1]) / (points - 1)) ** 2
+        arms[k] = base.placed(line), thick, square, outline.bend * square / 8
     return arms
 
 

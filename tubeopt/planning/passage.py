@@ -7,7 +7,6 @@ stable branch joins two neighbours, or where the bound of the clearance is not s
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,19 +15,21 @@ from itertools import pairwise
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
+from ..inverse.clock import Clock
 from ..inverse.way_settings import WaySearch
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..stability.following import Event, motion_along
+from ..stability.snapping import find_snap
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared
 from .cross_sections import Constants
+from .loaded_branch import loaded_branch
+from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import SWAPPED, Arms, Intervals
 
 SHORTEST = 1e-9
@@ -90,12 +91,12 @@ class BranchEndsError(Exception):
 
 @dataclass(eq=False)
 class Follower:
-    """Follows a robot past bodies; until a moment of `time.perf_counter`."""
+    """Follows a robot past bodies, maybe one that bears a load, until the clock is over."""
 
     robot: Robot
     scene: Scene
     wanted: Wanted
-    until: float
+    clock: Clock
     effort: WaySearch
     load: Load | None = None
     count: int = 0
@@ -110,33 +111,36 @@ class Follower:
         """What no joint changes of the robot."""
         return Constants.of(self.robot)
 
-    @property
-    def halvings(self) -> int:
-        """Of an interval in which nothing bounds how tubes turn, before it is given up."""
-        return self.effort.proof_halvings
-
-    @property
+    @cached_property
     def says(self) -> str:
         """What can be proved nowhere, in words; empty where nothing is known to stand against it."""
-        return ""
+        what = "" if self.load is None else uncovered(self.load)
+        return f"what lies between equilibria under {what} is not bounded" if what else ""
+
+    @property
+    def halvings(self) -> int:
+        """Of an interval in which nothing bounds how tubes turn, before it is given up; none where nothing does."""
+        return 0 if self.says else self.effort.proof_halvings
 
     @property
     def over(self) -> bool:
         """Whether there is no more time, or no more equilibria to spend."""
-        return self.count >= self.effort.proof_equilibria or time.perf_counter() > self.until
+        return self.count >= self.effort.proof_equilibria or self.clock.over
 
     def step(self, here: Step, at: float, joints: Array) -> Step | None:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
         self.count += 1
         try:
-            e = forward_kinematics(self.robot, *pair(joints), load=self.load, guess=here.equilibrium)
+            e = forward_kinematics(self.robot, *np.split(joints, 2), load=self.load, guess=here.equilibrium)
         except SolveError:
             return None
         return Step(at, e, joints) if e.stable else None
 
     def near(self, here: Step, at: float, joints: Array) -> Step | None:
         """The same, by one solve; None also where that is not enough."""
-        rotations, translations = pair(joints)
+        if self.load is not None:  # under which small changes of joints are one solve
+            return self.step(here, at, joints)
+        rotations, translations = np.split(joints, 2)
         e = one_step(self.robot, here.equilibrium, rotations, tuple(translations.tolist()))
         if e is None or not e.stable:
             return None
@@ -161,27 +165,30 @@ class Follower:
 
     def intervals(self, equilibria: Sequence[Equilibrium], one: Index, other: Index) -> Intervals:
         """Those between some of a list of equilibria."""
-        return Intervals.of(Arms.of(self.constants, equilibria), one, other)
+        if self.load is None or self.says:
+            return Intervals.of(Arms.of(self.constants, equilibria), one, other)
+        arms = LoadedArms.of(self.constants, equilibria, pull=Pull.of(self.robot, self.load))
+        return LoadedIntervals.of(arms, one, other)
 
     def joined(self, intervals: Intervals) -> Branch:
-        """What is known between neighbours."""
+        """What is known between neighbours: nothing of a load that the bounds do not cover."""
+        if isinstance(intervals, LoadedIntervals):
+            return loaded_branch(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
+        if self.says:
+            none = np.zeros(len(intervals.one), dtype=bool)
+            return Branch(none, np.full(intervals.length[0].shape, np.inf), none)
         return branch(intervals, _stiffness(intervals.arms))
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
-        begin = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
-        points = motion_along(JointPath(self.robot, begin, joints), polish(here.equilibrium))
+        e = here.equilibrium
         try:
-            snap = next((point for point in points if isinstance(point, Event)), None)
+            rotations, translations = np.split(joints, 2)
+            begin, end = (e.rotations, e.translations), (rotations, translations)
+            snap = find_snap(self.robot, begin, end, equilibrium=e, load=self.load)
         except SolveError:
-            snap = None
-        return None if snap is None else here.at + snap.fold.t * (at - here.at)
-
-
-def pair(joints: Array) -> tuple[Array, Array]:
-    """Rotations and translations of joint values (2n,)."""
-    n = len(joints) // 2
-    return joints[:n], joints[n:]
+            return None
+        return None if snap is None else here.at + snap.fraction * (at - here.at)
 
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
@@ -252,15 +259,19 @@ def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tupl
     lost: list[tuple[float, float]] = []
     while links:
         fresh: list[Link] = []
-        for link, unbroken, off in _looked_at(follower, links):
-            short = link.other.at - link.one.at < SHORTEST or link.unbounded > follower.halvings
-            if unbroken:
-                done.append(replace(link, off=off))
-            elif follower.over or short:
-                lost.append((link.one.at, link.other.at))
-                done.append(replace(link, off=np.full_like(off, np.inf)))
-            else:
-                fresh += halves(follower, link)
+        for some, intervals in _batches(follower, links):
+            found = follower.joined(intervals)
+            told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, strict=True)
+            for link, turned, unbroken, off in told:
+                unbounded = 0 if turned else link.unbounded + 1
+                short = link.other.at - link.one.at < SHORTEST or unbounded > follower.halvings
+                if unbroken:
+                    done.append(replace(link, off=off, unbounded=unbounded))
+                elif follower.over or short:
+                    lost.append((link.one.at, link.other.at))
+                    done.append(replace(link, off=np.full_like(off, np.inf), unbounded=unbounded))
+                else:
+                    fresh += halves(follower, replace(link, unbounded=unbounded))
         links = fresh
     return sorted(done, key=lambda link: link.one.at), lost
 
@@ -275,21 +286,14 @@ def halves(follower: Follower, link: Link) -> list[Link]:
     return [replace(half, unbounded=link.unbounded) for half in parts]
 
 
-def _looked_at(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Link, bool, Array]]:
-    """Every link with whether one stable branch joins its ends, and its `off`."""
+def _batches(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Sequence[Link], Intervals]]:
+    """Links, so many at once as memory allows, with the intervals between their ends."""
     for k in range(0, len(links), BATCH):
         some = links[k : k + BATCH]
-        found = follower.joined(_intervals(follower, some))
-        told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, strict=True)
-        for link, turned, unbroken, off in told:
-            yield replace(link, unbounded=0 if turned else link.unbounded + 1), unbroken, off
-
-
-def _intervals(follower: Follower, links: Sequence[Link]) -> Intervals:
-    steps = {id(step): step for link in links for step in (link.one, link.other)}
-    number = {key: k for k, key in enumerate(steps)}
-    one, other = (np.array([number[id(getattr(link, end))] for link in links]) for end in ("one", "other"))
-    return follower.intervals([step.equilibrium for step in steps.values()], one, other)
+        steps = {id(step): step for link in some for step in (link.one, link.other)}
+        number = {key: j for j, key in enumerate(steps)}
+        one, other = (np.array([number[id(getattr(link, end))] for link in some]) for end in ("one", "other"))
+        yield some, follower.intervals([step.equilibrium for step in steps.values()], one, other)
 
 
 def _stiffness(arms: Arms) -> Array:
@@ -307,9 +311,7 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
     lost: list[tuple[float, float]] = []
     closest = math.inf
     while links:
-        for k in range(0, len(links), BATCH):
-            some = links[k : k + BATCH]
-            intervals = _intervals(follower, some)
+        for some, intervals in _batches(follower, links):
             off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
             bounds, closest = cleared(intervals, off, follower.scene, follower.wanted, closest)
             for link, bound in zip(some, bounds.tolist(), strict=True):

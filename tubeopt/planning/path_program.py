@@ -26,11 +26,13 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from ..block.quantities import Expression, Quantity
+from ..block.own import OwnObjective
+from ..block.quantities import Expression, recorded
 from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..bodies.corridors import MeshObstacle
 from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
+from ..errors import InputError
 from ..inverse.way_settings import WaySearch
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
@@ -225,9 +227,21 @@ def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> 
     return weight * mean, weight * slope.T @ ca.diagcat(*ca.horzsplit(blocks, given.shape[0])) @ slope
 
 
-def path_quantities(one: Quantity) -> bool:
-    """Whether an own cost on the path may speak of a quantity."""
-    return one.pose is not None and one.name in PATH_QUANTITIES
+def path_cost(extra: OwnObjective, n: int) -> Expression:
+    """An own cost on the path as an expression of one of its poses.
+
+    Raises:
+        InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
+    """
+    extra.checked()
+    found = recorded(extra.expression, n, 1, extra.words)
+    for one in found.quantities:
+        if one.pose is None or one.name not in PATH_QUANTITIES:
+            known = ", ".join(PATH_QUANTITIES)
+            raise InputError(f"the cost {extra.words} speaks of {one.name}; on a path it may speak of {known}")
+    if found.value.numel_out() != 1:
+        raise InputError(f"the cost {extra.words} has {found.value.numel_out()} numbers; it must be one")
+    return found
 
 
 def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:

@@ -12,33 +12,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from time import perf_counter as time_now
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
-from ..errors import InputError, finite, positive
-from ..inverse.arguments import check_robot, checked_obstacles, kind_of
+from ..errors import InputError, finite, instance, positive
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.limits import JointLimits
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array, Sentence
 from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast
-from .loaded_passage import LoadedFollower
 from .motion import RateLimits
 from .passage import SHORTEST, Follower, Passage, Step, follow
 
@@ -180,10 +177,10 @@ def verify_trajectory(  # noqa: PLR0913
     """
     check_robot(robot)
     bodies = checked_obstacles(obstacles)
-    kind_of("limits", limits, JointLimits, optional=True)
-    kind_of("rate_limits", rate_limits, RateLimits, optional=True)
-    kind_of("start", start, Equilibrium, optional=True)
-    kind_of("effort", effort, WaySearch)
+    instance("limits", limits, JointLimits, optional=True)
+    instance("rate_limits", rate_limits, RateLimits, optional=True)
+    instance("start", start, Equilibrium, optional=True)
+    instance("effort", effort, WaySearch)
     alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
@@ -194,15 +191,13 @@ def verify_trajectory(  # noqa: PLR0913
     if forced is not None and load is not None:
         raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
-    until = math.inf if clock is None else time_now() + clock.left
     wanted = Wanted(clearance + moved, effort.proof_accuracy, effort.proof_cells)
-    what = robot, scene_of(bodies), wanted, until, effort
-    follower = Follower(*what) if load is None else LoadedFollower(*what, load=load)
+    follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(math.inf), effort, load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
     if forced is not None:
         unproved += _force_faults(forced, min_margin)
-    late = bool(unproved) and clock is not None and clock.over
+    late = bool(unproved) and follower.clock.over
     proof = _judge(follower, passage, refuted, joint_range(robot, limits), (t, alpha, shift), rate_limits)
     proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
     return proof if forced is None else _under_force(proof, forced)
@@ -212,8 +207,7 @@ def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array],
     """The stable equilibrium at the first joint values, under the load."""
     if load is not None:
         check_load(robot, load, tuple(joints[1].tolist()))
-        if not load.has_energy:
-            raise InputError("load has a moment or turns with the tip; it has no energy, so nothing is told of snaps")
+        load.require_energy("nothing is told of snaps")
     first = forward_kinematics(robot, *joints, load=load) if start is None else start
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
@@ -276,8 +270,8 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
     reached = passage.steps[-1].at
     if passage.snap is None and reached < 1:
         followed = f"when {100 * reached:.4g} % of it was followed"
-        late = time_now() > follower.until
-        why = "the time limit was reached" if late else f"more than {follower.count} equilibria would be needed"
+        needed = f"more than {follower.count} equilibria would be needed"
+        why = "the time limit was reached" if follower.clock.over else needed
         unproved.append(f"not proved: {why} {followed}")
     elif passage.lost and follower.says:
         unproved.append(f"not proved: {follower.says}")

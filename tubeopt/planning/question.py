@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..bodies.obstacles import Obstacle
-from ..errors import InputError, SolveError, finite
-from ..inverse.arguments import check_robot, checked_obstacles, kind_of
+from ..bodies.obstacles import Obstacle, checked_obstacles
+from ..errors import InputError, SolveError, finite, instance
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
 from ..inverse.joints import JointSpace
@@ -18,23 +17,37 @@ from ..inverse.question import prepared
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, check_robot
 from ..stability.deflection import under_any_force
 from ..typing import Array
 from .loaded_chart import LoadedChart
 from .loaded_sections import uncovered
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .smooth import path_cost
+from .path_program import path_cost
 
 
-@contextmanager
-def in_time(clock: Clock) -> Iterator[None]:
-    """Raise SolveError where the clock is over in the middle of something."""
-    try:
-        yield
-    except LateError:
-        raise SolveError(f"no plan was found within {clock.limit:g} s, which ran out before a way was found") from None
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What must hold, how fast the actuators are, and how a plan is made."""
+
+    task: Task
+    rates: RateLimits
+    options: PlanOptions
+
+    @property
+    def clock(self) -> Clock:
+        """Of the time limit, which runs from when it was asked."""
+        return self.task.clock
+
+    @contextmanager
+    def in_time(self) -> Iterator[None]:
+        """Raise SolveError where the clock is over in the middle of something."""
+        try:
+            yield
+        except LateError:
+            limit = f"{self.clock.limit:g} s"
+            raise SolveError(f"no plan was found within {limit}, which ran out before a way was found") from None
 
 
 def asked(
@@ -45,17 +58,17 @@ def asked(
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
     load: Load | None = None,
-) -> tuple[Task, Clock]:
-    """What must hold, and the clock of the time limit, which runs from here.
+) -> Question:
+    """The question, its clock running from here.
 
     Raises:
         InputError: arguments of another kind, or with numbers that make no sense.
     """
-    kind_of("options", options, PlanOptions)
+    instance("options", options, PlanOptions)
     clock = Clock(options.time_limit)
     check_robot(robot)
-    kind_of("limits", limits, JointLimits, optional=True)
-    kind_of("rate_limits", rate_limits, RateLimits)
+    instance("limits", limits, JointLimits, optional=True)
+    instance("rate_limits", rate_limits, RateLimits)
     bodies = checked_obstacles(obstacles)
     if options.extra_cost is not None:
         path_cost(options.extra_cost, robot.n_tubes)
@@ -68,12 +81,12 @@ def asked(
     task = Task(
         chart, bodies, floor, options.clearance, max_force=options.max_force, effort=options.effort, clock=clock
     )
-    return task, clock
+    return Question(task, rate_limits, options)
 
 
 def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     """The chart of a robot that bears a load; raises InputError where no plan could be proved."""
-    kind_of("load", load, Load)
+    instance("load", load, Load)
     what = uncovered(load)
     if what:
         raise InputError(f"load has {what}, under which no motion can be proved")
@@ -83,14 +96,15 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     return LoadedChart(space, load)
 
 
-def bearing(task: Task, *translations: Array) -> Task:
-    """The task with room for what a force on the tip moves the arm by at translations (n,) each, and between them.
+def bearing(question: Question, *translations: Array) -> Question:
+    """The question with room for what a force on the tip moves the arm by at translations (n,) each, and between them.
 
     Raises:
         SolveError: at one of them it is not shown that every such force leaves the margin.
     """
+    task = question.task
     if not task.max_force:
-        return task
+        return question
     robot, alone = task.chart.space.robot, []
     for each in translations:
         bound = under_any_force(robot, each, task.max_force)
@@ -104,4 +118,5 @@ def bearing(task: Task, *translations: Array) -> Task:
         alone.append(bound.deflection)
     between = under_any_force(robot, np.array(translations), task.max_force).deflection
     reserve = task.effort.force_room * (between if np.isfinite(between) else max(alone))
-    return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)
+    task = replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)
+    return replace(question, task=task)

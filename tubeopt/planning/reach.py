@@ -1,14 +1,17 @@
 """Whether a place is out of reach: told in a fraction of a second, before inverse kinematics looks for the joints.
 
-What is tested is an easier question than the one that is asked. Margin, branch, ranges of rotations, obstacles and the
-direction of the tip are left out; ranges of the translations and the order of the tubes are kept. Who cannot reach the
-place even so cannot reach it at all; that the best of some local searches cannot is evidence, not a proof.
+No tip can be in an obstacle, farther than any arm, or behind a box that no arm gets around. Beyond that, an easier
+question is tested than the one that is asked. Margin, branch, ranges of rotations, obstacles and the direction of the
+tip are left out; ranges of the translations and the order of the tubes are kept. Who cannot reach the place even so
+cannot reach it at all; that the best of some local searches cannot is evidence, not a proof.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..bodies.obstacles import Box
+from ..errors import SolveError
 from ..inverse.clock import Clock
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.multistart import known_starts
@@ -18,6 +21,53 @@ from ..typing import Array
 
 DIFFERENCE = 1e-5
 """Step of the differences, in units of the scales."""
+
+
+def check_place(task: Task, position: Array) -> None:
+    """Raise SolveError where the tip cannot be at a place: an obstacle is there, or no arm is long enough, straight or
+    around a box."""
+    for k, obstacle in enumerate(task.obstacles):
+        # No arm is thinner at its tip than the thinnest tube.
+        clear = float(obstacle.signed_distance(position[None])[0] - task.chart.radius.min())
+        if clear < task.clearance:
+            raise SolveError(
+                f"no plan exists: with its tip at the goal the arm has clearance {clear * 1e3:.4g} mm at most from "
+                f"obstacle {k + 1} ({type(obstacle).__name__}); it must keep {task.clearance * 1e3:g} mm"
+            )
+    longest, far = task.chart.space.longest, float(np.linalg.norm(position))
+    if far > longest:
+        raise SolveError(
+            f"no plan exists: the goal is {far * 1e3:.4g} mm from the plate, and no arm is longer than "
+            f"{longest * 1e3:.4g} mm"
+        )
+    for k, body in enumerate(task.obstacles):
+        around = way_around(body, position) if isinstance(body, Box) else 0.0
+        if around > longest:
+            raise SolveError(
+                f"no plan exists: obstacle {k + 1} (Box) is between the plate and the goal; a way around it is at "
+                f"least {around * 1e3:.4g} mm long, and no arm is longer than {longest * 1e3:.4g} mm"
+            )
+
+
+def way_around(box: Box, position: Array) -> float:
+    """Length (m) that a way from the plate to a place is at least, since a box lies between them; 0 where it does not.
+
+    Where plate and place are on either side of the box along an axis, a way passes the plane in the middle of the box
+    beyond one of its four sides there: at best on the edge of that side, unfolded about it.
+    """
+    low, high, longest = np.array(box.low), np.array(box.high), 0.0
+    for k in range(3):
+        if not min(0.0, position[k]) < low[k] < high[k] < max(0.0, position[k]):
+            continue
+        middle, ways = (low[k] + high[k]) / 2, []
+        for i in range(3):
+            for edge, side in ((low[i], -1.0), (high[i], 1.0)) if i != k else ():
+                # From a point that is itself beyond the side the plane is reached straight on.
+                reach = [np.hypot(max(side * (edge - p[i]), 0.0), middle - p[k]) for p in (np.zeros(3), position)]
+                along = position[3 - i - k]
+                ways.append(float(np.hypot(sum(reach), along)))
+        longest = max(longest, min(ways))
+    return longest
 
 
 def least_miss(task: Task, position: Array, clock: Clock | None = None) -> float:

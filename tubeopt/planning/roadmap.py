@@ -9,9 +9,8 @@ forgotten, and looked at once more as ways need it, while the points stay.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
-from operator import is_
 from os import PathLike
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 import scipy
 
 from ..bodies.obstacles import Obstacle
+from ..bodies.scene import Same
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..inverse.clock import Clock, LateError
@@ -60,9 +60,8 @@ class Roadmap(Displayed):
         self._remember(task)
         count, ends = len(self.points), np.stack([start, *goals])
         places = np.concatenate([self.points, ends]) / task.scale
-        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)[
-            :, : 2 * task.effort.roadmap_neighbours
-        ]
+        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)
+        near = near[:, : 2 * task.effort.roadmap_neighbours]
         to_ends = np.column_stack([np.repeat(np.arange(count, len(places)), near.shape[1]), near.ravel()])
         straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
         edges = np.concatenate([self.edges, to_ends, straight])
@@ -99,7 +98,7 @@ class Roadmap(Displayed):
         """(k, m) points of the map, at most `count`, whose tips are nearest to a place (3,), those first."""
         self._remember(task)
         if self.tips is None:
-            self.tips = replace(task, clock=None).arms(self.points).tip
+            self.tips = task.chart.arms(self.points, 0.0).tip
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
@@ -107,9 +106,9 @@ class Roadmap(Displayed):
         """Forget what was found of edges where another question is asked."""
         if not np.array_equal(task.chart.parameters, self.parameters):
             raise InputError("the roadmap is of another robot")
-        asks = (task.obstacles, task.min_margin, task.clearance, task.floor, task.margin_room, task.clearance_room)
-        same = len(self.asked_with) == len(asks) and self.asked_with[1:] == asks[1:]
-        if not (same and len(self.asked_with[0]) == len(asks[0]) and all(map(is_, self.asked_with[0], asks[0]))):
+        rooms = task.margin_room, task.clearance_room
+        asks = (Same(task.obstacles), task.min_margin, task.clearance, task.floor, *rooms)
+        if asks != self.asked_with:
             self.known.clear()
         self.asked_with = asks
 
@@ -156,12 +155,12 @@ def build_roadmap(
         >>> len(tubeopt.build_roadmap(robot, count=20))
         20
     """
-    task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options)
+    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options).task
     random, n = np.random.default_rng(options.seed), robot.n_tubes
     space, found, total = task.chart.space, [], 0
     drawn = task.effort.roadmap_drawn
     shifts = space.sample(16 * drawn)[:, n:]
-    while total < count and not clock.over:
+    while total < count and not task.clock.over:
         z = np.column_stack([random.uniform(-np.pi, np.pi, (drawn, n)), random.choice(shifts, drawn)])
         try:
             kept = z[task.holds(z)]

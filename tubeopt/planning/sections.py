@@ -257,11 +257,6 @@ class Intervals:
         moved = self.drift.eased.v[:, 0] * self.moved[:, 0] ** 2
         return Jet(plain.v, plain.d + moved / 2, moved)
 
-    @property
-    def interpolated(self) -> Array:
-        """(B, n) bound of the error of `changes` by interpolation, rad, of tubes on the centreline."""
-        return np.asarray(self.arms.turn_error[self.one] + self.arms.turn_error[self.other])
-
     @cached_property
     def radius(self) -> Array:
         """(B, K) radius of the arm in each section, m."""
@@ -280,6 +275,11 @@ class Intervals:
             low, high = cuts[which, section], cuts[which, section + 1]
             points.append(self.arms.points(e[which], low + x * (high - low)))
         return points[0], points[1]
+
+    def sagitta(self, which: Index, section: Index, x: Array) -> Array:
+        """(N,) how far arms bend off straight lines between fractions x (N, 2) of sections of intervals `which`, m."""
+        long = np.maximum(*self.length)[which, section] * (x[:, 1] - x[:, 0])
+        return np.asarray(self.bending.most[which, section] * long**2 / 8)
 
     @property
     def parts(self) -> tuple[tuple[Index, Array], tuple[Index, Array]]:

@@ -8,22 +8,21 @@ from itertools import pairwise
 import numpy as np
 
 from ..block.own import OwnObjective
-from ..block.quantities import Expression, recorded
+from ..block.quantities import Expression
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError
 from ..inverse.clock import Clock
 from ..inverse.task import Task
 from ..typing import Array, Mask
 from .motion import Motion, cubic
 from .path_program import (
     MOST_NODES,
-    PATH_QUANTITIES,
     TABLES,
     PathProgram,
     PathQuestion,
+    path_cost,
     path_program,
-    path_quantities,
 )
+from .timing import Limits
 from .tracking import Tracked, track
 
 OBJECTIVES = ("length", "time", "effort", "margin")
@@ -58,22 +57,13 @@ def building(task: Task) -> float:
     return own + bodies + task.effort.smoothing_build_node * nodes
 
 
-def densify(task: Task, points: Array) -> list[Array]:
-    """Every straight motion of a way as evenly spaced points of the chart (k, m)."""
-    out = []
-    for a, b in pairwise(points):
-        out.append(np.concatenate([a[None], task.between(a, b), b[None]]))
-    return out
-
-
 def joint_curves(task: Task, points: Array) -> list[Array]:
     """The joint values of every straight motion of a way (k, m), evenly spaced and as close as it takes to check it."""
     out = []
-    for line in densify(task, points):
-        pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
+    for a, b in pairwise(points):
+        pieces = (len(task.line(a, b)) - 1) * 2 ** (task.fineness(a, b) or 0)
         for halvings in range(task.effort.smoothing_halvings + 1):
-            fine = line[0] + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (line[-1] - line[0])
-            q = task.chart.joints(fine)
+            q = task.chart.joints(a + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (b - a))
             if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= task.effort.smoothing_bend:
                 break
         out.append(q)
@@ -82,8 +72,7 @@ def joint_curves(task: Task, points: Array) -> list[Array]:
 
 def resample(task: Task, points: Array, count: int) -> Array:
     """(count, m) points of a way, evenly spaced by the length of joint motion."""
-    lines = densify(task, points)
-    z = np.concatenate([lines[0][:1], *(line[1:] for line in lines)])
+    z = np.concatenate([points[:1], *(task.line(a, b)[1:] for a, b in pairwise(points))])
     q = task.chart.joints(z) / task.scale
     # Both metrics count: where the joints hardly move, the arm may.
     step = np.linalg.norm(np.diff(q, axis=0), axis=1) + 0.3 * np.linalg.norm(np.diff(z / task.scale, axis=0), axis=1)
@@ -95,19 +84,12 @@ def resample(task: Task, points: Array, count: int) -> Array:
 
 
 def smooth(
-    task: Task,
-    start: Equilibrium,
-    points: Array,
-    limits: tuple[Array, Array],
-    *,
-    objective: str = "length",
-    extra: OwnObjective | None = None,
-    clock: Clock | None = None,
+    task: Task, start: Equilibrium, points: Array, limits: Limits, aim: tuple[str, OwnObjective | None], clock: Clock
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
-    the clock is over. How long it takes is told by objectives of time and effort only. `extra` is an own cost, of which
-    the mean along the path counts beside the objective."""
-    clock = clock or Clock(20.0)
+    the clock is over. How long it takes is told by objectives of time and effort only. `aim`: the objective, and an own
+    cost, of which the mean along the path counts beside it."""
+    objective, extra = aim
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     intervals, iterations = task.effort.smoothing_intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
@@ -116,7 +98,7 @@ def smooth(
         near = _near(task, z)
         if task.chart.size > task.effort.smoothing_operations or clock.left < clock.crowding * building(near):
             return None
-        found = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
+        found = _solve(near, z, share, limits, (objective, own), room, clock)
         if found is None:
             return None
         iterations += found.iterations
@@ -140,40 +122,16 @@ def _near(task: Task, z: Array) -> Task:
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
 
 
-def path_cost(extra: OwnObjective, n: int) -> Expression:
-    """An own cost on the path as an expression of one of its poses.
-
-    Raises:
-        InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
-    """
-    extra.checked()
-    found = recorded(extra.expression, n, 1, extra.words)
-    for one in found.quantities:
-        if not path_quantities(one):
-            known = ", ".join(PATH_QUANTITIES)
-            raise InputError(f"the cost {extra.words} speaks of {one.name}; on a path it may speak of {known}")
-    if found.value.numel_out() != 1:
-        raise InputError(f"the cost {extra.words} has {found.value.numel_out()} numbers; it must be one")
-    return found
+Aim = tuple[str, tuple[Expression, float] | None]
+"""The objective, and an own cost with its weight."""
 
 
-def _solve(
-    task: Task,
-    z: Array,
-    share: Array,
-    limits: tuple[Array, Array],
-    aim: tuple[str, tuple[Expression, float] | None],
-    room: tuple[float, float],
-    clock: Clock,
-) -> Smoothed | None:
-    """The program's solution from knots (K, m) in the chart.
-
-    `aim`: the objective, and an own cost with its weight.  `room`: above the margin and the clearance (m) to keep, at
-    knots.
-    """
+def _solve(task: Task, z: Array, share: Array, limits: Limits, aim: Aim, room: Array, clock: Clock) -> Smoothed | None:
+    """The program's solution from knots (K, m) in the chart, with so much room (2,) above the margin and the clearance
+    (m) to keep, at knots."""
     objective, extra = aim
     space, n = task.chart.space, task.chart.space.robot.n_tubes
-    scale, (rate, acceleration) = task.scale, limits
+    scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
         task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, task.effort, extra
     )
@@ -195,22 +153,21 @@ def _solve(
         twist=np.maximum(task.effort.smoothing_twist, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
     )
-    floor = min(task.min_margin + room[0], 0.998)
+    floor = min(task.min_margin + float(room[0]), 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
-    least = _to_keep(program, np.asarray(program.least(x, p)), _falls(task, z, room[1]))
+    least = _to_keep(task, program, np.asarray(program.least(x, p)), z, float(room[1]))
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
     if not (stats["success"] or stats["return_status"] in UNFINISHED):
         return None
-    x = np.asarray(result["x"]).ravel()
-    size = q.size
-    joints, rates = (x[k * size : (k + 1) * size].reshape(q.shape) * scale for k in (0, 1))
-    tips = x[2 * size : 2 * size + n * len(q)].reshape(len(q), n)
-    duration = float(np.sqrt(x[-2])) * unit
+    sizes = np.cumsum([q.size, q.size, n * len(q)])
+    *moved, tips, (square, _) = np.split(np.asarray(result["x"]).ravel(), sizes)
+    joints, rates = (each.reshape(q.shape) * scale for each in moved)
+    duration = float(np.sqrt(square)) * unit
     motion = cubic(time * duration, joints, rates / duration)
-    return Smoothed(motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"]))
+    return Smoothed(motion, np.column_stack([tips.reshape(-1, n), joints[:, n:]]), int(stats["iter_count"]))
 
 
 def begin_rates(q: Array, time: Array) -> Array:
@@ -228,27 +185,23 @@ def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
-def _to_keep(program: PathProgram, least: Array, falls: Array) -> Array:
-    """(K, rows) least distances to keep, m: of those of an obstacle, all that of the closest, less by how much (K,
-    obstacles) they may fall."""
-    body, found = np.array(program.body, dtype=int), least.reshape(len(falls), -1)
+def _to_keep(task: Task, program: PathProgram, least: Array, z: Array, room: float) -> Array:
+    """(K, rows) least distances to keep, m, at knots (K, m): of those of an obstacle, all that of the closest. It may
+    fall to `room` above the clearance to keep; not at all where a knot has no more than that to spare; and it must grow
+    where there is none.
+
+    The smooth least distances of the program, `least`, are bounded by what they are now less this: where much of an arm
+    is about as close as its closest point, they are a few millimetres too small, of all knots alike.
+    """
+    arms = task.chart.arms(z, 0.0)
+    alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
+    spare = np.array([each - task.clearance for each in alone]).reshape(len(task.obstacles), len(z)).T
+    falls = spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None]))
+    body, found = np.array(program.body, dtype=int), least.reshape(len(z), -1)
     closest = np.empty_like(falls)
     for k in range(falls.shape[1]):
         closest[:, k] = found[:, body == k].min(axis=1)
     return np.asarray((closest - falls)[:, body])
-
-
-def _falls(task: Task, z: Array, room: float) -> Array:
-    """(K, obstacles) by how much, m, the distances of knots (K, m) from obstacles may fall: to `room` above the
-    clearance to keep; not at all where a knot has no more than that to spare. Negative where they must grow.
-
-    The smooth least distances of the program are bounded by what they are now less this: where much of an arm is about
-    as close as its closest point, they are a few millimetres too small, of all knots alike.
-    """
-    arms = task.chart.arms(z, 0.0)
-    alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
-    spare = np.array([least - task.clearance for least in alone]).reshape(len(task.obstacles), len(z)).T
-    return np.asarray(spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None])))
 
 
 def _bounds(

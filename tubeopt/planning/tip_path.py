@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,20 +15,19 @@ from numpy.typing import ArrayLike
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, instance, positive
-from ..inverse import IkSession, InverseOptions, inverse_kinematics
-from ..inverse.clock import Clock
+from ..inverse import IkSession, inverse_kinematics
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import passing
-from .goals import LEAST_SECONDS, check_start, start_equilibrium
+from .goals import check_start, checked_places, kept, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked
 from .reach import least_miss
-from .trajectory import PlanStatistics, Trajectory
+from .trajectory import Trajectory
 
 LONGEST = 1000
 """Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
@@ -104,7 +104,8 @@ def follow_tip_path(  # noqa: PLR0913
     """
     positive("tolerance", tolerance)
     instance("solver", solver, TipPathSolver)
-    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    question = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task, clock = question.task, question.clock
     curve = _curve(path, spline, solver.dense)
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
     longest = LONGEST * max(tube.length for tube in robot.tubes)
@@ -113,19 +114,24 @@ def follow_tip_path(  # noqa: PLR0913
             f"path is {length:.6g} m long; it must be at most {longest:g} m, {LONGEST} times the longest tube"
         )
     furthest, reason = 0.0, "the first point is out of reach"
-    for first in _starts(task, curve, start, tolerance, limits, options, clock, solver):
+    for first in _starts(task, curve, start, tolerance, solver):
         spacing = solver.spacing * task.chart.space.length
         for _ in range(solver.refinements + 1):
             places = _spaced(curve, spacing)
-            try:
-                equilibria = _track(task, first, places, limits, options, clock)
-            except _StuckError as stuck:
-                if stuck.share >= furthest:
-                    furthest, reason = stuck.share, str(stuck)
+            equilibria, why = _track(task, first, places)
+            share = len(equilibria) / len(places)
+            if share < 1:
+                if share >= furthest:
+                    furthest, reason = share, why
                 break
-            made, reason = _make(task, equilibria, curve, rate_limits, clock)
-            if made is not None and made.deviation is not None and made.deviation.max() <= tolerance:
-                return made
+            q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
+            made = passing(question, first, q, task.chart.of(equilibria[-1]), "tip path", len(q))
+            if isinstance(made, Trajectory):
+                off = distance_from(curve, made.tip_position)
+                if off.max() <= tolerance:
+                    return replace(made, deviation=off)
+                made = ("between its points the tip leaves the curve",)
+            reason = "; ".join(made)
             furthest, spacing = 1.0, spacing / 2
             if clock.over:
                 break
@@ -135,24 +141,11 @@ def follow_tip_path(  # noqa: PLR0913
     raise SolveError(f"the tip can follow {100 * furthest:.1f} % of the curve: {reason}")
 
 
-class _StuckError(Exception):
-    """Where tracking ends: share of the curve, and why."""
-
-    def __init__(self, share: float, reason: str) -> None:
-        super().__init__(reason)
-        self.share = share
-
-
 def _curve(path: ArrayLike, spline: bool, dense: int) -> Array:
     """(k, 3) dense points of the curve."""
-    try:
-        points = np.array(path, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("path must be a table of numbers, x, y, z in m, one row per point") from None
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-        raise InputError(f"path has shape {points.shape}; it must be x, y, z of at least 2 points")
-    if not np.isfinite(points).all():
-        raise InputError("path has a number that is not finite")
+    points = checked_places(path, "path")
+    if len(points) < 2:
+        raise InputError("path is 1 point; it must be at least 2 points")
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if (step <= 0).any():
         raise InputError(f"path has the same point twice in a row, at {int(np.argmin(step)) + 1}")
@@ -173,16 +166,7 @@ def _spaced(curve: Array, spacing: float) -> Array:
     return np.concatenate(out)
 
 
-def _starts(
-    task: Task,
-    curve: Array,
-    start: Any,
-    tolerance: float,
-    limits: JointLimits | None,
-    options: PlanOptions,
-    clock: Clock,
-    solver: TipPathSolver,
-) -> Iterator[Equilibrium]:
+def _starts(task: Task, curve: Array, start: Any, tolerance: float, solver: TipPathSolver) -> Iterator[Equilibrium]:
     if start is not None:
         first = start_equilibrium(task.chart.space, start)
         check_start(task, first)
@@ -194,60 +178,31 @@ def _starts(
             )
         yield first
         return
-    miss = least_miss(task, curve[0], clock)
+    miss = least_miss(task, curve[0], task.clock)
     if miss > 0:
         raise SolveError(
             "the tip can follow 0 % of the curve: its first point is out of reach as far as searches tell, in which "
             f"the tip comes no closer to it than {miss * 1e3:.4g} mm"
         )
-    how = InverseOptions(
-        clearance=options.clearance,
-        carriage_gap=options.carriage_gap,
-        section_length=options.section_length,
-        time_limit=max(solver.starts_share * clock.left, LEAST_SECONDS),
-    )
-    question: dict[str, Any] = {"min_margin": task.min_margin, "limits": limits, "obstacles": task.obstacles}
-    found = inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, options=how, **question)
-    for answer in found[: solver.starts]:
+    asks = kept(task, task.min_margin, solver.starts_share * task.clock.left)
+    for answer in inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, **asks)[: solver.starts]:
         yield answer.equilibrium
 
 
-def _track(
-    task: Task, first: Equilibrium, places: Array, limits: JointLimits | None, options: PlanOptions, clock: Clock
-) -> list[Equilibrium]:
-    """Equilibria with their tips at all places, each followed from the last; raises _StuckError."""
-    how = InverseOptions(
-        clearance=options.clearance, carriage_gap=options.carriage_gap, section_length=options.section_length
-    )
+def _track(task: Task, first: Equilibrium, places: Array) -> tuple[list[Equilibrium], str]:
+    """Equilibria with their tips at the places, each followed from the last, and why they end before the last one."""
+    out: list[Equilibrium] = []
     floor = min(task.min_margin + task.margin_room, max(first.margin - 1e-4, task.min_margin))
     try:
-        session = IkSession(
-            first.robot, seed=first, min_margin=floor, limits=limits, obstacles=task.obstacles, options=how
-        )
-    except InputError as error:
-        raise _StuckError(0.0, str(error)) from None
-    out = [first]
-    for k, place in enumerate(places[1:], start=1):
-        if clock.over:
-            raise _StuckError(k / len(places), "no answer was found in time")
-        try:
+        session = IkSession(first.robot, seed=first, **kept(task, floor, math.inf))
+        out.append(first)
+        for place in places[1:]:
+            if task.clock.over:
+                return out, "no answer was found in time"
             out.append(session.solve(place).equilibrium)
-        except SolveError as error:
-            raise _StuckError(k / len(places), str(error)) from None
-    return out
-
-
-def _make(
-    task: Task, equilibria: Sequence[Equilibrium], curve: Array, rates: RateLimits, clock: Clock
-) -> tuple[Trajectory | None, str]:
-    """A proved motion with these tips and how far its tip leaves the curve; else what is wrong."""
-    q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
-    found = PlanStatistics("tip path", "", len(q), 0.0, 0.0, 0, len(q), clock.seconds)
-    made = passing(task, equilibria[0], q, task.chart.of(equilibria[-1]), rates, clock, found)
-    if not isinstance(made, Trajectory):
-        return None, "; ".join(made)
-    made = replace(made, deviation=distance_from(curve, made.tip_position))
-    return made, "between its points the tip leaves the curve"
+    except (InputError, SolveError) as error:
+        return out, str(error)
+    return out, ""
 
 
 def distance_from(curve: Array, points: Array) -> Array:

@@ -40,7 +40,7 @@ class Tracked:
         step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
         most = task.effort.smoothing_left
         left = most * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / task.effort.sample_step) ** 2
-        clear = [clearance_of(task, e, task.clearance + most) for e in self.equilibria]
+        clear = [Outline(e).clearance(task.scene, task.clearance + most) for e in self.equilibria]
         out = np.array([task.min_margin + left - self.margin, task.clearance + left - np.array(clear)])
         for end in {0, len(q) - 1} if len(q) else ():
             out[:, end] = np.minimum(out[:, end], 0.0)
@@ -62,8 +62,3 @@ def track(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) 
             break
         found.append(here)
     return Tracked(tuple(found), len(found) < len(q))
-
-
-def clearance_of(task: Task, equilibrium: Equilibrium, enough: float = np.inf) -> float:
-    """Least distance of the arm from obstacles, m, or a bound of it that is `enough`; infinite without."""
-    return Outline(equilibrium).clearance(task.scene, enough)

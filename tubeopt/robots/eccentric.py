@@ -10,8 +10,8 @@ from typing import Annotated
 
 import numpy as np
 
-from ..errors import InputError, positive
-from ..files.marks import NOT_NEGATIVE, unit
+from ..errors import InputError
+from ..files.marks import NOT_NEGATIVE, check_fields, unit
 from ..typing import Array
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration
@@ -47,6 +47,16 @@ class SheathedRobot(BaseRobot):
     def tubes(self) -> tuple[Tube, ...]:
         """The 3 k tubes: three of the innermost segment, then three of the next."""
         return tuple(tube for tube in self.held for _ in range(3))
+
+    def check_bends(self) -> None:
+        """Raise InputError where a precurvature is tighter than the robot is thick."""
+        for i, tube in enumerate(self.held, start=1):
+            if self.distance * abs(tube.curvature) >= 0.25:
+                which = f" of segment {i}" if len(self.held) > 1 else ""
+                raise InputError(
+                    f"offset is {self.distance:g} m; it must be less than a quarter of the radius of precurvature"
+                    f"{which}, {0.25 / abs(tube.curvature):g} m"
+                )
 
     @property
     def home_translations(self) -> Array:
@@ -123,21 +133,16 @@ class EccentricRobot(SheathedRobot):
 
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
-        positive("transmission_length", self.transmission_length, zero=True)
+        check_fields(self)
         touching = self.tube.outer_diameter / math.sqrt(3)
-        distance = touching if self.offset is None else positive("offset", self.offset, zero=True)
+        distance = touching if self.offset is None else self.offset
         object.__setattr__(self, "offset", distance)
-        object.__setattr__(self, "transmission_length", float(self.transmission_length))
         if 0 < distance < touching * (1 - 1e-9):
             raise InputError(
                 f"offset is {distance:g} m; tubes of outer_diameter {self.tube.outer_diameter:g} m need at least "
                 f"{touching:g} m (or 0, the equivalent concentric robot)"
             )
-        if distance * abs(self.tube.curvature) >= 0.25:
-            raise InputError(
-                f"offset is {distance:g} m; it must be less than a quarter of the radius of precurvature, "
-                f"{0.25 / abs(self.tube.curvature):g} m"
-            )
+        self.check_bends()
         self.check_drives()
 
     @cached_property
@@ -198,12 +203,7 @@ class SegmentedEccentricRobot(SheathedRobot):
                 )
         widest = EccentricRobot(segments[-1], self.offset)
         object.__setattr__(self, "offset", widest.distance)
-        for i, tube in enumerate(segments):
-            if self.distance * abs(tube.curvature) >= 0.25:
-                raise InputError(
-                    f"offset is {self.distance:g} m; it must be less than a quarter of the radius of precurvature of "
-                    f"segment {i + 1}, {0.25 / abs(tube.curvature):g} m"
-                )
+        self.check_bends()
         self.check_drives()
 
     @property

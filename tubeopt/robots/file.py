@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import replace
 from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
-from ..files.fields import EntryOf, Part, asking, to_data, values
+from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
 from ..files.marks import Usual
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
@@ -57,15 +57,13 @@ class MaterialEntry(Part):
         return NITINOL if material == replace(NITINOL, thermal=None) else material
 
 
-MaterialChoice = Annotated[
-    Annotated[Literal["nitinol"], BeforeValidator(str.lower), Tag("<name>")]
-    | Annotated[MaterialEntry, Tag("<mapping>")],
-    Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>"),
-]
-"""A material by name or by its constants."""
+if TYPE_CHECKING:
+    MaterialChoice = str | MaterialEntry
+else:
+    MaterialChoice = named_or(MaterialEntry, MATERIALS)
 
 
-def material_of(choice: str | MaterialEntry) -> Material:
+def material_of(choice: MaterialChoice) -> Material:
     """The material that was chosen."""
     return MATERIALS[choice] if isinstance(choice, str) else choice.build()
 
@@ -134,15 +132,9 @@ class TubeEntry(Part):
             raise InputError(
                 f"curved_length_mm is {self.curved_length_mm}; the lengths of the pieces add up to {total * 1e3:g}"
             )
-        own = {name: getattr(tube, name) for name in ("bending_stiffness", "torsional_stiffness", "mass_per_length")}
-        return Tube.of_pieces(
-            tube.outer_diameter,
-            tube.inner_diameter,
-            pieces,
-            straight_length=tube.straight_length,
-            material=tube.material,
-            **own,
-        )
+        alike = ("straight_length", "material", *STIFFNESSES, "mass_per_length")
+        own = {name: getattr(tube, name) for name in alike}
+        return Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces, **own)
 
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]

@@ -10,7 +10,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..typing import Array, Mask
-from .series import breaks_of, on_panels
+from .series import breaks_of, on_panels, zeros
 from .tubes import Tube, stretches
 
 QUANTITIES = ("bending_stiffness", "torsional_stiffness", "x", "y", "z", "wound")
@@ -78,17 +78,21 @@ class Lengthwise:
         found = (place[:, :, None] >= self.breaks[:, 1:]).sum(2)
         return np.asarray(np.minimum(found, last))
 
+    def _panels_at(self, place: Array, inside: Array) -> tuple[Array, Array, Array]:
+        """Coefficients (X, n, 6, D) of the panels that hold `inside` (X, n), where on them `place` (X, n) is, -1 to 1,
+        and their lengths (X, n)."""
+        panel, tube = self.panel(inside), np.arange(self.n_tubes)
+        low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
+        x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
+        return self.coefficients[tube, panel], x, high - low
+
     def values(self, place: Array, inside: Array | None = None) -> Array:
         """(6, X, n) QUANTITIES at arc lengths (X, n) from the held ends, m.
 
         Args:
             inside: (X, n) places on the same stretch by which the panel is chosen, where `place` may be at its end.
         """
-        panel = self.panel(place if inside is None else inside)
-        tube = np.arange(self.n_tubes)
-        low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
-        x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
-        table = self.coefficients[tube, panel]
+        table, x, _ = self._panels_at(place, place if inside is None else inside)
         basis = np.stack([np.ones_like(x), x, *(np.empty_like(x) for _ in range(table.shape[-1] - 2))], axis=-1)
         for k in range(2, table.shape[-1]):
             basis[..., k] = 2 * x * basis[..., k - 1] - basis[..., k - 2]
@@ -96,14 +100,11 @@ class Lengthwise:
 
     def rates(self, place: Array, inside: Array) -> Array:
         """(6, X, n) derivatives of QUANTITIES by arc length, as `values`."""
-        panel, tube = self.panel(inside), np.arange(self.n_tubes)
-        low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
-        x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
-        table = self.coefficients[tube, panel]
+        table, x, length = self._panels_at(place, inside)
         degree = table.shape[-1] - 1
         slopes = chebyshev.chebder(np.eye(degree + 1), axis=0).T
         basis = chebyshev.chebvander(x, degree)[..., :degree] @ slopes.T
-        return np.asarray(((table @ basis[..., None])[..., 0] * (2 / (high - low))[..., None]).transpose(2, 0, 1))
+        return np.asarray(((table @ basis[..., None])[..., 0] * (2 / length)[..., None]).transpose(2, 0, 1))
 
     def compliant(self, place: Array) -> Array:
         """(..., n) int ds / GJ of each tube from its held end to arc lengths (..., n), 1/(N m)."""
@@ -185,10 +186,7 @@ def _zeros(x: Array, y: Array) -> list[float]:
         return []
     size = max(len(x), len(y))
     bend = sum(f * np.pad(c, (0, size - len(c))) for f, c in ((np.cos(angle), x), (np.sin(angle), y)))
-    bend = chebyshev.chebtrim(bend, 1e-14 * float(np.abs(bend).max()))
-    roots = chebyshev.chebroots(bend) if len(bend) > 1 else np.zeros(0)
-    real = roots.real[np.abs(roots.imag) < 1e-9]
-    return sorted(real[np.abs(real) < 1 - 1e-9].tolist())
+    return sorted(zeros(np.asarray(bend), 1e-9).tolist())
 
 
 def _degree(coefficients: Array) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, choice, finite, positive, vector
+from ..errors import InputError, choice, finite, positive, triple, vector
 from ..files.marks import NOT_NEGATIVE, OneOf, key, unit
 from ..typing import Array
 from .tubes import Tube, mass_per_length
@@ -67,11 +67,11 @@ class Load(Displayed):
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
-        set_field(self, "force", _vector("force", self.force))
-        set_field(self, "moment", _vector("moment", self.moment))
+        set_field(self, "force", triple("force", self.force))
+        set_field(self, "moment", triple("moment", self.moment))
         choice("frame", self.frame, FRAMES)
         if self.gravity is not None:
-            set_field(self, "gravity", _vector("gravity", self.gravity))
+            set_field(self, "gravity", triple("gravity", self.gravity))
         if self.distributed is not None and not callable(self.distributed):
             set_field(self, "distributed", _distributed(self.distributed))
         set_field(self, "points", tuple(_point(k, entry) for k, entry in enumerate(self.points)))
@@ -80,6 +80,11 @@ class Load(Displayed):
     def has_energy(self) -> bool:
         """Whether the load keeps its direction and makes no moment: then equilibria are minima of an energy."""
         return not any(self.moment) and (self.frame == "world" or not any(self.force))
+
+    def require_energy(self, untold: str) -> None:
+        """Raise InputError, which ends with what is therefore `untold`, where the load has no energy."""
+        if not self.has_energy:
+            raise InputError(f"load has a moment or turns with the tip; it has no energy, so {untold}")
 
     @property
     def tip_force_only(self) -> bool:
@@ -90,7 +95,7 @@ class Load(Displayed):
         """The load times a factor."""
 
         def times(value: Vector) -> Vector:
-            return _vector("force", np.multiply(factor, value))
+            return triple("force", np.multiply(factor, value))
 
         along = self.distributed
         if isinstance(along, Scaled):
@@ -100,7 +105,7 @@ class Load(Displayed):
         elif along is not None and _stretches(along):
             along = tuple(replace(part, force=times(part.force)) for part in along)
         elif along is not None:
-            along = _vector("distributed", factor * np.array(along, dtype=float))
+            along = triple("distributed", factor * np.array(along, dtype=float))
         return replace(
             self,
             force=times(self.force),
@@ -168,7 +173,7 @@ def between(start: Load, end: Load, t: float) -> Load:
     one, other = start.scaled(1 - t), end.scaled(t)
 
     def added(a: Vector | None, b: Vector | None) -> Vector:
-        return _vector("sum", np.add(a or (0, 0, 0), b or (0, 0, 0)))
+        return triple("sum", np.add(a or (0, 0, 0), b or (0, 0, 0)))
 
     along: Any = None
     if one.distributed is not None or other.distributed is not None:
@@ -197,11 +202,6 @@ def masses(tubes: Sequence[Tube], load: Load) -> Array:
     return np.array(known, dtype=float)
 
 
-def _vector(name: str, value: Any) -> Vector:
-    x, y, z = vector(name, value, 3, "x, y, z").tolist()
-    return x, y, z
-
-
 def _stretches(value: Any) -> TypeGuard[tuple[Stretch, ...]]:
     return isinstance(value, tuple) and bool(value) and isinstance(value[0], Stretch)
 
@@ -209,7 +209,7 @@ def _stretches(value: Any) -> TypeGuard[tuple[Stretch, ...]]:
 def _distributed(value: Any) -> Vector | tuple[Stretch, ...]:
     if isinstance(value, Sequence) and value and not isinstance(value[0], int | float):
         return tuple(_stretch(k, entry) for k, entry in enumerate(value))
-    return _vector("distributed", value)
+    return triple("distributed", value)
 
 
 def _stretch(k: int, entry: Any) -> Stretch:
@@ -223,7 +223,7 @@ def _stretch(k: int, entry: Any) -> Stretch:
     begin, stop = positive(f"start of {name}", start, zero=True), finite(f"end of {name}", end)
     if stop <= begin:
         raise InputError(f"end of {name} is {stop:g} m; it must be greater than its start, {begin:g} m")
-    return Stretch(begin, stop, _vector(f"force of {name}", force))
+    return Stretch(begin, stop, triple(f"force of {name}", force))
 
 
 def _point(k: int, entry: Any) -> PointForce:
@@ -233,4 +233,4 @@ def _point(k: int, entry: Any) -> PointForce:
         at, force = entry
     except (TypeError, ValueError):
         raise InputError(f"points[{k}] is {entry!r}; it must be (arc length, (x, y, z))") from None
-    return PointForce(positive(f"arc length of points[{k}]", at, zero=True), _vector(f"force of points[{k}]", force))
+    return PointForce(positive(f"arc length of points[{k}]", at, zero=True), triple(f"force of points[{k}]", force))

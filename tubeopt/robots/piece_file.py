@@ -49,28 +49,22 @@ class SeriesEntry(Entry):
 
 
 def _kind(value: Any) -> str:
-    return (
-        "<list>" if isinstance(value, list) else "<mapping>" if isinstance(value, (dict, SeriesEntry)) else "<number>"
-    )
+    if isinstance(value, list):
+        return "<list>"
+    return "<mapping>" if isinstance(value, (dict, SeriesEntry)) else "<number>"
 
 
-Along = Annotated[
-    Annotated[Number, Tag("<number>")] | Annotated[SeriesEntry, Tag("<mapping>")],
-    Discriminator(_kind),
-]
+OneNumber = Annotated[Number, Tag("<number>")]
+Varying = Annotated[SeriesEntry, Tag("<mapping>")]
+
+Along = Annotated[OneNumber | Varying, Discriminator(_kind)]
 """A number, or a quantity that varies along the piece."""
 
-Stiffness = Annotated[
-    Annotated[Positive, Tag("<number>")] | Annotated[SeriesEntry, Tag("<mapping>")],
-    Discriminator(_kind),
-]
+Stiffness = Annotated[Annotated[Positive, Tag("<number>")] | Varying, Discriminator(_kind)]
 
-Curvature = Annotated[
-    Annotated[Number, Tag("<number>")]
-    | Annotated[list[Along], Field(min_length=2, max_length=2), Tag("<list>")]
-    | Annotated[SeriesEntry, Tag("<mapping>")],
-    Discriminator(_kind),
-]
+Both = Annotated[list[Along], Field(min_length=2, max_length=2), Tag("<list>")]
+
+Curvature = Annotated[OneNumber | Both | Varying, Discriminator(_kind)]
 """Curvature about x, or about x and y."""
 
 
@@ -99,10 +93,9 @@ def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
     wanted = [*COLUMNS, *(["twist_deg_per_mm"] if "twist_deg_per_mm" in table.columns else [])]
     for name in table.columns:
         if name not in wanted:
-            hint = (
-                meant(name, (*COLUMNS, "twist_deg_per_mm")) or f"; there may be {', '.join(wanted)}, twist_deg_per_mm"
-            )
-            raise InputError(f"{path}: column {name} is not known{hint}")
+            hint = meant(name, (*COLUMNS, "twist_deg_per_mm"))
+            listed = f"; there may be {', '.join(wanted)}, twist_deg_per_mm"
+            raise InputError(f"{path}: column {name} is not known{hint or listed}")
     for name in COLUMNS:
         if name not in table.columns:
             raise InputError(f"{path}: column {name} is missing")

@@ -16,7 +16,7 @@ from ..errors import InputError, finite, positive
 from ..files.marks import POSITIVE, REQUIRED
 from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
-from .series import POINTS, Quantity, Series, expand, extremes, plus, spline, times
+from .series import POINTS, Quantity, Series, expand, extremes, plus, spline, stretched, times, values
 
 Along = float | Series | Callable[[float], float]
 """What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""
@@ -124,16 +124,12 @@ class Piece(Displayed):
 
     def stretched(self, factor: float) -> Piece:
         """The piece `factor` times as long; what varies along it is stretched."""
-
-        def longer(quantity: Any) -> Any:
-            return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
-
         return replace(
             self,
             length=self.length * factor,
-            precurvature=tuple(longer(part) for part in self.precurvature),
-            bending_stiffness=longer(self.bending_stiffness),
-            torsional_stiffness=longer(self.torsional_stiffness),
+            precurvature=tuple(stretched(part, factor) for part in self.precurvature),
+            bending_stiffness=stretched(self.bending_stiffness, factor),
+            torsional_stiffness=stretched(self.torsional_stiffness, factor),
         )
 
     def stiffened(self, factor: float, torsional_factor: float | None = None) -> Piece:
@@ -149,7 +145,7 @@ class Piece(Displayed):
         about x where it is straight or bent to all sides alike."""
         x, y, z = self.precurvature
         s = np.linspace(0.0, self.length, POINTS)
-        mean = complex(*(float(np.mean(q(s))) if isinstance(q, Series) else q for q in (x, y)))
+        mean = complex(*(float(np.mean(values(q, s))) for q in (x, y)))
         axis = mean / abs(mean) if abs(mean) > 1e-9 * self.largest_curvature else 1.0 + 0.0j
         return replace(self, precurvature=(plus(x, change * axis.real), plus(y, change * axis.imag), z))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
@@ -117,6 +117,26 @@ def padded(coefficients: Sequence[Sequence[float]], width: int = 1) -> Array:
     return out
 
 
+def vary(quantities: Iterable[Any]) -> bool:
+    """Whether any of these is a series."""
+    return any(isinstance(quantity, Series) for quantity in quantities)
+
+
+def values(quantity: Quantity, s: Array) -> Array:
+    """(N,) values of a quantity at arc lengths (N,), m."""
+    return quantity(s) if isinstance(quantity, Series) else np.full(len(s), quantity)
+
+
+def at(quantity: Quantity, s: float) -> float:
+    """Its value at one arc length, m."""
+    return quantity.value(s) if isinstance(quantity, Series) else quantity
+
+
+def stretched(quantity: Any, factor: float) -> Any:
+    """A quantity, or none, along a stretch that is `factor` times as long."""
+    return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
+
+
 def times(quantity: Quantity, factor: float) -> Quantity:
     """A quantity multiplied by a number."""
     return quantity.times(factor) if isinstance(quantity, Series) else quantity * factor
@@ -171,15 +191,22 @@ def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
     return out
 
 
+def zeros(coefficients: Array, imaginary: float, least: float | None = None) -> Array:
+    """Where in -1 .. 1, ends left out, a series of Chebyshev polynomials is 0, of roots with less than an `imaginary`
+    part; coefficients up to `least`, by default 1e-14 of the largest, are round-off."""
+    size = 1e-14 * float(np.abs(coefficients).max()) if least is None else least
+    trimmed = chebyshev.chebtrim(coefficients, size)
+    roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
+    return np.asarray(roots.real[(np.abs(roots.imag) < imaginary) & (np.abs(roots.real) < 1 - 1e-9)])
+
+
 def extremes(quantities: Sequence[Quantity], length: float) -> tuple[float, float]:
     """Least and greatest root of the sum of squares of quantities along a stretch; of one quantity, of its values."""
     found: list[float] = []
     breaks = breaks_of(quantities, length)
     for panels in zip(*(on_panels(q, breaks) for q in quantities), strict=True):
         total = panels[0] if len(panels) == 1 else reduce(chebyshev.chebadd, (chebyshev.chebmul(p, p) for p in panels))
-        slope = chebyshev.chebtrim(chebyshev.chebder(total), 1e-14 * float(np.abs(total).max()))
-        roots = chebyshev.chebroots(slope) if len(slope) > 1 else np.zeros(0)
-        inside = roots.real[(np.abs(roots.imag) < 1e-4) & (np.abs(roots.real) < 1)]
+        inside = zeros(chebyshev.chebder(total), 1e-4, 1e-14 * float(np.abs(total).max()))
         found += np.atleast_1d(chebyshev.chebval(np.array([-1.0, 1.0, *inside]), total)).tolist()
     if len(quantities) == 1:
         return min(found), max(found)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..typing import Array
 from .pieces import Piece
-from .series import Quantity, Series
+from .series import Quantity, Series, values, vary
 from .tubes import Tube, stretches
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -41,12 +41,6 @@ class Steps:
     twist: Array
     wound: Array
 
-    @property
-    def compliance(self) -> Array:
-        """(n, C) int ds / GJ from the held end to where stretches begin, 1/(N m)."""
-        lengths = np.diff(self.cuts, axis=1, prepend=0.0)
-        return np.cumsum(lengths / self.torsional, axis=1) - lengths / self.torsional
-
 
 def steps_of(tubes: Sequence[Tube]) -> Steps:
     """The stretches of tubes; of those that vary along a piece, to some 0.01 % of their length."""
@@ -65,7 +59,7 @@ def steps_of(tubes: Sequence[Tube]) -> Steps:
 
 def varies(tubes: Sequence[Tube]) -> bool:
     """Whether anything varies along a piece of a tube."""
-    return any(isinstance(q, Series) for tube in tubes for _, u, *stiff in stretches(tube) for q in (*u, *stiff))
+    return any(vary((*u, *stiff)) for tube in tubes for _, u, *stiff in stretches(tube))
 
 
 def _in_steps(tube: Tube) -> Tube:
@@ -77,7 +71,7 @@ def _in_steps(tube: Tube) -> Tube:
 
 def _steps(piece: Piece) -> list[Piece]:
     parts = *piece.precurvature, piece.bending_stiffness, piece.torsional_stiffness
-    if not any(isinstance(part, Series) for part in parts):
+    if not vary(parts):
         return [piece]
     count = _count(piece)
     places = (np.arange(count)[:, None] + (NODES + 1) / 2) * (piece.length / count)
@@ -92,7 +86,7 @@ def _steps(piece: Piece) -> list[Piece]:
 def _count(piece: Piece) -> int:
     """Steps of a piece that varies."""
     s = np.linspace(0.0, piece.length, 8 * MOST_STEPS + 1)
-    x, y, z = (q(s) if isinstance(q, Series) else np.full(len(s), q) for q in piece.precurvature)
+    x, y, z = (values(q, s) for q in piece.precurvature)
     turned = np.hypot(x, y).max() * np.ptp(z) / 2
     fast = float(np.hypot(np.gradient(x, s), np.gradient(y, s)).max() + turned)
     return int(np.clip(np.ceil(piece.length * np.sqrt(fast / (12 * OFF))), LEAST_STEPS, MOST_STEPS))

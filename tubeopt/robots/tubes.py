@@ -251,9 +251,7 @@ def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantit
 
 def mass_per_length(tube: Tube) -> float | None:
     """Mass per length of a tube, kg/m: as given, else by the density of its material; None where neither is known."""
-    if tube.mass_per_length is not None:
-        return tube.mass_per_length
     thermal = tube.material.thermal
-    if thermal is None:
-        return None
-    return thermal.density * math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+    if tube.mass_per_length is not None or thermal is None:
+        return tube.mass_per_length
+    return thermal.density * tube.cross_section

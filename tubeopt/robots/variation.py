@@ -15,7 +15,7 @@ from numpy.polynomial import chebyshev
 
 from ..typing import Array
 from .lengthwise import Lengthwise, lengthwise
-from .series import Quantity, Series
+from .series import Quantity, values, vary
 from .tubes import Tube, stretches
 
 MOST_CELLS = 8
@@ -97,10 +97,10 @@ def _cells(tube: Tube) -> list[tuple[float, float, float]]:
 
 def _count(quantities: tuple[Quantity, ...], length: float) -> int:
     """Cells of a piece with these x, y, z, kb and kt."""
-    if not any(isinstance(quantity, Series) for quantity in quantities):
+    if not vary(quantities):
         return 1
     s = np.linspace(0.0, length, 16 * MOST_CELLS + 1)
-    x, y, _, kb, kt = (q(s) if isinstance(q, Series) else np.full(len(s), q) for q in quantities)
+    x, y, _, kb, kt = (values(q, s) for q in quantities)
     ranges = [(np.ptp(each), np.abs(each).max()) for each in (kb, kt, kb * np.hypot(x, y))]
     share = max(float(change / size) if size > 0 else 0.0 for change, size in ranges)
     return int(np.clip(np.ceil(share / CHANGE), 1, MOST_CELLS))

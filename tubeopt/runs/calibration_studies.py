@@ -13,9 +13,8 @@ from ..files.checked import NotNegative, Number, Positive, in_file
 from ..files.csv_file import read_csv
 from ..files.units import MM, to_si
 from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
-from ..shaping.heating.colours import NITINOL_COLOURS, ColourTable
 from ..shaping.heating.logged import HeatingLog
-from ..shaping.heating.trials import Trial, TrialFit, calibrate_from_trials
+from ..shaping.heating.trials import NITINOL_COLOURS, ColourTable, Trial, TrialFit, calibrate_from_trials
 from ..shaping.mold.springback import Calibration, calibrate_springback
 from ..typing import Array
 from .base import Progress, Study

@@ -12,7 +12,7 @@ from ..errors import choice
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import asking
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
-from ..shaping.heating.feedback import Feedback
+from ..shaping.heating.law import Feedback
 from ..shaping.heating.leading import lead_by
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating

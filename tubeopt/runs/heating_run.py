@@ -15,14 +15,13 @@ from pydantic import Field, model_validator
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file
-from ..shaping.firmware.leader import Leader
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.law import HeatingLaw
 from ..shaping.heating.leading import lead_by
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
-from ..shaping.heating.replanning import planner_for
+from ..shaping.heating.replanning import Leader, planner_for
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec

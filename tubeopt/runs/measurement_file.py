@@ -18,7 +18,7 @@ from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
 from ..robots.eccentric import EccentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from ..validation.errors import ErrorTable
+from ..validation.comparison import ErrorTable
 from ..validation.measurements import Measurements
 from .measurement_columns import Columns, columns_of
 from .measurement_map import load_mapped, measured

@@ -18,10 +18,9 @@ from ..files.units import MM, decimal, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
 from ..robots.materials import ZERO_CELSIUS
-from ..shaping.heating.colours import ColourTable
 from ..shaping.heating.logged import HeatingLog
 from ..shaping.heating.rig import Battery, Rig
-from ..shaping.heating.trials import RESULTS, Trial
+from ..shaping.heating.trials import RESULTS, ColourTable, Trial
 from ..typing import Array
 
 SPRING_BACK_TOLERANCE = 5.0

@@ -12,8 +12,8 @@ from .mold.mandrel_files import write_mandrel
 from .mold.mold import Clamp, Groove, Mold, plan_mold
 from .mold.peg_files import write_pegs
 from .mold.pegs import PegBoard, plan_pegs
-from .mold.prediction import predict_tube, predict_tubes
 from .mold.ranking import MaterialRating, rank_mold_materials
+from .mold.robot import predict_tube, predict_tubes
 from .mold.settings import MoldSolver
 from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PegSpec, PlateSpec, VentSpec
 from .mold.springback import Calibration, Springback, calibrate_springback

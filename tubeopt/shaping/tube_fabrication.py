@@ -123,22 +123,15 @@ def heating_for(heat: HeatSpec) -> HeatingSpec:
 
 
 def mold_spec_for(
-    rig: Rig,
-    tube: Tube,
-    spec: MoldSpec,
-    heating: HeatingSpec | None = None,
-    known: Known | None = None,
-    asked: Rig | None = None,
+    rig: Rig, tube: Tube, spec: MoldSpec, heating: HeatingSpec, known: Known | None, asked: Rig
 ) -> MoldSpec:
     """The mold's specification in line with the rig on which it is heated: material, groove, clamps, lead, vents, heat.
 
     Args:
         rig: as drawn so far. tube: that is heated. spec: what else is asked of the mold.
-        heating: what the tube is heated for; None is as `spec` says.
-        known: from the heating. asked: the rig as given, whose leads are the least; None is `rig`.
+        heating: what the tube is heated for.
+        known: from the heating. asked: the rig as given, whose leads are the least.
     """
-    asked = rig if asked is None else asked
-    heating = heating_for(spec.heat) if heating is None else heating
     least = max(asked.mold.lead, spec.clamps.least_lead)
     clamps = replace(spec.clamps, gap=asked.clamps.clearance, grip=asked.clamps.grip, least_lead=least)
     low, high = heating.window_degC

@@ -15,6 +15,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..equilibrium.result import Equilibrium
+from ..inverse.outline import outer_radius
 from ..robots.series import Series, extremes
 from ..robots.tubes import Tube, stretches
 from ..typing import Array
@@ -68,22 +69,6 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def exposed(equilibrium: Equilibrium) -> list[tuple[int, float, float]]:
-    """Tubes of which something shows, with the arc lengths between which they do, m; outermost first.
-
-    A tube shows from where the last tube around it ends to its own end.
-    """
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    place = assembly.offset * np.exp(1j * assembly.offset_angle)
-    stretches = []
-    for i, end in reversed(list(enumerate(equilibrium.tube_end))):
-        around = [equilibrium.tube_end[j] for j in range(i + 1, len(place)) if abs(place[j] - place[i]) < 1e-9]
-        start = max(around, default=0.0)
-        if end > start:
-            stretches.append((i, float(start), float(end)))
-    return stretches
-
-
 class Stretch(NamedTuple):
     """What shows of a tube: its index, arc lengths, m, its radius, m, and where its axis stands (2,), m."""
 
@@ -95,10 +80,15 @@ class Stretch(NamedTuple):
 
 
 def visible(equilibrium: Equilibrium) -> list[Stretch]:
-    """The tubes as far as they show, outermost first."""
+    """The tubes as far as they show, outermost first: from where the last tube around it ends, each to its own end."""
     place = equilibrium.robot.assembly(equilibrium.translations).across
-    tubes = equilibrium.robot.tubes
-    return [Stretch(i, start, end, tubes[i].outer_diameter / 2, place[i]) for i, start, end in exposed(equilibrium)]
+    shown = []
+    for i, end in reversed(list(enumerate(equilibrium.tube_end.tolist()))):
+        around = np.hypot(*(place[i + 1 :] - place[i]).T) < 1e-9
+        start = float(equilibrium.tube_end[i + 1 :].max(where=around, initial=0.0))
+        if end > start:
+            shown.append(Stretch(i, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, place[i]))
+    return shown
 
 
 def slotted(tube: Tube, held: float, first: float, last: float) -> list[tuple[float, float, float]]:
@@ -135,12 +125,11 @@ class Bundle:
 
 
 def bundles(equilibrium: Equilibrium) -> list[Bundle]:
-    """What `exposed` tells, with the tubes of a segment together; of a concentric robot every tube for itself."""
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    """What is visible, with the tubes of a segment together; of a concentric robot every tube for itself."""
     groups: dict[tuple[float, float], list[int]] = {}
-    for i, start, end in exposed(equilibrium):
-        groups.setdefault((start, end), []).append(i)
-    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + assembly.offset
+    for each in visible(equilibrium):
+        groups.setdefault((each.start, each.end), []).append(each.tube)
+    radius = outer_radius(equilibrium.robot)
     return [
         Bundle(tuple(sorted(tubes)), start, end, float(radius[tubes].max())) for (start, end), tubes in groups.items()
     ]

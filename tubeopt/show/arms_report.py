@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -92,10 +91,10 @@ ARMS: tuple[Quantity[ArmsPlan], ...] = (
              words=lambda p: ", ".join(str(k + 1) for k in p.made_way) or None),
     line("arms", lambda p: "; ".join(_moves(arm) for arm in _arms(p))),
     line("distances between arms", lambda p: "; ".join(_bound(pair) for pair in p.proof.pairs)),
-    Quantity("faults", "what does not hold, in words", lambda p: list(p.proof.faults)),
+    Quantity("faults", "what does not hold, in words", lambda p: p.proof.faults),
     Quantity("arms", "each of the arms", _arms, of=ARM),
     Quantity("pairs", "what is known of two arms each", lambda p: p.proof.pairs, of=PAIR),
-    Quantity("seconds_s", "that planning and proof took", lambda p: p.seconds, form=".1f",
+    Quantity("seconds_s", "that planning and proof took", form=".1f",
              label="planning and proof took"),
 )  # fmt: skip
 
@@ -118,8 +117,6 @@ def between_arms(plan: ArmsPlan) -> str:
 
 
 class ArmsReport(Report[ArmsPlan]):
-    """What is said and saved about the motions of several robots."""
-
     command = "plan-arms"
     quantities = ARMS
     file = "plan_arms.json"
@@ -144,9 +141,9 @@ class ArmsReport(Report[ArmsPlan]):
         """The arms and their distances, still and moving, and as a page that plays where viser is installed."""
         shown = {"arms": drawing("arms.plot_arms", self.answer), "arms.gif": drawing("arms.animate_arms", self.answer)}
         if find_spec("viser") is not None:
-            from .viewer.arms import save_arms_page
+            from .viewer.export import arms_page
 
-            shown["arms.html"] = partial(save_arms_page, self.answer)
+            shown["arms.html"] = lambda path: write_text(path, arms_page(self.answer))
         return shown
 
     def conclude(self) -> None:

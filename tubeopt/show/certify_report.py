@@ -193,7 +193,9 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
     Quantity("exit_code", "what the command ends with", lambda a: EXIT_CODES[a.finding]),
     Quantity("answer", "the verdict in words", sentence),
     Quantity("assumed", "what all is said under", lambda a: ASSUMING),
-    Quantity("certificate", "certificate", lambda a: _number(a.verdict.certificate.margin), words=_certificate),
+    Quantity("certificate", "certificate",
+             lambda a: a.verdict.certificate.margin if np.isfinite(a.verdict.certificate.margin) else None,
+             words=_certificate),
     Quantity("max_tip_force_mN", "force up to which anything may push on the tip", lambda a: a.force, optional=True),
     Quantity("certificate_under_force", "lower bound of the margin at all rotations and under all such forces",
              lambda a: a.forced, label="under a force on the tip", words=_forced, optional=True),
@@ -227,8 +229,6 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
 
 
 class CertificationReport(Report[Certification]):
-    """What is said and saved about a verdict."""
-
     command = "certify"
     quantities = CERTIFICATION
     file = "certificate.json"
@@ -282,11 +282,6 @@ class CertificationReport(Report[Certification]):
     def conclude(self) -> None:
         """End with the exit code of the finding."""
         raise typer.Exit(EXIT_CODES[self.answer.finding])
-
-
-def _number(value: float) -> float | None:
-    """A number for JSON, which knows neither infinity nor NaN."""
-    return value if np.isfinite(value) else None
 
 
 def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:

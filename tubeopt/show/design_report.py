@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group, RenderableType
+from rich.console import RenderableType
 from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
@@ -25,8 +25,9 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
 from ..runs.region_part import RegionAnswer
-from .quantities import Quantity, within
-from .report import Drawing, Report, drawing, file_name, grid, two_columns
+from .quantities import Quantity, line, within
+from .report import Drawing, Report, drawing, file_name, grid
+from .snap_report import JOINTS
 
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
@@ -59,8 +60,7 @@ BINDING: tuple[Quantity[Sensitivity], ...] = (
 )
 
 POSE: tuple[Quantity[Equilibrium], ...] = (
-    Quantity("rotations_deg", "rotation of every tube"),
-    Quantity("translations_mm", "translation of every tube"),
+    *JOINTS,
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("margin", "stability margin"),
 )
@@ -71,10 +71,23 @@ CHECK: tuple[Quantity[Check], ...] = (
     Quantity("kept", "whether it is kept"),
 )
 
+
+def _made(t: ToleranceAnalysis) -> str:
+    low, high = t.interval
+    words = f"{100 * t.snap_free:.1f} % of {len(t.certificate)} samples stay snap-free"
+    return f"{words} (95 %: {100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def _spread(t: ToleranceAnalysis) -> str | None:
+    if not len(t.spread):
+        return None
+    return f"RMS up to {t.spread.max() * TO_MM:.3f} mm, 95 % within {t.spread_95.max() * TO_MM:.3f} mm"
+
+
 TOLERANCE: tuple[Quantity[ToleranceAnalysis], ...] = (
     Quantity("samples", "robots as they may be made", lambda t: len(t.certificate)),
     Quantity("snap_free_probability", "part of them that stays snap-free", lambda t: t.snap_free),
-    Quantity("interval_95", "its 95 % interval", lambda t: list(t.interval)),
+    Quantity("interval_95", "its 95 % interval", lambda t: t.interval),
     Quantity("tip_spread_rms_mm", "RMS distance of a pose's tip from where it should be", lambda t: t.spread),
     Quantity("tip_spread_95_mm", "the distance within which 95 % of them lie", lambda t: t.spread_95),
     Quantity("failed", "samples that could not be solved"),
@@ -100,20 +113,38 @@ REGION: tuple[Quantity[RegionAnswer], ...] = (
     Quantity("base_direction", "along which the arm leaves it, likewise", lambda r: r.base.axes[:, 2]),
 )
 
+SEARCHED: tuple[Quantity[RegionAnswer], ...] = (
+    line("search", lambda r: f"{r.search.tried} designs looked at; no optimum is claimed"),
+    line("plans", lambda r: f"{r.proved} of {r.planned} to places that are reached are proved"),
+    line("plate", lambda r: "moved by {:.2f}, {:.2f}, {:.2f} mm".format(*r.base.origin * TO_MM)),
+)
+
+
+def _starts(s: DesignSolution) -> str:
+    failed = ", ".join(f"{count} at the {name}" for name, count in s.ranking.failures.items())
+    return f"{s.ranking.starts}, of which {sum(s.ranking.found)} feasible" + f" ({failed})" * bool(failed)
+
+
+def _margins(s: DesignSolution) -> str | None:
+    return f"{len(s.equilibria)}, least margin {min(e.margin for e in s.equilibria):.4f}" if s.equilibria else None
+
+
 SOLUTION: tuple[Quantity[DesignSolution], ...] = (
     Quantity("task", "name of the task", lambda s: s.task.name),
     Quantity("robot", "name of the robot", lambda s: s.robot.name),
-    Quantity("certificate", "lower bound of the margin at all rotations"),
-    Quantity("dimensions", "what was free", lambda s: list(s.dimensions), of=DIMENSION),
-    Quantity("binding", "requirements that bind", lambda s: list(s.sensitivities), of=BINDING),
-    Quantity("poses", "the poses of the task", lambda s: list(s.equilibria), of=POSE),
-    Quantity("checks", "checked again by other code", lambda s: list(s.verification.checks), of=CHECK),
-    Quantity("starts", "that were tried", lambda s: s.ranking.starts),
+    Quantity("certificate", "lower bound of the margin at all rotations", label="certificate",
+             words="{certificate:.6f}, a lower bound of the margin at all rotations"),
+    Quantity("dimensions", "what was free", of=DIMENSION),
+    Quantity("binding", "requirements that bind", lambda s: s.sensitivities, of=BINDING),
+    Quantity("poses", "the poses of the task", lambda s: s.equilibria, of=POSE, label="task poses",
+             words=_margins),
+    Quantity("checks", "checked again by other code", lambda s: s.verification.checks, of=CHECK),
+    Quantity("starts", "that were tried", lambda s: s.ranking.starts, label="starts", words=_starts),
     Quantity("designs", "different ones that were found", lambda s: len(s.ranking.designs)),
     Quantity("failures", "of starts, by stage", lambda s: s.ranking.failures),
-    Quantity("rounds", "in which worst cases were added"),
+    Quantity("rounds", "in which worst cases were added", label="worst cases added", words="in {rounds} rounds"),
     Quantity("seconds", "wall time, s"),
-)
+)  # fmt: skip
 
 DESIGN: tuple[Quantity[DesignAnswer], ...] = (
     *within(SOLUTION, lambda a: a.solution),
@@ -121,13 +152,22 @@ DESIGN: tuple[Quantity[DesignAnswer], ...] = (
     Quantity(
         "remarks",
         "what holds the design, tubes that it hardly needs, a search that is too coarse",
-        lambda a: list(a.remarks),
     ),
     Quantity("tolerance", "what becomes of it as manufactured, where that was asked for", of=TOLERANCE),
     Quantity("pareto", "what margin costs, where that was asked for", lambda a: a.front, of=FRONT),
     Quantity("region", "what is reached of a region, where that was wanted", of=REGION),
-    Quantity("stock", "choices from stock, where that was asked for, the best first", lambda a: _stock(a)),
-)
+    *within((line("as manufactured", _made), line("tip spread", _spread)), lambda a: a.tolerance),
+    *within(SEARCHED, lambda a: a.region),
+    Quantity("stock", "choices from stock, where that was asked for, the best first", lambda a: _stock(a),
+             label="from stock", words=lambda a: _best(a)),
+    line("seconds", "{seconds:.1f}"),
+)  # fmt: skip
+
+
+def _best(a: DesignAnswer) -> str | None:
+    if a.stock is None or a.stock.best is None:
+        return None
+    return f"{', '.join(size.name for size in a.stock.best.sizes)} (of {len(a.stock.candidates)} choices)"
 
 
 def _front_points(front: ParetoFront) -> list[dict[str, float]]:
@@ -179,53 +219,23 @@ def before_after(s: DesignSolution, name: str) -> Drawing:
 
 
 class DesignReport(Report[DesignAnswer]):
-    """What is said and saved about a design."""
-
     command = "design"
     quantities = DESIGN
     file = "design.json"
 
-    def summary(self) -> list[tuple[str, str]]:
-        """The answer in short."""
-        s = self.answer.solution
-        failed = ", ".join(f"{count} at the {name}" for name, count in s.ranking.failures.items())
-        region = self.answer.region
-        if region is None:
-            rows = [("objective", shown(one, s.objectives[key_of(one)])) for one in s.task.objectives]
-        else:
-            rows = [("objective", region.words)]
-        rows.append(("certificate", f"{s.certificate:.6f}, a lower bound of the margin at all rotations"))
-        if s.equilibria:
-            rows.append(("task poses", f"{len(s.equilibria)}, least margin {min(e.margin for e in s.equilibria):.4f}"))
-        rows.append(
-            ("starts", f"{s.ranking.starts}, of which {sum(s.ranking.found)} feasible" + f" ({failed})" * bool(failed))
-        )
-        rows.append(("worst cases added", f"in {s.rounds} rounds"))
-        t = self.answer.tolerance
-        if t is not None:
-            low, high = t.interval
-            words = f"{100 * t.snap_free:.1f} % of {len(t.certificate)} samples stay snap-free"
-            words += f" (95 %: {100 * low:.1f} to {100 * high:.1f} %)"
-            rows.append(("as manufactured", words))
-            if len(t.spread):
-                rows.append(
-                    (
-                        "tip spread",
-                        f"RMS up to {t.spread.max() * TO_MM:.3f} mm, 95 % within {t.spread_95.max() * TO_MM:.3f} mm",
-                    )
-                )
-        rows += _searched(region)
-        if self.answer.stock is not None and self.answer.stock.best is not None:
-            names = ", ".join(size.name for size in self.answer.stock.best.sizes)
-            rows.append(("from stock", f"{names} (of {len(self.answer.stock.candidates)} choices)"))
-        rows.append(("seconds", f"{s.seconds:.1f}"))
-        return rows
+    def title(self) -> str:
+        return self.answer.solution.robot.name or "design"
 
-    def table(self) -> Group:
-        """The answer as tables: summary, dimensions, what binds, checks."""
+    def rows(self) -> list[tuple[str, str]]:
+        """The objectives, then the answer in short."""
+        s, region = self.answer.solution, self.answer.region
+        given = [shown(one, s.objectives[key_of(one)]) for one in s.task.objectives]
+        return [("objective", words) for words in (given if region is None else [region.words])] + super().rows()
+
+    def below(self) -> list[RenderableType]:
+        """Dimensions, what binds, checks."""
         s = self.answer.solution
-        parts: list[RenderableType] = [two_columns(s.robot.name or "design", self.summary())]
-        parts.append(grid(DIMENSIONS, dimension_rows(s), title="dimensions", key=True))
+        parts: list[RenderableType] = [grid(DIMENSIONS, dimension_rows(s), title="dimensions", key=True)]
         parts += [Text(f"  {words}") for words in self.answer.remarks]
         if s.sensitivities:
             parts.append(Text("what binds, and what easing it would buy", style="italic"))
@@ -234,7 +244,7 @@ class DesignReport(Report[DesignAnswer]):
         if self.answer.stock is not None:
             columns = ("inner to outer", "value", "")
             parts.append(grid(columns, self.stock_rows(), title="choices from stock", key=True))
-        return Group(*parts)
+        return parts
 
     def stock_rows(self) -> Sequence[tuple[str, ...]]:
         """Sizes, value and status of every choice, the best first."""
@@ -268,7 +278,7 @@ class DesignReport(Report[DesignAnswer]):
     def pictures(self) -> dict[str, Drawing]:
         """Those that the design has; `CAPTIONS` says what each shows."""
         a, s = self.answer, self.answer.solution
-        name = s.robot.name or "design"
+        name = self.title()
         found: dict[str, Drawing] = {"shapes": before_after(s, name)}
         if s.equilibria:
             found["poses"] = drawing("design.plot_poses", s)
@@ -284,7 +294,7 @@ class DesignReport(Report[DesignAnswer]):
         """The report as Markdown, with its pictures."""
         s = self.answer.solution
         lines = [f"# {s.robot.name or 'Design'}", ""]
-        lines += _markdown(("", ""), self.summary())
+        lines += _markdown(("", ""), self.rows())
         lines += ["", "## Dimensions", "", *_markdown(DIMENSIONS, dimension_rows(s))]
         remarks = self.answer.remarks
         lines += ["", *(f"- {words}" for words in remarks)] if remarks else []
@@ -301,18 +311,6 @@ class DesignReport(Report[DesignAnswer]):
         for name in self.pictures():
             lines += [f"![{CAPTIONS[name]}]({file_name(name)})", "", f"*{CAPTIONS[name]}*", ""]
         return "\n".join(lines) + "\n"
-
-
-def _searched(region: RegionAnswer | None) -> list[tuple[str, str]]:
-    """How a design for a region was searched for, in short."""
-    if region is None:
-        return []
-    x, y, z = region.base.origin * TO_MM
-    return [
-        ("search", f"{region.search.tried} designs looked at; no optimum is claimed"),
-        ("plans", f"{region.proved} of {region.planned} to places that are reached are proved"),
-        ("plate", f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm"),
-    ]
 
 
 def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:

@@ -21,11 +21,11 @@ NOTICED = 1e-3
 """Seconds of getting a kernel ready from which on they are told: in a process that has it, finding it takes less."""
 
 VERIFICATION: tuple[Quantity[Verification], ...] = (
-    Quantity("tip_position_mm", "distance of the tips"),
-    Quantity("tip_rotation_rad", "angle between the frames of the tips"),
-    Quantity("rotation_rad", "largest difference of a tube's rotation"),
-    Quantity("end_torsion_rad_per_m", "largest torsion left at the end of a tube"),
-    Quantity("base_rotation_rad", "largest difference to a rotation imposed at the base"),
+    Quantity("tip_position_mm", "distance of the tips", form=".6g"),
+    Quantity("tip_rotation_rad", "angle between the frames of the tips", form=".6g"),
+    Quantity("rotation_rad", "largest difference of a tube's rotation", form=".6g"),
+    Quantity("end_torsion_rad_per_m", "largest torsion left at the end of a tube", form=".6g"),
+    Quantity("base_rotation_rad", "largest difference to a rotation imposed at the base", form=".6g"),
 )
 
 EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
@@ -100,8 +100,6 @@ def _how(e: Equilibrium) -> str:
 
 
 class EquilibriumReport(Report[Equilibrium]):
-    """What is said and saved about an equilibrium."""
-
     command = "fk"
     quantities = EQUILIBRIUM
     drawn = (("shape", "shape.plot_shape"), ("torsion", "torsion.plot_torsion"))

@@ -18,8 +18,6 @@ LIBRARY: tuple[Quantity[CLibrary], ...] = (
 
 
 class CLibraryReport(Report[CLibrary]):
-    """What is said about a C library."""
-
     command = "export"
     quantities = LIBRARY
     file = "library.json"

@@ -32,13 +32,13 @@ TUBE: tuple[Quantity[TubeParts], ...] = (
     Quantity("agreed", "whether the two agree", lambda part: part.made.agreed),
     Quantity("disagreement", "in what they do not", lambda part: part.made.disagreement),
     Quantity("rounds", "until they agreed", lambda part: part.made.rounds),
-    Quantity("remarks", "what to beware of", lambda part: list(part.made.remarks)),
+    Quantity("remarks", "what to beware of", lambda part: part.made.remarks),
 )
 
 FABRICATION: tuple[Quantity[Fabrication], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
-    Quantity("tubes", "mold and heating of every tube", lambda a: list(a.parts), of=TUBE),
-    Quantity("left_out", "tubes that are not made, and why", lambda a: list(a.left_out)),
+    Quantity("tubes", "mold and heating of every tube", lambda a: a.parts, of=TUBE),
+    Quantity("left_out", "tubes that are not made, and why"),
 )
 
 
@@ -53,8 +53,6 @@ def _faults(a: Fabrication) -> list[str]:
 
 
 class FabricationReport(Report[Fabrication]):
-    """What is said and saved about making a robot's tubes."""
-
     command = "fabricate"
     quantities = FABRICATION
     file = "fabrication.json"

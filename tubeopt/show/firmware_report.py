@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Group
+from rich.console import RenderableType
 
 from ..errors import SolveError
 from ..runs.firmware_study import LedHeating
-from ..shaping.firmware.parts import Part, parts_list
+from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
-from ..shaping.heating.feedback import Contribution, Feedback
+from ..shaping.heating.law import Contribution, Feedback
 from .heat_report import missed
 from .quantities import Quantity, line, within
-from .report import Report, grid, remarks, two_columns
+from .report import Report, grid, remarks
 
 CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
     Quantity("name", "what is not known"),
@@ -35,7 +35,7 @@ FEEDBACK: tuple[Quantity[Feedback], ...] = (
     Quantity("probability", "part of them that keeps window and limit", label="keeps the window",
              words=lambda f: f"{100 * f.probability:.1f} % of {f.samples} uncertain rigs "
              f"({100 * f.interval[0]:.1f} to {100 * f.interval[1]:.1f} %)"),
-    Quantity("interval", "of the probability, 95 %", lambda f: list(f.interval)),
+    Quantity("interval", "of the probability, 95 %"),
     Quantity("open_loop", "the same with the schedule alone", label="without the sensor",
              words=lambda f: f"{100 * f.open_loop:.0f} %"),
     Quantity("too_cold", "part that falls below the window"),
@@ -45,7 +45,7 @@ FEEDBACK: tuple[Quantity[Feedback], ...] = (
     line("curved part, any rig", "{lowest_degC:.1f} to {highest_degC:.1f} degC in the hold"),
     Quantity("top_degC", "hottest point at any time, any rig", lambda f: f.top.max(), label="hottest point, any rig",
              words="{top_degC:.1f} degC"),
-    Quantity("contributions", "what moves the temperature of the hold, most first", lambda f: list(f.contributions),
+    Quantity("contributions", "what moves the temperature of the hold, most first",
              of=CONTRIBUTION),
 )  # fmt: skip
 
@@ -63,8 +63,6 @@ LED_HEATING: tuple[Quantity[LedHeating], ...] = (
 
 
 class LedHeatingReport(Report[LedHeating]):
-    """What is said and saved about a heating that a sensor leads."""
-
     command = "heat firmware"
     quantities = LED_HEATING
     file = "law.json"
@@ -73,17 +71,16 @@ class LedHeatingReport(Report[LedHeating]):
     def title(self) -> str:
         return self.answer.plan.rig.name or "rig"
 
-    def table(self) -> Group:
-        """The law, what moves the temperature, and what to buy."""
+    def below(self) -> list[RenderableType]:
+        """What moves the temperature, and what to buy."""
         answer = self.answer
         moved = [(item.name.replace("_", " "), f"{item.deviation:.2f} K") for item in answer.feedback.contributions[:6]]
         bought = [(part.name, part.rating, part.why) for part in parts_list(answer.plan, answer.wiring)]
-        return Group(
-            two_columns(self.title(), self.rows()),
+        return [
             grid(("not known", "moves the hold by >"), moved, title="what moves the temperature (standard deviation)"),
             grid(("part", "rating", "why"), bought, title="what to build it of"),
             *remarks(answer.plan.problems, what="problem"),
-        )
+        ]
 
     def save(self, directory: Path) -> list[Path]:
         """Write law.json and the sketch."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..errors import SolveError
@@ -23,7 +22,7 @@ from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
 from ..shaping.heating.trials import TrialFit
 from .quantities import Quantity, line, within
-from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, to_text
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of the temperatures of uncertain rigs that are told."""
@@ -68,7 +67,7 @@ def _chosen(plan: HeatingPlan) -> str | None:
 CURE: tuple[Quantity[Cure], ...] = (
     Quantity("change", "what would be changed"),
     Quantity("shortfall_K", "by how much window and limit would be missed"),
-    Quantity("broken", "which of ramp and currents would be beyond their limits", lambda c: list(c.broken)),
+    Quantity("broken", "which of ramp and currents would be beyond their limits"),
     Quantity("cures", "whether everything would be kept"),
 )
 
@@ -81,7 +80,7 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("slot_s", "for how long a duty is kept", lambda p: p.spec.slot),
     Quantity("feasible", "whether everything is kept"),
     Quantity("shortfall_K", "by how much window and limit are missed"),
-    Quantity("broken", "which of ramp and currents are beyond their limits", lambda p: list(p.broken)),
+    Quantity("broken", "which of ramp and currents are beyond their limits"),
     line("curved part in the hold", "{lowest_degC:.1f} to {highest_degC:.1f} degC"),
     Quantity("lowest_degC", "of the curved part during the hold"),
     Quantity("highest_degC", "of the curved part during the hold"),
@@ -94,8 +93,8 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     line("fastest warming", "{steepest_K_per_s:.1f} K/s (limit {ramp_limit_K_per_s:g})"),
     Quantity("rounding_error_K", "largest change of a temperature by rounding to counts", label="rounding to counts",
              words="changes temperatures by {rounding_error_K:.1f} K at most"),
-    Quantity("ramp_K_per_s", "fastest warming as a mean over a slot", lambda p: p.ramp),
-    Quantity("steepest_K_per_s", "fastest warming at any instant", lambda p: p.steepest),
+    Quantity("ramp_K_per_s", "fastest warming as a mean over a slot"),
+    Quantity("steepest_K_per_s", "fastest warming at any instant"),
     Quantity("ramp_limit_K_per_s", "its limit", lambda p: p.spec.ramp),
     Quantity("pwm_ripple_K", "swing of the temperature within a period of the PWM"),
     Quantity("cold_end_mm", "cold end", words=_cold_end),
@@ -128,26 +127,13 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
              words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
     line("chosen", _chosen),
     Quantity("iterations", "of the optimal control problem, in its last round; 0 where none was needed"),
-    Quantity("problems", "what is wrong, in words", lambda p: list(p.problems)),
-    Quantity("cures", "what would help, what cures it first", lambda p: list(p.cures), of=CURE),
-    Quantity("duty", "0 to 255, one for every slot", lambda p: p.duty),
+    Quantity("problems", "what is wrong, in words"),
+    Quantity("cures", "what would help, what cures it first", of=CURE),
+    Quantity("duty", "0 to 255, one for every slot"),
 )  # fmt: skip
 
-TABLE = tuple(
-    quantity
-    for quantity in PLAN
-    if quantity.key
-    in (
-        "state_of_charge_percent",
-        "battery_V",
-        "feasible",
-        "broken",
-        "lowest_degC",
-        "highest_degC",
-        "hottest_degC",
-        "duty",
-    )
-)
+OF_A_TABLE = {"state_of_charge_percent", "battery_V", "feasible", "broken", "lowest_degC", "highest_degC",
+              "hottest_degC", "duty"}  # fmt: skip
 """What is told of the table for a state of charge."""
 
 OF_THE_BAND: tuple[Quantity[Band], ...] = (
@@ -171,7 +157,8 @@ HEATING: tuple[Quantity[Heating], ...] = (
     *within(PLAN, lambda a: a.plan),
     Quantity("band", "what uncertain rigs do, where that was asked for", lambda a: None if a.band is None else a,
              of=BAND, optional=True),
-    Quantity("tables", "the same for other states of charge", lambda a: list(a.tables), of=TABLE),
+    Quantity("tables", "the same for other states of charge",
+             of=[quantity for quantity in PLAN if quantity.key in OF_A_TABLE]),
 )  # fmt: skip
 
 
@@ -197,10 +184,10 @@ class HeatingReport(Report[Heating]):
             told.append((f"loss +-{100 * self.answer.uncertainty.loss:g} %", words))
         return told
 
-    def table(self) -> Group:
-        """The rows, the tables by charge, problems, and what would help."""
+    def below(self) -> list[RenderableType]:
+        """The tables by charge, problems, and what would help."""
         plan, tables = self.answer.plan, self.answer.tables
-        parts: list[Any] = [two_columns(self.title(), self.rows())]
+        parts: list[RenderableType] = []
         if tables:
             cells = [
                 (
@@ -217,7 +204,7 @@ class HeatingReport(Report[Heating]):
         parts += remarks((_cure_words(cure) for cure in plan.cures), what="what would help")
         if not plan.feasible and not plan.cures:
             parts += remarks(["none of the changes that were tried helps"])
-        return Group(*parts)
+        return parts
 
     def save(self, directory: Path) -> list[Path]:
         """Write the plan's schedule.csv, schedule.h and plan.json, and a table and a header for every charge."""
@@ -267,10 +254,10 @@ ESTIMATE: tuple[Quantity[Estimate], ...] = (
 )
 
 RIG_FIT: tuple[Quantity[RigFit], ...] = (
-    Quantity("estimates", "the fitted factors", lambda f: list(f.estimates), of=ESTIMATE),
+    Quantity("estimates", "the fitted factors", of=ESTIMATE),
     Quantity("confidence", "of the intervals"),
     Quantity("noise", "residuals: temperature in K, voltage in V, current in A"),
-    Quantity("remarks", "what to beware of", lambda f: list(f.remarks)),
+    Quantity("remarks", "what to beware of"),
 )
 
 
@@ -323,11 +310,13 @@ class TrialFitReport(Report[TrialFit]):
     quantities = TRIAL_FIT
     file = "calibration.json"
 
-    def table(self) -> Group:
-        """The factor, and where the trials ended."""
-        f = self.answer
-        doubts = ["the trials contradict one another or the rig file"] if f.surprise < UNLIKELY else []
-        return Group(two_columns(f.rig.name or "rig", self.rows()), *remarks(doubts, what="remark"))
+    def title(self) -> str:
+        return self.answer.rig.name or "rig"
+
+    def below(self) -> list[RenderableType]:
+        """Whether there is reason for doubt."""
+        doubts = ["the trials contradict one another or the rig file"] if self.answer.surprise < UNLIKELY else []
+        return [*remarks(doubts, what="remark")]
 
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and the calibrated rig.yaml."""

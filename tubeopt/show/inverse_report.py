@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..equilibrium.file import save_equilibrium
@@ -58,7 +58,7 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("reachable", "whether a way without a snap leads to it; null where that is not known"),
     Quantity("way", "a way without a snap", of=WAY, words=lambda s: _way_words(s)),
     Quantity("leaps", "how the robot leaps to it from the target before"),
-    Quantity("active", "held by", lambda s: list(s.active), words=lambda s: ", ".join(s.active) or None),
+    Quantity("active", "held by", words=lambda s: ", ".join(s.active) or None),
     Quantity("statistics", "how it was solved", lambda s: asdict(s.statistics), label="solved",
              words=lambda s: _how(s)),
 )  # fmt: skip
@@ -80,7 +80,7 @@ def _how(s: InverseSolution) -> str:
 
 POSTURES: tuple[Quantity[Postures], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
-    Quantity("solutions", "the answers, the best first", lambda a: list(a.solutions), of=SOLUTION),
+    Quantity("solutions", "the answers, the best first", of=SOLUTION),
     Quantity("timed_out", "whether the time limit ended the search for all postures, or for ways to them"),
 )
 
@@ -158,7 +158,7 @@ TARGETS: tuple[Quantity[TargetTable], ...] = (
     line("a way without a snap", lambda a: None if a.followed else _of_reached(a, _ways)),
     line("put in between", lambda a: _between(a)),
     line("leaps", lambda a: _leaps(a)),
-    Quantity("solutions", "the answers, one per target", lambda a: list(a.rows), of=ROW),
+    Quantity("solutions", "the answers, one per target", lambda a: a.rows, of=ROW),
 )
 
 
@@ -210,13 +210,12 @@ class TargetTableReport(Report[TargetTable]):
     command = "ik --targets"
     quantities = TARGETS
 
-    def table(self) -> Group:
-        """How many targets were reached, and why others were not."""
+    def below(self) -> list[RenderableType]:
+        """Why targets were not reached."""
         notes = [(r, _why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
         notes += [(r, f"leaps: {r.solution.leaps}") for r in self.answer.rows if r.solution and r.solution.leaps]
-        texts = [Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]]
-        texts += [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
-        return Group(two_columns(self.title(), self.rows()), *texts)
+        more = [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
+        return [*(Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]), *more]
 
     def save(self, directory: Path) -> list[Path]:
         """Write solutions.csv: a row per target, empty cells where there is no answer."""

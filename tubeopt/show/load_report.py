@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group
+from rich.console import RenderableType
 
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -16,7 +16,7 @@ from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
-from .report import Drawing, Report, drawing, grid, remarks, two_columns
+from .report import Drawing, Report, drawing, grid, remarks
 from .snap_report import JOINTS, STATE
 from .words import counted, margin_in_words, millimetres, row
 
@@ -70,10 +70,10 @@ class BearingReport(Report[Bearing]):
             return f"{name} bears at least {a.up_to:.6g} times the load, as far as was looked (--up-to)"
         return f"{name} bears {a.limit.factor:.6g} times the load"
 
-    def table(self) -> Group:
-        """The answer in words, then the numbers of the limit."""
+    def rows(self) -> list[tuple[str, str]]:
+        """The load, then the numbers of the limit."""
         limit = self.answer.limit
-        return Group(two_columns(self.title(), self.rows() + ([] if limit is None else rows(limit, LIMIT))))
+        return super().rows() + ([] if limit is None else rows(limit, LIMIT))
 
     def pictures(self) -> dict[str, Drawing]:
         """The robot at the limit, and where it lands as a ghost."""
@@ -87,23 +87,21 @@ class BearingReport(Report[Bearing]):
                                       remark=f"{words}; ghost: where the robot lands")}  # fmt: skip
 
 
+FORCE: tuple[Quantity[ForceEstimate], ...] = (
+    Quantity("force_mN", "force on the tip in axes of the plate", form=".3f", label="force at the tip"),
+    Quantity("standard_error_mN", "standard error along each axis; null where it is not seen at all",
+             lambda e: np.sqrt(np.diag(e.covariance))),
+    Quantity("directions", "unit vectors, from the best to the worst told"),
+    Quantity("errors_mN", "standard error along each of them", form=".3f",
+             label="standard errors, best direction to worst"),
+    Quantity("untold", "directions in which the force is not told from none, in words", label="", words="{untold}"),
+    Quantity("residual_mm", "root mean square distance of the measured from the fitted points", form=".4f",
+             label="root mean square distance of the points"),
+)  # fmt: skip
+
 ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
     Quantity("row", "row of the recording, from 1", lambda told: told[0]),
-    *within(
-        (
-            Quantity("force_mN", "force on the tip in axes of the plate"),
-            Quantity(
-                "standard_error_mN",
-                "standard error along each axis; null where it is not seen at all",
-                lambda e: np.sqrt(np.diag(e.covariance)),
-            ),
-            Quantity("directions", "unit vectors, from the best to the worst told"),
-            Quantity("errors_mN", "standard error along each of them"),
-            Quantity("untold", "directions in which the force is not told from none, in words"),
-            Quantity("residual_mm", "root mean square distance of the measured from the fitted points"),
-        ),
-        lambda told: told[1],
-    ),
+    *within(FORCE, lambda told: told[1]),
 )
 
 
@@ -153,9 +151,12 @@ class ForceReport(Report[ForceRecord]):
         r = self.answer
         return f"{r.robot.name or 'robot'}: forces on the tip in {counted(len(r.estimates), 'row')}"
 
-    def table(self) -> Group:
-        """The recording in short, and its first rows."""
-        failed = [(f"row {k + 1}", why) for k, why in self.answer.failures[:5]]
+    def rows(self) -> list[tuple[str, str]]:
+        """The recording in short, with the first rows that failed."""
+        return [*super().rows(), *((f"row {k + 1}", why) for k, why in self.answer.failures[:5])]
+
+    def below(self) -> list[RenderableType]:
+        """Its first rows."""
         told = _told(self.answer)
         columns = ("row >", "force x, y, z (mN) >", "size (mN) >", "standard errors (mN) >")
         cells = (
@@ -169,7 +170,7 @@ class ForceReport(Report[ForceRecord]):
         )
         more = len(told) - SHOWN
         rest = [f"and {counted(more, 'row')} more, which --out saves in forces.csv"] if more > 0 else []
-        return Group(two_columns(self.title(), [*self.rows(), *failed]), grid(columns, cells), *remarks(rest))
+        return [grid(columns, cells), *remarks(rest)]
 
     def save(self, directory: Path) -> list[Path]:
         """Write forces.json, and forces.csv with a row per row of the recording."""

@@ -7,14 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rich.console import Group
-
 from ..robots.tubes import Tube
 from ..shaping.mold.checks import pressing_strain
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube
 from ..shaping.mold.mandrel_files import write_mandrel
 from .quantities import Quantity
-from .report import Report, remarks, two_columns
+from .report import Report
 
 
 def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
@@ -46,13 +44,11 @@ MANDREL: tuple[Quantity[Mandrel], ...] = (
     Quantity("free_length_mm", "tube between the clamps", form=".4g"),
     Quantity("stock_length_mm", "cut the tube to", form=".4g"),
     Quantity("predicted", "what comes off it", predict_wound_tube, of=OFF_IT),
-    Quantity("remarks", "what to beware of", lambda m: list(m.remarks)),
+    Quantity("remarks", "what to beware of"),
 )  # fmt: skip
 
 
 class MandrelReport(Report[Mandrel]):
-    """What is said and saved about the mandrel for one tube of a robot."""
-
     command = "mold mandrel"
     quantities = MANDREL
     file = "mandrel.json"
@@ -60,9 +56,6 @@ class MandrelReport(Report[Mandrel]):
 
     def title(self) -> str:
         return f"mandrel of tube {self.answer.number}"
-
-    def table(self) -> Group:
-        return Group(two_columns(self.title(), self.rows()), *remarks(self.answer.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
         """Write mandrel.json and mandrel.stl, of a turned one mandrel.csv and mandrel.nc, and the sheet setup.pdf."""

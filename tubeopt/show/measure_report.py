@@ -5,26 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rich.console import Group
+from rich.console import RenderableType
 
 from ..files.files import write_text
 from ..files.units import SIGNS
 from ..robots.path_file import waypoints_csv
 from ..validation import Placement
-from .quantities import Quantity, in_units
-from .report import Report, grid, two_columns
+from .quantities import Quantity, in_units, with_unit
+from .report import Report, grid
 from .validation_report import SUFFIXES
 
 
 def _expected(p: Placement) -> list[dict[str, Any]]:
     rows = zip(p.parameters, p.units, p.standard_errors.tolist(), p.random.tolist(), strict=True)
-    return [_error(name, SUFFIXES[unit], own, random) for name, unit, own, random in rows]
-
-
-def _error(name: str, unit: str, own: float, random: float) -> dict[str, Any]:
-    ending = f"_{unit}" if unit else ""
-    values = {"standard_error": own, "at_random": random}
-    return {"name": name, **{f"{key}{ending}": in_units(value, unit) for key, value in values.items()}}
+    return [
+        {"name": name} | with_unit(SUFFIXES[unit], {"standard_error": own, "at_random": random})
+        for name, unit, own, random in rows
+    ]
 
 
 PLACEMENT: tuple[Quantity[Placement], ...] = (
@@ -41,14 +38,12 @@ PLACEMENT: tuple[Quantity[Placement], ...] = (
 
 
 class PlacementReport(Report[Placement]):
-    """What is said and saved about where to measure."""
-
     command = "measure"
     quantities = PLACEMENT
     file = "report.json"
 
-    def table(self) -> Group:
-        """How many, and the expected errors."""
+    def below(self) -> list[RenderableType]:
+        """The expected errors."""
         p = self.answer
         cells = []
         for name, unit, own, random in zip(p.parameters, p.units, p.standard_errors, p.random, strict=True):
@@ -57,7 +52,7 @@ class PlacementReport(Report[Placement]):
             shown = (f"{in_units(float(x), suffix):.3g} {sign}".strip() for x in (own, random))
             cells.append((name, *shown, f"{random / own:.1f}"))
         heads = ("parameter", "standard error >", "at random >", "times less >")
-        return Group(two_columns(self.title(), self.rows()), grid(heads, cells, key=True))
+        return [grid(heads, cells, key=True)]
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, way.csv, which `tubeopt follow` reads, and configurations.csv, those to measure."""

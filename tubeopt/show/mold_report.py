@@ -19,17 +19,16 @@ from ..shaping.mold.files import write_mold
 from ..shaping.mold.gcode import Program, clear_room, programs_of
 from ..shaping.mold.holes import Hole
 from ..shaping.mold.mold import Clamp, Groove
-from ..shaping.mold.prediction import predict_tube
 from ..shaping.mold.ranking import MaterialRating
-from ..shaping.mold.robot import RobotMold
+from ..shaping.mold.robot import RobotMold, predict_tube
 from ..shaping.mold.springback import Calibration, Springback
-from .quantities import Quantity, within
-from .report import Drawing, Report, drawing, grid, remarks, two_columns
+from .quantities import Quantity, with_unit, within
+from .report import Drawing, Report, drawing, grid, remarks
 
 CLAMP: tuple[Quantity[Clamp], ...] = (
     Quantity("end", "proximal or distal"),
     Quantity("face_mm", "middle of the face that looks at the plate"),
-    Quantity("direction", "along which the tube enters it", lambda clamp: list(clamp.direction)),
+    Quantity("direction", "along which the tube enters it"),
     Quantity("slides", "whether it gives way when the tube grows"),
 )
 
@@ -60,7 +59,7 @@ GROOVE: tuple[Quantity[Groove], ...] = (
     Quantity("bend_begins_mm", "from the tube's end", lambda g: g.before_bend),
     Quantity("trim_proximal_mm", "cut off at the proximal end", lambda g: g.trim[0]),
     Quantity("trim_distal_mm", "cut off at the distal end", lambda g: g.trim[1]),
-    Quantity("clamps", "the two clamps", lambda g: list(g.clamps), of=CLAMP),
+    Quantity("clamps", "the two clamps", of=CLAMP),
     Quantity("vents", "vents over the bend", lambda g: len(g.vents)),
 )  # fmt: skip
 
@@ -105,7 +104,7 @@ MOLD: tuple[Quantity[RobotMold], ...] = (
         "programs", "G-code of both plates, in the order in which it is run", lambda a: programs_of(a.mold), of=PROGRAM
     ),
     Quantity("clear_mm", "room beside the plates that clamps of their stock leave free", lambda a: clear_room(a.mold)),
-    Quantity("holes", "for bolts, dowels and vents", lambda a: list(a.mold.holes), of=HOLE),
+    Quantity("holes", "for bolts, dowels and vents", lambda a: a.mold.holes, of=HOLE),
     Quantity("checks", "what was checked, and whether it passed", lambda a: [_check(c) for c in a.mold.checks]),
     Quantity("remarks", "what to beware of", lambda a: [*a.left_out, *a.mold.remarks]),
 )
@@ -157,14 +156,8 @@ SUFFIXES = {"m": "mm", "1": "percent", "K": "K"}
 
 
 def _check(check: Check) -> dict[str, Any]:
-    unit = SUFFIXES[check.unit]
-    limit = "at_most" if check.at_most else "at_least"
-    return {
-        "what": check.name,
-        f"value_{unit}": check.value * per_si(unit),
-        f"{limit}_{unit}": check.limit * per_si(unit),
-        "passed": check.passed,
-    }
+    values = {"value": check.value, "at_most" if check.at_most else "at_least": check.limit}
+    return {"what": check.name, **with_unit(SUFFIXES[check.unit], values), "passed": check.passed}
 
 
 def _trials(c: Calibration) -> list[dict[str, float]]:
@@ -202,9 +195,9 @@ CALIBRATION: tuple[Quantity[Calibration], ...] = (
     Quantity("radius_range_mm", "least and greatest mold radius of the trials", _radii, digits=9, optional=True),
     Quantity("fraction_interval_percent", "95 % interval of the fraction"),
     Quantity("slope_interval_mm", "95 % interval of the slope"),
-    Quantity("noise_percent", "scatter of one tube", lambda c: c.noise,
+    Quantity("noise_percent", "scatter of one tube",
              words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"),
-    Quantity("remarks", "what to beware of", lambda c: list(c.remarks)),
+    Quantity("remarks", "what to beware of"),
 )  # fmt: skip
 
 
@@ -226,8 +219,8 @@ class CalibrationReport(Report[Calibration]):
         ]
         return super().rows() + yields
 
-    def table(self) -> Group:
-        return Group(two_columns("spring-back", self.rows()), *remarks(self.answer.remarks, what="remark"))
+    def title(self) -> str:
+        return "spring-back"
 
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and springback.yaml."""
@@ -249,7 +242,7 @@ RATING: tuple[Quantity[MaterialRating], ...] = (
     Quantity("heat_capacity_J_per_kg_K", "heat capacity", lambda r: r.material.heat_capacity),
     Quantity("resistivity_ohm_m", "electrical", lambda r: r.material.resistivity),
     Quantity("price_class", "low, moderate or high", lambda r: r.material.price_class),
-    Quantity("reasons", "what speaks for it and against it", lambda r: list(r.reasons)),
+    Quantity("reasons", "what speaks for it and against it"),
     Quantity("source", "of its constants", lambda r: r.material.source),
 )
 
@@ -258,7 +251,7 @@ RANKING: tuple[Quantity[Ranking], ...] = (
     Quantity("curved_length_mm", "of the tube", lambda a: a.tube.curved_length),
     Quantity("set_degC", "to which it is heated", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
     Quantity("hold_s", "for how long", lambda a: a.heat.hold_time),
-    Quantity("materials", "the materials, best first", lambda a: list(a.ratings), of=RATING),
+    Quantity("materials", "the materials, best first", lambda a: a.ratings, of=RATING),
 )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group, RenderableType
+from rich.console import RenderableType
 from rich.text import Text
 
 from ..bodies.frames import Frame, roll_of
@@ -21,7 +21,7 @@ from ..runs.pair_study import PairAnswer
 from ..typing import Array
 from .design_report import CHECK, DIMENSION, DIMENSIONS, before_after, checked_again, dimension_rows
 from .quantities import Quantity, line
-from .report import Drawing, Report, drawing, grid, two_columns
+from .report import Drawing, Report, drawing, grid
 from .words import at_least
 
 
@@ -69,8 +69,8 @@ ARM: tuple[Quantity[_Arm], ...] = (
     Quantity("reached_before", "share of the places that it reaches by itself as given", lambda a: a.before.share),
     Quantity("reached_after", "the same of the design", lambda a: a.after.share),
     Quantity("certificate", "lower bound of its margin at all rotations", lambda a: a.solution.certificate),
-    Quantity("dimensions", "what was free", lambda a: list(a.solution.dimensions), of=DIMENSION),
-    Quantity("checks", "checked again by other code", lambda a: list(a.solution.verification.checks), of=CHECK),
+    Quantity("dimensions", "what was free", lambda a: a.solution.dimensions, of=DIMENSION),
+    Quantity("checks", "checked again by other code", lambda a: a.solution.verification.checks, of=CHECK),
 )
 
 PAIR: tuple[Quantity[PairAnswer], ...] = (
@@ -91,8 +91,7 @@ PAIR: tuple[Quantity[PairAnswer], ...] = (
              label="proved"),
     line("plates", _stands),
     Quantity("arms", "the two", _arms, of=ARM),
-    Quantity("remarks", "what holds the designs, tubes that they hardly need, a search that is too coarse",
-             lambda a: list(a.remarks)),
+    Quantity("remarks", "what holds the designs, tubes that they hardly need, a search that is too coarse"),
     Quantity("seconds", "wall time of the search, s", lambda a: a.search.seconds, form=".1f"),
 )  # fmt: skip
 
@@ -110,8 +109,6 @@ def pairs_of_places(share: PairShare, places: Sequence[Array]) -> str:
 
 
 class PairReport(Report[PairAnswer]):
-    """What is said and saved about two robots that were sized together."""
-
     command = "design-pair"
     quantities = PAIR
     file = "design_pair.json"
@@ -119,14 +116,14 @@ class PairReport(Report[PairAnswer]):
     def title(self) -> str:
         return " and ".join(self.answer.names)
 
-    def table(self) -> Group:
-        """The answer as tables: summary, and of each arm its dimensions and what was checked again."""
-        parts: list[RenderableType] = [two_columns(self.title(), self.rows())]
+    def below(self) -> list[RenderableType]:
+        """Of each arm its dimensions and what was checked again; the remarks."""
+        parts: list[RenderableType] = []
         for arm in _arms(self.answer):
             rows = dimension_rows(arm.solution)
             parts.append(grid(DIMENSIONS, rows, title=f"dimensions of {arm.name}", key=True))
             parts.append(checked_again(arm.solution))
-        return Group(*parts, *(Text(f"  {words}") for words in self.answer.remarks))
+        return [*parts, *(Text(f"  {words}") for words in self.answer.remarks)]
 
     def save(self, directory: Path) -> list[Path]:
         """Write arm_1/robot.yaml and arm_2/robot.yaml, the pairs of places, and design_pair.json."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from rich.console import Group
+from rich.console import RenderableType
 
 from ..shaping.mold.lattice import Peg
 from ..shaping.mold.peg_files import write_pegs
 from ..shaping.mold.pegs import PegBoard
 from .quantities import Quantity
-from .report import Report, grid, remarks, two_columns
+from .report import Report, grid
 
 PEG: tuple[Quantity[Peg], ...] = (
     Quantity("hole", "row from below by letter, place in the row from the left"),
@@ -34,14 +34,12 @@ PEGS: tuple[Quantity[PegBoard], ...] = (
     Quantity("dip_K", "colder at a peg, at most", lambda b: b.heat.dip.max(initial=0.0), form=".0f"),
     Quantity("drawn_W", "heat into all pegs", lambda b: b.heat.drawn.sum(), words="{drawn_W:.2f} W"),
     Quantity("lost_W", "heat of the tube into air", lambda b: b.heat.loss * b.free_length, words="{lost_W:.1f} W"),
-    Quantity("pegs", "along the tube", lambda b: list(b.pegs), of=PEG),
-    Quantity("remarks", "what to beware of", lambda b: list(b.remarks)),
+    Quantity("pegs", "along the tube", of=PEG),
+    Quantity("remarks", "what to beware of"),
 )
 
 
 class PegReport(Report[PegBoard]):
-    """What is said and saved about the pegs for one tube of a robot."""
-
     command = "mold pegs"
     quantities = PEGS
     file = "pegs.json"
@@ -50,8 +48,8 @@ class PegReport(Report[PegBoard]):
     def title(self) -> str:
         return f"{len(self.answer.pegs)} pegs for tube {self.answer.number}"
 
-    def table(self) -> Group:
-        """The numbers, where every peg goes, then the remarks."""
+    def below(self) -> list[RenderableType]:
+        """Where every peg goes, then the remarks."""
         heads = ("hole", "angle", "side", "along mm", "push N", "colder K")
         rows = [
             (
@@ -64,9 +62,7 @@ class PegReport(Report[PegBoard]):
             )
             for peg, dip in zip(self.answer.pegs, self.answer.heat.dip, strict=True)
         ]
-        return Group(
-            two_columns(self.title(), self.rows()), grid(heads, rows), *remarks(self.answer.remarks, what="remark")
-        )
+        return [grid(heads, rows), *super().below()]
 
     def save(self, directory: Path) -> list[Path]:
         """Write pegs.json, pegs.csv, board.dxf, board.svg and the board's programs."""

@@ -153,6 +153,11 @@ def in_units(value: Any, unit: str) -> Any:
     return value if factor == 1 else value * factor
 
 
+def with_unit(unit: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values in SI with a unit of their own, which their keys then end in."""
+    return {f"{name}_{unit}" if unit else name: in_units(value, unit) for name, value in values.items()}
+
+
 def _parts(found: Any, quantities: Sequence[Quantity[Any]]) -> Any:
     if found is None:
         return None
@@ -171,24 +176,3 @@ class _Template(string.Formatter):
 
 
 _TEMPLATE = _Template()
-
-
-def schema(quantities: Iterable[Quantity[Any]]) -> dict[str, Any]:
-    """The JSON Schema of `record`: keys with their unit and what they are."""
-    listed = [quantity for quantity in quantities if quantity.key]
-    return {
-        "type": "object",
-        "properties": {quantity.key: _schema(quantity) for quantity in listed},
-        "required": [quantity.key for quantity in listed if not quantity.optional],
-        "additionalProperties": False,
-    }
-
-
-def _schema(quantity: Quantity[Any]) -> dict[str, Any]:
-    known: dict[str, Any] = {"description": quantity.about}
-    if quantity.unit:
-        return known | {"unit": quantity.unit, "type": ["number", "array", "null"]}
-    if quantity.of is not None:
-        part = schema(quantity.of)
-        return known | {"anyOf": [part, {"type": "array", "items": part}, {"type": "null"}]}
-    return known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -57,11 +58,7 @@ def drawing(plot: str, what: Any, **options: Any) -> Drawing:
 
 @dataclass(frozen=True)
 class Report(Generic[A]):
-    """An answer, ready to be shown and saved: a list of its quantities, and what else there is to say.
-
-    Args:
-        answer: what is reported.
-    """
+    """An answer, ready to be shown and saved: a list of its quantities, and what else there is to say."""
 
     answer: A
 
@@ -98,7 +95,12 @@ class Report(Generic[A]):
 
     def table(self) -> RenderableType:
         """What a person reads."""
-        return two_columns(self.title(), self.rows())
+        return Group(two_columns(self.title(), self.rows()), *self.below())
+
+    def below(self) -> Sequence[RenderableType]:
+        """What stands below the rows; by default the remarks that are among the quantities."""
+        said = (quantity.found(self.answer) for quantity in self.quantities if quantity.key == "remarks")
+        return remarks(itertools.chain.from_iterable(said), what="remark")
 
     def save(self, directory: Path) -> list[Path]:
         """Write everything but the pictures into `directory`; return the paths."""
@@ -188,6 +190,6 @@ def _titled(title: str) -> list[Text]:
     return [Text(title, style="italic")] if title else []
 
 
-def remarks(lines: Iterable[str], *, what: str = "", style: str = "yellow") -> list[Text]:
+def remarks(lines: Iterable[str], *, what: str = "") -> list[Text]:
     """Lines below a table, each after the word that says what it is."""
-    return [Text(f"{what}: {words}" if what else words, style=style) for words in lines]
+    return [Text(f"{what}: {words}" if what else words, style="yellow") for words in lines]

@@ -10,7 +10,7 @@ from rich.live import Live
 
 from ..errors import SolveError
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
-from ..shaping.firmware.leader import Leader
+from ..shaping.heating.replanning import Leader
 from .quantities import Quantity
 from .report import Report, two_columns
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from rich.console import Group
 from rich.text import Text
 
@@ -15,20 +13,6 @@ from ..robots.tubes import OfCrossSection, Tube
 from .quantities import Quantity, within
 from .report import Report, grid, remarks
 
-TUBE: tuple[Quantity[Tube], ...] = (
-    Quantity("outer_diameter_mm", "outer diameter", digits=9),
-    Quantity("inner_diameter_mm", "inner diameter", digits=9),
-    Quantity("straight_length_mm", "straight length", digits=9),
-    Quantity("curved_length_mm", "curved length", digits=9),
-    Quantity("length_mm", "overall length", digits=9),
-    Quantity("curvature_per_m", "precurvature"),
-    Quantity("material", "material", lambda tube: tube.material.name),
-    Quantity("bending_stiffness_N_mm2", "bending stiffness EI"),
-    Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ"),
-    Quantity("poisson_ratio", "Poisson's ratio", lambda tube: _poisson_ratio(tube)),
-    Quantity("straightened_strain_percent", "strain held straight"),
-)
-
 
 def _poisson_ratio(tube: Tube) -> float | None:
     """That of the material; None where a stiffness was given, of which it says nothing."""
@@ -36,17 +20,31 @@ def _poisson_ratio(tube: Tube) -> float | None:
     return tube.material.poisson_ratio if derived else None
 
 
-class Nested(NamedTuple):
-    """A tube, and its radial clearance (m) in the next one around it, None without one."""
-
-    tube: Tube
-    clearance: float | None
+def _poisson_words(tube: Tube) -> str:
+    ratio = _poisson_ratio(tube)
+    return "–" if ratio is None else f"{ratio:.6g}"
 
 
-NESTED: tuple[Quantity[Nested], ...] = (
-    *within(TUBE, lambda nested: nested.tube),
-    Quantity("radial_clearance_mm", "radial clearance in the next", lambda nested: nested.clearance, digits=9),
+TUBE: tuple[Quantity[Tube], ...] = (
+    Quantity("outer_diameter_mm", "outer diameter", digits=9, form=".6g"),
+    Quantity("inner_diameter_mm", "inner diameter", digits=9, form=".6g"),
+    Quantity("straight_length_mm", "straight length", digits=9, form=".6g"),
+    Quantity("curved_length_mm", "curved length", digits=9, form=".6g"),
+    Quantity("length_mm", "overall length", digits=9, form=".6g"),
+    Quantity("curvature_per_m", "precurvature", form=".6g"),
+    Quantity("material", "material", lambda tube: tube.material.name, words="{material}"),
+    Quantity("bending_stiffness_N_mm2", "bending stiffness EI", form=".6g"),
+    Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ", form=".6g"),
+    Quantity("poisson_ratio", "Poisson's ratio", _poisson_ratio, words=_poisson_words),
+    Quantity("straightened_strain_percent", "strain held straight", form=".6g"),
 )
+
+
+NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (
+    *within(TUBE, lambda nested: nested[0]),
+    Quantity("radial_clearance_mm", "radial clearance in the next", lambda nested: nested[1], digits=9),
+)
+"""Of a tube, and of its radial clearance (m) in the next one around it, None without one."""
 
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
@@ -55,14 +53,12 @@ ROBOT: tuple[Quantity[Robot], ...] = (
 )
 
 
-def _nested(robot: Robot) -> list[Nested]:
+def _nested(robot: Robot) -> list[tuple[Tube, float | None]]:
     gaps = clearances(robot)
-    return [Nested(tube, gaps[i][1] / TO_MM if i in gaps else None) for i, tube in enumerate(robot.tubes)]
+    return [(tube, gaps[i][1] / TO_MM if i in gaps else None) for i, tube in enumerate(robot.tubes)]
 
 
 class RobotReport(Report[AnyRobot]):
-    """What is said and saved about a robot."""
-
     command = "robot show"
     quantities = ROBOT
     file = "robot.json"

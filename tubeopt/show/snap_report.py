@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from .. import stability
@@ -102,7 +102,7 @@ PATH: tuple[Quantity[stability.Path], ...] = (
     line("friction", lambda m: _rubbed(m)),
     Quantity("waypoints", "the state at every waypoint", lambda m: list(m.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.equilibria[-1].tip_position, ".4f")),
-    Quantity("snaps", "the snaps on the way", lambda m: list(m.snaps),
+    Quantity("snaps", "the snaps on the way",
              of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
 )  # fmt: skip
 
@@ -189,9 +189,8 @@ class PathReport(Report[stability.Path]):
         count = counted(len(path.snaps), "snap", none="no snap")
         return f"{path.equilibria[0].robot.name or 'robot'}: {len(path.equilibria)} waypoints, {count}"
 
-    def table(self) -> Group:
-        """How far it went, and a row per snap."""
-        head = two_columns(self.title(), self.rows())
+    def below(self) -> list[RenderableType]:
+        """A row per snap."""
         cells = [
             (
                 f"{snap.index + 1} to {snap.index + 2}",
@@ -204,7 +203,7 @@ class PathReport(Report[stability.Path]):
             for snap in self.answer.snaps
         ]
         columns = ("waypoints", "at (%) >", "rotations (deg)", "translations (mm)", "tip jump (mm) >", "energy (mJ) >")
-        return Group(head, grid(columns, cells, title="snaps")) if cells else Group(head)
+        return [grid(columns, cells, title="snaps")] if cells else []
 
     def save(self, directory: Path) -> list[Path]:
         """Write path.csv and snaps.json."""
@@ -244,11 +243,6 @@ def _snapping_fraction(a: RobotMap) -> float:
     return float(wide @ np.isfinite(a.map.boundary).all(1)) / (4 * np.pi)
 
 
-def _nearest_words(a: RobotMap) -> str | None:
-    nearest = _nearest(a)
-    return None if nearest is None else f"at {degrees(nearest, '.6f')}"
-
-
 MAP: tuple[Quantity[RobotMap], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     line("axes", "rotations of tubes {tubes[0]} and {tubes[1]} from -180 to 180 deg, {samples} points each"),
@@ -264,7 +258,7 @@ MAP: tuple[Quantity[RobotMap], ...] = (
     Quantity("snapping_fraction", "part of all directions from home in which a snap is met", _snapping_fraction,
              label="snaps on the way", words=lambda a: f"in {100 * _snapping_fraction(a):.1f} % of all directions"),
     Quantity("nearest_snap_deg", "the snap that needs the least turning", _nearest, label="the nearest snap",
-             words=_nearest_words),
+             words="at {nearest_snap_deg:.6f} deg"),
     Quantity("directions_deg", "from the axis of the first tube", lambda a: a.map.directions),
     Quantity("boundary_deg", "rotations of the first snap in every direction", lambda a: a.map.boundary),
 )  # fmt: skip

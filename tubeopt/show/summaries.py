@@ -35,6 +35,7 @@ from ..workspaces import SnappingLoss, Workspace
 from .equilibrium_report import VERIFICATION
 from .heat_report import PLAN
 from .inverse_report import SOLUTION
+from .load_report import FORCE, LIMIT
 from .plan_report import PROOF
 from .quantities import Quantity, line
 from .report import Drawing, drawing
@@ -56,27 +57,6 @@ class Summary(NamedTuple):
         """What draws it, where there is a picture of it."""
         what = self.drawn(answer) if self.plot else None
         return None if what is None else drawing(self.plot, what)
-
-
-def every(quantities: Sequence[Quantity[Any]]) -> tuple[Quantity[Any], ...]:
-    """Quantities with a row for each, also for those of which a report's table says nothing."""
-    return tuple(
-        q if q.form or q.words or q.of is not None or not q.key else Quantity(q.key, q.about, q.get, words=_plainly(q))
-        for q in quantities
-    )
-
-
-def _plainly(q: Quantity[Any]) -> Callable[[Any], str]:
-    def words(answer: Any) -> str:
-        value = q.value(answer)
-        if isinstance(value, bool) or value is None:
-            return {True: "yes", False: "no", None: "–"}[value]
-        numbers = np.asarray(value)
-        if numbers.dtype.kind in "if" and numbers.size <= 6:
-            return f"{', '.join(f'{x:.6g}' for x in numbers.ravel())} {q.sign}".strip()
-        return str(value) if numbers.dtype.kind == "U" else f"{' x '.join(map(str, numbers.shape))} numbers"
-
-    return words
 
 
 def _counts(what: Any) -> str:
@@ -135,13 +115,6 @@ BRANCH: tuple[Quantity[Branch], ...] = (
     line("margin", lambda b: _least(b.margin)),
 )
 
-LOAD_LIMIT: tuple[Quantity[LoadLimit], ...] = (
-    Quantity("factor", "factor on the load", form=".6g"),
-    line("it is a", lambda limit: limit.kind),
-    Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
-    Quantity("energy_released_mJ", "energy released", form=".4f"),
-)
-
 WORKSPACE: tuple[Quantity[Workspace], ...] = (
     line("robot", lambda w: w.robot.name or "robot"),
     line("samples", _counts),
@@ -162,13 +135,6 @@ JACOBIAN: tuple[Quantity[Jacobian], ...] = (
     line("by", lambda j: ", ".join(j.wrt)),
     line("position", lambda j: f"{j.position.shape[0]} x {j.position.shape[1]}, m per rad and m per m"),
     line("rotation", lambda j: f"{j.rotation.shape[0]} x {j.rotation.shape[1]}, rad per rad and rad per m"),
-)
-
-FORCE: tuple[Quantity[ForceEstimate], ...] = (
-    Quantity("force_mN", "force at the tip", form=".3f"),
-    Quantity("errors_mN", "standard errors, best direction to worst", form=".3f"),
-    Quantity("residual_mm", "root mean square distance of the points", form=".4f"),
-    line("", lambda f: f.untold),
 )
 
 DESIGN: tuple[Quantity[DesignSolution], ...] = (
@@ -207,16 +173,16 @@ SUMMARIES: Mapping[type, Summary] = {
     HeatingPlan: Summary(PLAN, "heating.plot_heating"),
     InverseSolution: Summary(SOLUTION, "inverse.plot_inverse", lambda answer: [answer]),
     Jacobian: Summary(JACOBIAN),
-    LoadLimit: Summary(LOAD_LIMIT, "shape.plot_shape", lambda limit: limit.before),
+    LoadLimit: Summary(LIMIT, "shape.plot_shape", lambda limit: limit.before),
     Mold: Summary(MOLD, "mold.plot_mold"),
     ProblemSolution: Summary(PROBLEM),
     Proof: Summary(PROOF),
     Snap: Summary(SNAP, "snap.plot_snap"),
-    SnappingLoss: Summary(every(LOSS)),
+    SnappingLoss: Summary(LOSS),
     StabilityMap: Summary(STABILITY_MAP, "maps.plot_stability_map"),
-    Tube: Summary(every(TUBE)),
+    Tube: Summary(TUBE),
     Verdict: Summary(VERDICT, "snap.plot_snap", lambda v: v.snap),
-    Verification: Summary(every(VERIFICATION)),
+    Verification: Summary(VERIFICATION),
     Workspace: Summary(WORKSPACE, "workspace.plot_workspace"),
     WorstCertificate: Summary(WORST_CERTIFICATE),
     WorstMargin: Summary(WORST_MARGIN, "shape.plot_shape", lambda w: w.equilibrium),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group, RenderableType
+from rich.console import RenderableType
 
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -15,8 +15,8 @@ from ..robots.file import calibration_to_dict, save_robot
 from ..typing import Array
 from ..validation import Comparison, ErrorGroup, ErrorSummary, Estimate, Fit, Parity, Registration, Step, Validation
 from . import quantities
-from .quantities import Quantity, in_units, line
-from .report import Drawing, Report, drawing, grid, remarks, two_columns
+from .quantities import Quantity, in_units, line, with_unit
+from .report import Drawing, Report, drawing, grid
 
 ERRORS = ("mean", "rms", "p95", "max")
 """What an error summary tells, in mm and in percent of the arm's length."""
@@ -135,7 +135,7 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "the same errors at each distance behind the tip", lambda v: _stations(v)),
     Quantity("parity", "what depends on the way", of=PARITY, label="both ways", words=lambda v: _both_ways(v)),
-    Quantity("remarks", "what was noticed when the file was read", lambda v: list(v.measurements.remarks)),
+    Quantity("remarks", "what was noticed when the file was read", lambda v: v.measurements.remarks),
 )
 
 
@@ -145,10 +145,6 @@ class ValidationReport(Report[Validation]):
     command = "validate"
     quantities = COMPARISON
     file = "report.json"
-
-    def table(self) -> Group:
-        noticed = remarks(self.answer.measurements.remarks, what="remark")
-        return Group(two_columns(self.title(), self.rows()), *noticed)
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json and residuals.csv."""
@@ -182,14 +178,9 @@ SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_
 
 
 def _estimate(e: Estimate) -> dict[str, Any]:
-    unit = SUFFIXES[e.unit]
-    ending = f"_{unit}" if unit else ""
     names = ("start", "value", "standard_error", "low", "high", "block_error", "block_low", "block_high")
-    return {
-        "name": e.name,
-        **{f"{name}{ending}": in_units(getattr(e, name), unit) for name in names},
-        "held": e.held,
-    }
+    told = with_unit(SUFFIXES[e.unit], {name: getattr(e, name) for name in names})
+    return {"name": e.name, **told, "held": e.held}
 
 
 FIT_ERRORS: tuple[Quantity[Fit], ...] = (
@@ -205,7 +196,7 @@ FIT: tuple[Quantity[Fit], ...] = (
     Quantity("confidence", "of the intervals"),
     Quantity("correlation", "of the estimates"),
     Quantity("noise_mm", "noise per coordinate", form=".3f"),
-    Quantity("remarks", "what to beware of", lambda f: list(f.remarks)),
+    Quantity("remarks", "what to beware of"),
     Quantity("axis_noise_deg", "noise of a direction", form=".3f"),
     Quantity(
         "calibration",
@@ -242,11 +233,8 @@ class FitReport(Report[Fit]):
         errors = quantities.rows(self.answer, FIT_ERRORS)
         return [*compared[:at], *errors, *compared[at + 1 :], *quantities.rows(self.answer, FIT)]
 
-    def table(self) -> Group:
-        lines = remarks(self.answer.remarks, what="remark")
-        return Group(two_columns(self.title(), self.rows()), self._estimates(), *lines)
-
-    def _estimates(self) -> RenderableType:
+    def below(self) -> list[RenderableType]:
+        """A row per parameter, then the remarks."""
         cells = []
         for e in self.answer.estimates:
             unit = SUFFIXES[e.unit]
@@ -263,7 +251,8 @@ class FitReport(Report[Fit]):
             )
             cells.append((e.name, f"{start}{sign}", *fitted))
         interval = f"{100 * self.answer.confidence:g} % interval"
-        return grid(("parameter", "given >", "fitted >", f"{interval} >", "from blocks of rows >"), cells, key=True)
+        columns = ("parameter", "given >", "fitted >", f"{interval} >", "from blocks of rows >")
+        return [grid(columns, cells, key=True), *super().below()]
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, residuals.csv and the calibrated robot.yaml."""
@@ -309,9 +298,9 @@ EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
     ),
     Quantity("start_axis_deg", "RMS angle of the directions, held out", form=".2f"),
     Quantity("steps", "effects that pay, in order", lambda c: [_step(s, _length(c)) for s in c.steps]),
-    Quantity("dropped", "effects that later ones made useless", lambda c: list(c.dropped)),
+    Quantity("dropped", "effects that later ones made useless"),
     Quantity("refused", "effects that do not pay beside them", lambda c: [_step(s, _length(c)) for s in c.refused]),
-    Quantity("remarks", "what was noticed when the file was read", lambda c: list(c.remarks)),
+    Quantity("remarks", "what was noticed when the file was read"),
     Quantity("fit", "the fit of the effects that pay", of=(*FIT_ERRORS[2:], *FIT)),
 )
 
@@ -326,7 +315,7 @@ class EffectsReport(Report[Comparison]):
     def title(self) -> str:
         return self.answer.fit.robot.name if self.answer.fit else "no effect pays"
 
-    def table(self) -> Group:
+    def below(self) -> list[RenderableType]:
         """Effects in the order in which they pay, those that do not, and the fit."""
         c = self.answer
         cells = [("as given", *_held_out(c.start, c.start_axis), "", "")]
@@ -335,8 +324,7 @@ class EffectsReport(Report[Comparison]):
                 rivals = f"or {' or '.join(s.rivals)}: as good" if s.rivals else word
                 cells.append((s.effect, *_held_out(s.held_out, s.held_out_axis), f"{100 * s.gain:.1f} %", rivals))
         table = grid(("effect", "held out, RMS >", "direction >", "gain >", ""), cells, key=True)
-        rest = remarks(c.remarks, what="remark") if c.fit is None else [FitReport(c.fit).table()]
-        return Group(two_columns(self.title(), self.rows()), table, *rest)
+        return [table, *(super().below() if c.fit is None else [FitReport(c.fit).table()])]
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, and residuals.csv and the calibrated robot.yaml where an effect pays."""

@@ -17,12 +17,14 @@ from .quantities import Quantity, line, within
 from .report import Drawing, Report, drawing
 
 LOSS: tuple[Quantity[SnappingLoss], ...] = (
-    Quantity("equilibria", "equilibria of all kinds that were found"),
-    Quantity("unstable", "those of them that are unstable"),
-    Quantity("held_volume_cm3", "volume that stable equilibria reach"),
-    Quantity("lost_volume_cm3", "volume that only unstable ones reach"),
-    Quantity("lost_first_half_cm3", "the same from the first half of the samples", lambda lost: lost.early_loss),
-    Quantity("lost_fraction", "part of all that is reached which is lost", lambda lost: lost.fraction),
+    Quantity("equilibria", "equilibria of all kinds that were found", form=".6g"),
+    Quantity("unstable", "those of them that are unstable", form=".6g"),
+    Quantity("held_volume_cm3", "volume that stable equilibria reach", form=".6g"),
+    Quantity("lost_volume_cm3", "volume that only unstable ones reach", form=".6g"),
+    Quantity(
+        "lost_first_half_cm3", "the same from the first half of the samples", lambda loss: loss.early_loss, form=".6g"
+    ),
+    Quantity("lost_fraction", "part of all that is reached which is lost", lambda loss: loss.fraction, form=".6g"),
 )
 
 
@@ -48,30 +50,30 @@ def _dexterity(a: Findings) -> str:
     return f"{100 * seen.mean():.1f} % of all directions per voxel, at most {100 * seen.max():.1f} %"
 
 
-VOLUMES: tuple[tuple[Quantity[Volume], ...], ...] = (
-    (
-        Quantity(
-            "meridian_volume_cm3",
-            "volume as a body of revolution",
-            lambda volume: volume.value,
-            label="",
-            words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
-            "{meridian_first_half_cm3:.4g} from the first half of the samples",
-        ),
-        Quantity("meridian_first_half_cm3", "the same from the first half of the samples", lambda volume: volume.half),
+MERIDIAN: tuple[Quantity[Volume], ...] = (
+    Quantity(
+        "meridian_volume_cm3",
+        "volume as a body of revolution",
+        lambda volume: volume.value,
+        label="",
+        words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
+        "{meridian_first_half_cm3:.4g} from the first half of the samples",
     ),
-    (
-        Quantity(
-            "alpha_volume_cm3",
-            "volume of the alpha shape",
-            lambda volume: volume.value,
-            label="",
-            words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm",
-        ),
-        Quantity("alpha_radius_mm", "radius of the alpha shape", lambda volume: volume.scale),
-    ),
+    Quantity("meridian_first_half_cm3", "the same from the first half of the samples", lambda volume: volume.half),
 )
-"""By other methods, which do not always have an answer: as a body of revolution, and as an alpha shape."""
+"""As a body of revolution, by which there is not always an answer."""
+
+ALPHA: tuple[Quantity[Volume], ...] = (
+    Quantity(
+        "alpha_volume_cm3",
+        "volume of the alpha shape",
+        lambda volume: volume.value,
+        label="",
+        words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm",
+    ),
+    Quantity("alpha_radius_mm", "radius of the alpha shape", lambda volume: volume.scale),
+)
+"""As an alpha shape, likewise."""
 
 WORKSPACE: tuple[Quantity[Findings], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.workspace.robot.name),
@@ -96,8 +98,8 @@ WORKSPACE: tuple[Quantity[Findings], ...] = (
              words="{volume_first_half_cm3:.4g} cm3 from the first half of the samples"),
     Quantity("volume_unseen_cm3", "estimate of what is not seen yet", lambda a: a.volume.unseen, label="",
              words="{volume_unseen_cm3:.4g} cm3 estimated as not seen yet"),
-    *within(VOLUMES[0], lambda a: a.meridian),
-    *within(VOLUMES[1], lambda a: a.alpha),
+    *within(MERIDIAN, lambda a: a.meridian),
+    *within(ALPHA, lambda a: a.alpha),
     line("dexterity", _dexterity),
     Quantity("mean_dexterity", "part of all directions in which a voxel is reached",
              lambda a: a.voxels.dexterity.mean()),
@@ -113,8 +115,6 @@ def _lost(lost: SnappingLoss) -> str:
 
 
 class WorkspaceReport(Report[Findings]):
-    """What is said and saved about a workspace."""
-
     command = "workspace"
     quantities = WORKSPACE
 

@@ -10,19 +10,24 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from ..typing import Array
+from .newton import NewtonResult
 from .settings import CONTINUATION
 
 S = TypeVar("S")
 
 
 def flow(
-    state: S, step: Callable[[S, float], tuple[Array, float, bool]], moved: Callable[[S, Array], S | None]
-) -> tuple[S, int] | None:
-    """The state where the flow from another comes to rest, and the steps that took; None where it does not.
+    state: S,
+    step: Callable[[S, float], tuple[Array, float, bool]],
+    moved: Callable[[S, Array], S | None],
+    solved: Callable[[S], NewtonResult[S]],
+) -> NewtonResult[S]:
+    """The state where the flow from another comes to rest, and the steps that took.
 
     Args:
         step: from a state in a time: change, its largest turn (rad), and whether its matrix is not positive.
         moved: a state after a change; None where its energy rises.
+        solved: the state at rest, from where the flow hardly moves.
     """
     time = 1.0
     for count in range(1, CONTINUATION.flow_steps + 1):
@@ -36,8 +41,15 @@ def flow(
             continue
         state, time = there, grown(time, turn)
         if turn < 1e-6 and time > 1e6:
-            return state, count
-    return None
+            last = solved(state)
+            return NewtonResult(last.state, last.converged, count, 0.0)
+    return NewtonResult(state, False, CONTINUATION.flow_steps, 0.0)
+
+
+def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[Array]:
+    """Points (U,) beside x at +-`push`, on the sides that lead down; on both if none does."""
+    down = [side for side in (push, -push) if float(gradient(x + side) @ side) < 0]
+    return [x + side for side in down or (push, -push)]
 
 
 def shortened(turn: float) -> float:

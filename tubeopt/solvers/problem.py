@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from ..errors import InputError, SolveError, nearest
 from ..typing import Array
 from .named_program import NamedProgram
 from .problem_solution import Attempts, ProblemSolution, ProblemStatus
+from .sampling import sobol
 from .settings import Ipopt
 
 
@@ -77,8 +77,7 @@ class Problem(NamedProgram):
         best: tuple[ProblemSolution, list[object]] | None = None
         missed: ProblemSolution | None = None
         objectives, astray, failed = [], 0, 0
-        points = scipy.stats.qmc.Sobol(len(lower), seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
-        for point in lower + points * (upper - lower):
+        for point in lower + sobol(len(lower), count, seed) * (upper - lower):
             try:
                 _begin_at_point(self, names, point)
             except (InputError, SolveError):
@@ -97,8 +96,7 @@ class Problem(NamedProgram):
             worst = f"; nearest: {self.failure(missed)}" if missed else ""
             raise SolveError(f"{self.name}: {attempts}{worst}", missed)
         _restore(self, best[1])
-        for name, value in best[0].values.items():
-            self.set_guess(name, value)
+        _guess(self, best[0].values)
         return replace(best[0], attempts=attempts)
 
 
@@ -152,16 +150,20 @@ def _retry(problem: NamedProgram, solver: Ipopt, missed: ProblemSolution, limit:
         if missed.status is ProblemStatus.SOLVED:
             return missed
     _restore(problem, laid)
-    for name, guess in guesses.items():
-        problem.set_guess(name, guess)
+    _guess(problem, guesses)
     return first
 
 
 def _begin_at(problem: NamedProgram, solution: ProblemSolution) -> None:
     """Start the variables that no block has set where a solution has them."""
-    for name, value in solution.values.items():
-        if not any(block.owns(name) for block in problem.blocks):
-            problem.set_guess(name, value)
+    owned = {name for name in solution.values for block in problem.blocks if block.owns(name)}
+    _guess(problem, {name: value for name, value in solution.values.items() if name not in owned})
+
+
+def _guess(problem: NamedProgram, values: Mapping[str, Array]) -> None:
+    """Start variables at these numbers."""
+    for name, value in values.items():
+        problem.set_guess(name, value)
 
 
 def _layouts(problem: NamedProgram) -> list[object]:
@@ -196,8 +198,7 @@ def _box(problem: NamedProgram, names: list[str]) -> tuple[Array, Array]:
 def _begin_at_point(problem: NamedProgram, names: list[str], point: Array) -> None:
     """Guesses at a point, and every block at the equilibrium there."""
     sizes = np.cumsum([len(problem.variables[name].guess) for name in names])[:-1]
-    for name, value in zip(names, np.split(point, sizes), strict=True):
-        problem.set_guess(name, value)
+    _guess(problem, dict(zip(names, np.split(point, sizes), strict=True)))
     for block in problem.blocks:
         block.start_at(lambda part: problem.evaluate(part, {}, {}))
 

@@ -69,7 +69,7 @@ class Continuation(Settings):
         compiled_part: the same of a way in joint values and load.
         least_stiffness: margin below which errors no longer grow in the estimate.
         hardly_softened: margins above need the check of their accuracy; the others are surer than the shape.
-        fold_steps, loaded_fold_steps: of Newton's method to a fold at most, without load and with one.
+        fold_steps: of Newton's method to a fold at most.
         fold_difference: step of the differences along the softest direction, as a turn (rad) of a tube or of the arm.
         widest: largest part of the way between the last stable point that was found and the one where stability is
             lost.
@@ -118,7 +118,6 @@ class Continuation(Settings):
     least_stiffness: float = 1e-6
     hardly_softened: float = 0.99
     fold_steps: int = 25
-    loaded_fold_steps: int = 20
     fold_difference: float = 1e-4
     widest: float = 1e-3
     branch_points: int = 4000

@@ -3,7 +3,6 @@
 from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
 from .deflection import deflection_bound
-from .eccentric_verdict import EccentricVerdict
 from .energy import EnergyMap, energy_map
 from .equilibria import find_equilibria
 from .following import Path, follow
@@ -15,7 +14,7 @@ from .settings import EquilibriaSearch, SnapSearch
 from .snap import Snap
 from .snapping import find_snap
 from .stroke import find_stroke_force
-from .verdict import ASSUMING, Finding, Verdict
+from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [

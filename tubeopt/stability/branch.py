@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,58 +78,60 @@ def trace_branch(
     solution = polish(first)
     problem = solution.problem
     points, folds = _continue(path, problem, solution.result.state.z, positive("step", step))
-    how, solutions = ("newton", "arclength", 0.0), [Solution.at(problem, path.at(t)[0], z) for t, z in points]
-    equilibria = [to_equilibrium(robot, each, tuple(shift.tolist()), how) for each in solutions]
+
+    def told(solution: Solution, how: str) -> Equilibrium:
+        return to_equilibrium(robot, solution, tuple(shift.tolist()), ("newton", how, 0.0))
+
+    equilibria = [told(Solution.at(problem, path.at(t)[0], z), "arclength") for t, z in points]
     return Branch(
         fraction=np.array([t for t, _ in points]),
         rotations=np.array([e.rotations for e in equilibria]),
         tip_rotations=np.array([e.tip_rotations for e in equilibria]),
         margin=np.array([e.margin for e in equilibria]),
-        folds=tuple(
-            to_equilibrium(robot, fold.solution, tuple(shift.tolist()), ("newton", "fold", 0.0)) for fold in folds
-        ),
+        folds=tuple(told(fold.solution, "fold") for fold in folds),
     )
 
 
-def _system(path: JointPath, problem: ReducedProblem, t: float, z: Array) -> tuple[Array, Array, Array]:
-    """Residual (U,), Jacobian (U, U), and derivative with respect to t (U,), of the equations."""
-    n = problem.assembly.n_tubes
-    way = (path.end - path.start)[:n]
-    here, ahead, behind = (evaluate(problem, path.start[:n] + at * way, z) for at in (t, t + 1e-6, t - 1e-6))
-    return here.gradient, here.hessian, (ahead.gradient - behind.gradient) / 2e-6
+System = Callable[[Array], tuple[Array, Array]]
+"""Residual (U,) and its Jacobian (U, U + 1) at unknowns z and t (U + 1,), t measured in radians of the joint that turns
+most, so that both kinds of unknowns have one size."""
 
 
 def _continue(
     path: JointPath, problem: ReducedProblem, z: Array, first: float
 ) -> tuple[list[tuple[float, Array]], list[Fold]]:
     """Points (t, z) and folds, from t = 0 until t leaves [0, 1]."""
-    # t is measured in radians of the joint that turns most, so that both kinds of unknowns have one size.
-    scale = float(np.abs(path.end - path.start).max())
-    t, step = 0.0, first
-    _, hessian, slope = _system(path, problem, t, z)
-    tangent = _tangent(hessian, slope / scale, np.append(np.zeros(len(z)), 1.0))
+    n, scale = problem.assembly.n_tubes, float(np.abs(path.end - path.start).max())
+    way = (path.end - path.start)[:n]
+
+    def system(x: Array) -> tuple[Array, Array]:
+        t = x[-1] / scale
+        here, ahead, behind = (evaluate(problem, path.start[:n] + at * way, x[:-1]) for at in (t, t + 1e-6, t - 1e-6))
+        return here.gradient, np.column_stack([here.hessian, (ahead.gradient - behind.gradient) / (2e-6 * scale)])
+
+    t, x, step = 0.0, np.append(z, 0.0), first
+    tangent = _tangent(system(x)[1], np.append(np.zeros(len(z)), 1.0))
     points, folds = [(t, z)], []
     while len(points) < CONTINUATION.branch_points:
         turn = max(float(np.abs(problem.factor @ tangent[:-1]).max(initial=0.0)), abs(float(tangent[-1])))
-        trial = _correct(path, problem, t, z, tangent * (step / turn), scale)
+        trial = _correct(system, problem.factor, x, tangent * (step / turn))
         if trial is None:
             step /= 2
             if step < 1e-8:
                 raise SolveError(f"the branch was lost at {100 * t:.3f} % of the way")
             continue
-        t_new, z_new, easy = trial
-        _, hessian, slope = _system(path, problem, t_new, z_new)
-        following = _tangent(hessian, slope / scale, tangent)
+        ahead, easy = trial
+        t_new, following = float(ahead[-1]) / scale, _tangent(system(ahead)[1], tangent)
         if following[-1] * tangent[-1] < 0:
-            fold = polish_fold(path, Point(t_new, Solution.at(problem, path.at(t_new)[0], z_new)))
+            fold = polish_fold(path, Point(t_new, Solution.at(problem, path.at(t_new)[0], ahead[:-1])))
             if fold is not None:
                 folds.append(fold)
                 points.append((fold.t, fold.solution.result.state.z))
         if not 0.0 <= t_new <= 1.0:
-            points.append(_last(path, problem, (t, z), (t_new, z_new)))
+            points.append(_last(path, problem, (t, x[:-1]), (t_new, ahead[:-1])))
             break
-        t, z, tangent = t_new, z_new, following
-        points.append((t, z))
+        t, x, tangent = t_new, ahead, following
+        points.append((t, x[:-1]))
         step = min(2 * first, step * (1.5 if easy else 1.0))
     return points, folds
 
@@ -143,28 +146,23 @@ def _last(
     return (t, result.state.z) if result.converged else inside
 
 
-def _tangent(hessian: Array, slope: Array, like: Array) -> Array:
-    """Unit vector (z, scaled t) along the branch, on the side of `like`."""
-    matrix = np.vstack([np.column_stack([hessian, slope]), like])
-    tangent: Array = np.linalg.solve(matrix, np.append(np.zeros(len(hessian)), 1.0))
+def _tangent(jacobian: Array, like: Array) -> Array:
+    """Unit vector (U + 1,) along the branch, on the side of `like`."""
+    tangent: Array = np.linalg.solve(np.vstack([jacobian, like]), np.append(np.zeros(len(jacobian)), 1.0))
     return tangent / np.linalg.norm(tangent)
 
 
-def _correct(
-    path: JointPath, problem: ReducedProblem, t: float, z: Array, step: Array, scale: float
-) -> tuple[float, Array, bool] | None:
-    """Newton back to the branch in the plane across it; None where it does not converge quickly."""
-    direction = step / np.linalg.norm(step)
-    z_new, t_new = z + step[:-1], t + float(step[-1]) / scale
-    last = np.inf
+def _correct(system: System, factor: Array, x: Array, step: Array) -> tuple[Array, bool] | None:
+    """Newton back to the branch in the plane across a step, and whether that is easy; None where it does not converge
+    quickly."""
+    direction, x, last = step / np.linalg.norm(step), x + step, np.inf
     for iteration in range(7):
-        residual, hessian, slope = _system(path, problem, t_new, z_new)
-        matrix = np.vstack([np.column_stack([hessian, slope / scale]), direction])
-        change = np.linalg.solve(matrix, -np.append(residual, 0.0))
-        size = float(np.abs(problem.factor @ change[:-1]).max(initial=0.0))
+        residual, jacobian = system(x)
+        change = np.linalg.solve(np.vstack([jacobian, direction]), -np.append(residual, 0.0))
+        size = float(np.abs(factor @ change[:-1]).max(initial=0.0))
         if size > 0.5 * last or size > 0.3:
             return None
-        z_new, t_new, last = z_new + change[:-1], t_new + float(change[-1]) / scale, size
+        x, last = x + change, size
         if size < 1e-9:
-            return t_new, z_new, iteration <= 2
+            return x, iteration <= 2
     return None

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import ReducedProblem
+from ..block.transcription.second_variation import least
 from ..display import Displayed
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
 from ..errors import InputError, positive
@@ -167,7 +167,7 @@ def estimated_certificate(robot: Robot, shift: Array) -> float:
         return proof(assembly)[0]
     problem = reduced_assembly(assembly)
     if not is_general(robot):
-        return least_of_worst_case(problem)
+        return least(np.eye(problem.size) + _coupled(problem)) if problem.size else 1.0
     value, pair = worst_case(problem)[0], pair_of(problem)
     return value if pair is None else max(value, least_margin_of_pair(pair).bound)
 
@@ -197,14 +197,6 @@ def worst_case(problem: ReducedProblem, opposition: Array | None = None) -> tupl
     values, vectors = np.linalg.eigh(_coupled(problem, opposition))
     y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
     return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
-
-
-def least_of_worst_case(problem: ReducedProblem) -> float:
-    """mu_cert alone."""
-    if not problem.size:
-        return 1.0
-    least = scipy.linalg.lapack.dsyevr(_coupled(problem), compute_v=0, range="I", il=1, iu=1)[0][0]
-    return min(1.0, 1.0 + float(least))
 
 
 def _coupled(problem: ReducedProblem, opposition: Array | None = None) -> Array:
@@ -271,22 +263,13 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
     for stop in assembly.start + assembly.length:
         near = np.abs(np.stack([assembly.transition, assembly.end], axis=1).ravel() - stop) <= 2 * ROUND_OFF
         ends.append(int(np.argmax(near)))
-    masks = (tuple(tuple(int(v) for v in row) for row in mask) for mask in (assembly.present, assembly.curved))
-    present, curved = masks
+    present, curved = (tuple(map(tuple, mask.astype(int).tolist())) for mask in (assembly.present, assembly.curved))
     return tuple(ends), present, curved
-
-
-def parameter_values(robot: Robot, translations: Array) -> dict[str, Array]:
-    """Values of `physics.certificate.PARAMETERS` for a robot."""
-    values = {
-        name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in PARAMETERS if name != "translation"
-    }
-    return {**values, "translation": translations}
 
 
 def _gradient(robot: Robot, problem: ReducedProblem, margin: float) -> dict[str, Array]:
     function = certificate_function(breakpoint_pattern(problem.assembly))
     shift = problem.assembly.transition
-    values = parameter_values(robot, shift)
-    out = function(1 - margin, *values.values())
+    values = [shift if name == "translation" else [getattr(tube, name) for tube in robot.tubes] for name in PARAMETERS]
+    out = function(1 - margin, *values)
     return {name: np.array(part).ravel() for name, part in zip(PARAMETERS, out[1:], strict=True)}

@@ -28,7 +28,7 @@ from ..errors import InputError
 from ..robots.robot import Robot
 from ..typing import Array
 from .certificate import snap_free_certificate
-from .loaded_certificate import Bundle, bundle_of, bundle_of_box
+from .loaded_certificate import Bundle, bundle_of
 
 GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the polynomials of degree 4 that are integrated on every section."""
@@ -134,7 +134,7 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> 
     found = []
     for k in range(len(edges) - 1):
         inside = np.concatenate([corners[k : k + 2], way[(along >= edges[k]) & (along <= edges[k + 1])]])
-        bundle = bundle_of_box(robot, inside.min(0), inside.max(0))
+        bundle = bundle_of(robot.assembly(inside.min(0)), robot.assembly(inside.max(0)))
         margin = 1.0
         if bundle.total_length:
             margin -= bundle.softened(max_force, pairs=True)

@@ -51,6 +51,9 @@ CORNERS = (0.8169, 0.8301)
 """Support of all M towards (2, -1, -1) / sqrt 6 and (1, -1, 0) / sqrt 2, rounded up: twelve sides in turns. With three
 equal tubes M_i = sum_j sin(theta_i - theta_j) / k with k >= 3: exactly sqrt(2/3) and 0.82973."""
 
+BASIS = np.column_stack([np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)])
+"""(3, 2) what P keeps: turns of the tubes against one another."""
+
 GRID = 24
 """Rotations per turn and tube at which the slope of phi is maximised: every 15 deg."""
 
@@ -67,9 +70,8 @@ STEPS = 1600
 
 def corners() -> Array:
     """(12, 3) corners of the polygon, in order, that holds all M."""
-    first, second = np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)
     turn = np.arange(12) * np.pi / 6
-    sides = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
+    sides = np.column_stack([np.cos(turn), np.sin(turn)]) @ BASIS.T
     reach = np.array(CORNERS)[np.arange(12) % 2]
     out = []
     for k in range(12):
@@ -82,13 +84,9 @@ class Slope:
     """The slope of phi at rotations (T, 3) of one delta and every p of some corners, prepared for all x and phi."""
 
     def __init__(self, theta: Array, delta: float, vertices: Array) -> None:
-        count = len(theta)
-        balance = section_function("balance", count, 3, True)
-        _, turned, _, g, stretched = (out.copy() for out in balance(theta, 1.0, 1.0, delta, np.array(PLACES)))
-        moments = turned.reshape(count, 3, 3).swapaxes(1, 2)
-        relative = stretched.reshape(count, 3, 3).swapaxes(1, 2) / g[:, :, None]
-        basis = np.column_stack([np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)])
-        common = np.full(3, 1 / np.sqrt(3))
+        moments, g, stretched = cross_sections(theta, delta)
+        relative = stretched / g[:, :, None]
+        basis, common = BASIS, np.full(3, 1 / np.sqrt(3))
         # Per unit of x: B on turns within P (T, V, 3, 2), and delta J - B/2 on turns of all alike (T, V, 3).
         across = vertices[None, :, :, None] * (relative @ basis)[:, None]
         alike = delta * common - vertices * (relative @ common)[:, None] / 2
@@ -113,6 +111,14 @@ class Slope:
             raise ArithmeticError(f"turns of all tubes alike are not bounded at x = {x:g}")
         a, b, c = form[0] + lean[0] ** 2 / left, form[1] + lean[0] * lean[1] / left, form[2] + lean[1] ** 2 / left
         return np.asarray((a + c) / 2 + np.hypot((a - c) / 2, b))
+
+
+def cross_sections(theta: Array, delta: float) -> tuple[Array, Array, Array]:
+    """M' (N, 3, 3), g (N, 3) and g' (N, 3, 3) at rotations (N, 3)."""
+    balance = section_function("balance", len(theta), 3, True)
+    _, turned, _, g, stretched = balance(theta, 1.0, 1.0, delta, np.array(PLACES))
+    moments, stretches = (part.reshape(-1, 3, 3).swapaxes(1, 2).copy() for part in (turned, stretched))
+    return moments, g.copy(), stretches
 
 
 def _form(matrix: Array) -> Array:

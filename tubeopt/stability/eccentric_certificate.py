@@ -24,12 +24,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..block.transcription.buffered import section_function
 from ..physics.certificate import PARAMETERS
 from ..robots.assembly import ROUND_OFF, Assembly, merge, where
-from ..robots.eccentric import PLACES
 from ..typing import Array
-from .eccentric_bound import DELTAS, longest
+from .eccentric_bound import DELTAS, cross_sections, longest
 
 SHORT = 2e-9
 """Sections shorter than this (m) are tolerances of lengths: their effect is far below the room of the table."""
@@ -151,13 +149,13 @@ def softest_untwisted(segment: Segment) -> Untwisted:
     """The softest of the shapes with one tube against two, by their exact linearisation."""
     count = len(DIRECTIONS)
     opposed = DIRECTIONS[:, None] + np.array([0.0, 0.0, np.pi])
-    slope, g = _cross_section(opposed, segment.delta)
+    slope, g, _ = cross_sections(opposed, segment.delta)
     root = np.sqrt(g)
     # With y = sqrt(g) z the field is z'' = -A z, of a symmetric A.
     values, vectors = np.linalg.eigh(-root[:, :, None] * (slope + slope.swapaxes(1, 2)) / 2 * root[:, None, :])
     stretch = np.zeros((count, 3))
     for delta, length in segment.outer:
-        stretch += length * (_cross_section(np.repeat(DIRECTIONS[:, None], 3, axis=1), delta)[1] - 1)
+        stretch += length * (cross_sections(np.repeat(DIRECTIONS[:, None], 3, axis=1), delta)[1] - 1)
     if not segment.outer:
         stretch = stretch[:1]
     lever = np.sqrt(np.maximum(segment.transmission + stretch[:, None, :], 0.0)) / root
@@ -187,13 +185,6 @@ def untwisted_tips(n: int, shape: Untwisted, bends: Array) -> tuple[Array, int]:
     odd = shape.segment.tubes[2]
     tips[odd] += np.pi
     return tips, odd
-
-
-def _cross_section(theta: Array, delta: float) -> tuple[Array, Array]:
-    """M' (N, 3, 3) and g (N, 3) at rotations (N, 3), in the units of `eccentric_bound`."""
-    balance = section_function("balance", len(theta), 3, True)
-    _, turned, _, g, _ = balance(theta, 1.0, 1.0, delta, np.array(PLACES))
-    return turned.reshape(-1, 3, 3).swapaxes(1, 2).copy(), g.copy()
 
 
 def _changed(assembly: Assembly, name: str, tubes: list[int], change: float) -> Assembly:
@@ -236,12 +227,11 @@ def proof_gradient(assembly: Assembly, carriages: tuple[tuple[int, ...], ...]) -
                 float(np.abs(getattr(assembly, name)[tubes[0]])) if hasattr(assembly, name) else assembly.total_length
             )
             h = STEP * max(size, 1e-300)
-            sides = [proof(_changed(assembly, name, tubes, side * h))[0] for side in (-1.0, 1.0)]
-            known = [(side, value) for side, value in zip((-1.0, 1.0), sides, strict=True) if np.isfinite(value)]
-            if len(known) == 2:
-                out[name][tubes] = (sides[1] - sides[0]) / (2 * h) / len(tubes)
-            elif known and np.isfinite(here):
-                out[name][tubes] = (known[0][1] - here) / (known[0][0] * h) / len(tubes)
+            at = [(side * h, proof(_changed(assembly, name, tubes, side * h))[0]) for side in (-1.0, 1.0)]
+            known = [(x, value) for x, value in (at[0], (0.0, here), at[1]) if np.isfinite(value)]
+            if len(known) > 1:
+                (low, first), *_, (high, last) = known
+                out[name][tubes] = (last - first) / (high - low) / len(tubes)
     return out
 
 

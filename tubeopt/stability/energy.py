@@ -9,8 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ..block.transcription.green import ahead, reach
-from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline
+from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, softness, whitened
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
@@ -84,8 +83,7 @@ def energy_map(
     row = np.zeros(problem.size)
     for i in range(samples):
         z = row
-        order = range(samples)
-        for j in order:
+        for j in range(samples):
             z, energy[i, j] = _held_minimum(problem, alpha, z, holds, (first[i] - base[0], second[j] - base[1]))
             if j == 0:
                 row = z
@@ -109,20 +107,11 @@ def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
 
     (a, d) is the next row of the Cholesky factor when the tube's end joins the collocation points.
     """
-    assembly = problem.assembly
-    mine = problem.tube == tube
-    end = float(assembly.end[tube])
-    # theta(end) responds to the moment at a point by |beta| + s, which the collocated integral has exactly.
-    across = problem.arc_length[problem.point[mine]]
-    if problem.here is None:
-        beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]
-        soft, whole = (beta + across) / kt, (beta + end) / kt
-    else:
-        places = np.append(problem.mesh.start, assembly.total_length)
-        whole = reach(problem.mesh, problem.here)[int(np.abs(places - end).argmin()), tube]
-        soft = ahead(problem.mesh, problem.here)[:, tube][problem.point[mine]]
-    a = np.zeros(problem.size)
-    a[mine] = np.linalg.solve(problem.factor[np.ix_(mine, mine)], soft)
+    # theta(end) responds to the moment at a point by how soft the tube is up to there, which the integral has exactly.
+    inside, ends = softness(problem)
+    places = np.append(problem.mesh.start, problem.assembly.total_length)
+    whole = ends[int(np.abs(places - problem.assembly.end[tube]).argmin()), tube]
+    a = whitened(problem, np.where(problem.tube == tube, inside[problem.point, tube], 0.0))
     return a, float(np.sqrt(max(whole - a @ a, 1e-30)))
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription.reduced import ReducedProblem, to_unknowns
-from ..block.transcription.second_variation import margin
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError
@@ -19,10 +18,10 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of
-from .loaded_equilibria import loaded_equilibria
+from .loaded_equilibria import degree, loaded_equilibria
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 from .shooting import profiles
-from .tips import Preimage, preimage
+from .tips import preimage
 
 
 @small
@@ -80,10 +79,11 @@ def all_solutions(
     if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
         result = descend(problem, rotations, np.zeros(problem.size))
         if result.converged:
-            return [Solution(problem, rotations, result, margin(problem, result.state))]
+            return [Solution.of(problem, rotations, result)]
     found = _solve_from(problem, rotations, profiles(problem, _all_tips(problem, rotations, search)), search.same)
-    if degree(found) != 1:
-        raise SolveError(_incomplete(len(found), degree(found)))
+    whole = degree(each.result for each in found)
+    if whole != 1:
+        raise SolveError(_incomplete(len(found), whole))
     return found
 
 
@@ -101,8 +101,10 @@ def _all_tips(problem: ReducedProblem, rotations: Array, search: EquilibriaSearc
             if key not in known:
                 # Straight tubes that only keep a place have no torsion to transmit.
                 own = np.pad(extra[group.tubes], (0, bundle.n_tubes - len(group.tubes)))
-                known[key] = _complete(preimage(bundle, bundle.transmission + own, rotations[group.tubes], search))
+                known[key] = preimage(bundle, bundle.transmission + own, rotations[group.tubes], search)
             found = known[key]
+            if not found.settled:
+                raise SolveError(_incomplete(len(found.tips), int(found.sign.sum())))
             for angles, travel in zip(found.tips, found.travel, strict=True):
                 turned = tips.copy()
                 turned[group.tubes] = angles
@@ -110,12 +112,6 @@ def _all_tips(problem: ReducedProblem, rotations: Array, search: EquilibriaSearc
                 longer.append((turned, extra + more))
         branches = longer
     return np.array([tips for tips, _ in branches])
-
-
-def _complete(found: Preimage) -> Preimage:
-    if not found.settled:
-        raise SolveError(_incomplete(len(found.tips), int(found.sign.sum())))
-    return found
 
 
 def _incomplete(count: int, degree: int) -> str:
@@ -128,18 +124,7 @@ def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Ar
     out: list[Solution] = []
     for theta in profiles:
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-        if result.converged and all(_differ(result.state.theta, kept.result.state.theta, same) for kept in out):
-            out.append(Solution(problem, rotations, result, margin(problem, result.state)))
+        others = (np.abs(result.state.theta - kept.result.state.theta).max(initial=0.0) for kept in out)
+        if result.converged and all(apart > same for apart in others):
+            out.append(Solution.of(problem, rotations, result))
     return out
-
-
-def _differ(one: Array, other: Array, same: float) -> bool:
-    return bool(np.abs(one - other).max(initial=0.0) > same or not one.size)
-
-
-def degree(solutions: list[Solution]) -> int:
-    """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index on the centreline.
-
-    It is 1 for a complete set, since the equations deform into those without coupling.
-    """
-    return int(sum(np.linalg.slogdet(s.result.state.hessian)[0] for s in solutions))

@@ -1,19 +1,92 @@
-"""Folds: where a branch of equilibria ends, and a robot that follows it snaps."""
+"""Where a branch of equilibria ends, exactly, and where a robot lands that follows it: downhill in elastic energy."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+import scipy
 
-from ..block.transcription.buffered import section_function
 from ..block.transcription.mesh import make_mesh
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce
-from ..block.transcription.second_variation import softest
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
+from ..block.transcription.second_variation import margin, softest
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import Solution
+from ..solvers.flow import downhill, flow
+from ..solvers.newton import NewtonResult, newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
+
+
+class Equations(Protocol):
+    """Residual (U,) and its Jacobian (U, U)."""
+
+    @property
+    def gradient(self) -> Array: ...
+    @property
+    def hessian(self) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """Where a branch turns back: t, unknowns x (U,) there, the direction (U,) without stiffness, and Newton's steps."""
+
+    t: float
+    x: Array
+    direction: Array
+    steps: int
+
+
+def turning_point(
+    at: Callable[[float], Callable[[Array], Equations] | None],
+    turn: Callable[[Array], float],
+    t: float,
+    x: Array,
+    border: Array,
+) -> Turning | None:
+    """Newton on g(x, t) = 0 and sigma(x, t) = 0, the bordered determinant [H p; p' 0] [v; sigma] = [0; 1] that vanishes
+    where H is singular (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria,
+    2000), from close by; None where it does not converge.
+
+    Slopes of H and by t are differences, which shape the steps, not the result; by t to one side where there are no
+    equations at the other.
+
+    Args:
+        at: the equations in x at t; None where they are of another structure.
+        turn: of a step in x, rad.   border: p (U,), the softest direction.
+    """
+    begin, size = t, len(x)
+    for iteration in range(1, CONTINUATION.fold_steps + 1):
+        here = at(t)
+        if here is None:
+            return None
+        state, by = here(x), 1e-6 * max(1.0, abs(t))
+        sides = [(place, there(x)) for place in (t - by, t + by) if (there := at(place)) is not None]
+        if not sides:
+            return None
+        (first, one), (second, other) = [*sides, (t, state)][:2]
+        try:
+            bordered = np.block([[state.hessian, border[:, None]], [border, np.zeros(1)]])
+            unit = np.append(np.zeros(size), 1.0)
+            left, right = np.linalg.solve(bordered.T, unit)[:-1], np.linalg.solve(bordered, unit)
+            v, sigma = right[:-1], right[-1]
+            push = CONTINUATION.fold_difference / turn(v)
+            along = (here(x + push * v).hessian - here(x - push * v).hessian) / (2 * push)
+            pull = (other.gradient - one.gradient) / (second - first)
+            stiffer = (other.hessian - one.hessian) @ v / (second - first)
+            matrix = np.block([[state.hessian, pull[:, None]], [-left @ along, -left @ stiffer]])
+            step = np.linalg.solve(matrix, -np.append(state.gradient, sigma))
+        except np.linalg.LinAlgError:
+            return None
+        turned = turn(step[:-1])
+        x, t = x + step[:-1], t + float(step[-1])
+        if not np.isfinite(turned) or turned > np.pi / 2 or abs(t - begin) > 0.5:
+            return None
+        if turned < 1e-9:
+            return Turning(t, x, v, iteration)
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,45 +99,23 @@ class Fold:
 
 
 def polish_fold(path: JointPath, near: Point) -> Fold | None:
-    """Newton on the augmented system  g(z, t) = 0, H(z, t) v = 0, v.v = 1  (Moore and Spence 1980); None where it
-    does not converge.
+    """The fold of a branch near a point of it; None where it is not found."""
+    known, state = near.solution.problem, near.solution.result.state
 
-    Derivatives with respect to t are central differences; they shape the steps, not the result.
-    """
-    known = near.solution.problem
-    z, t = near.solution.result.state.z, near.t
-    v = softest(known, near.solution.result.state)
-    size = len(z)
-    for _ in range(CONTINUATION.fold_steps):
+    def at(t: float) -> Callable[[Array], Evaluation] | None:
         problem = _problem_like(path, t, known)
-        if problem is None or problem.size != size:
+        if problem is None or problem.size != known.size:
             return None
-        state = evaluate(problem, path.at(t)[0], z)
-        residual = np.concatenate([state.gradient, state.hessian @ v, [(v @ v - 1) / 2]])
-        matrix = np.zeros((2 * size + 1, 2 * size + 1))
-        matrix[:size, :size] = state.hessian
-        matrix[size : 2 * size, :size] = _hessian_slope(problem, path.at(t)[0], state, v)
-        matrix[size : 2 * size, size : 2 * size] = state.hessian
-        matrix[2 * size, size : 2 * size] = v
-        slope = _t_slope(path, t, known, z, v)
-        if slope is None:
-            return None
-        matrix[: 2 * size, 2 * size] = slope
-        try:
-            step = np.linalg.solve(matrix, -residual)
-        except np.linalg.LinAlgError:
-            return None
-        turn = float(np.abs(problem.factor @ step[:size]).max())
-        if not np.isfinite(turn) or turn > np.pi / 2 or abs(t + step[-1] - near.t) > 0.5:
-            return None
-        z, v, t = z + step[:size], v + step[size:-1], t + float(step[-1])
-        if turn < 1e-11 and abs(step[-1]) < 1e-13:
-            break
-    else:
-        if turn > 1e-7:
-            return None
-    problem = _problem_like(path, t, known)
-    return None if problem is None else Fold(t, Solution.at(problem, path.at(t)[0], z), v)
+        return lambda z: evaluate(problem, path.at(t)[0], z)
+
+    def turn(step: Array) -> float:
+        return float(np.abs(known.factor @ step).max())
+
+    found = turning_point(at, turn, near.t, state.z, softest(known, state))
+    problem = None if found is None else _problem_like(path, found.t, known)
+    if found is None or problem is None:
+        return None
+    return Fold(found.t, Solution.at(problem, path.at(found.t)[0], found.x), found.direction)
 
 
 def _problem_like(path: JointPath, t: float, known: ReducedProblem) -> ReducedProblem | None:
@@ -78,31 +129,57 @@ def _problem_like(path: JointPath, t: float, known: ReducedProblem) -> ReducedPr
     return reduce(assembly, make_mesh(assembly, np.bincount(known.mesh.section, minlength=count)))
 
 
-def _t_slope(path: JointPath, t: float, known: ReducedProblem, z: Array, v: Array) -> Array | None:
-    """d(g, H v)/dt by central differences within the same structure, one-sided where a side leaves it."""
-    values: list[Array] = []
-    places: list[float] = []
-    for at in (t - 1e-6, t + 1e-6, t):
-        problem = _problem_like(path, at, known)
-        if problem is None or problem.size != len(z) or len(values) == 2:
-            continue
-        state = evaluate(problem, path.at(at)[0], z)
-        values.append(np.concatenate([state.gradient, state.hessian @ v]))
-        places.append(at)
-    return (values[1] - values[0]) / (places[1] - places[0]) if len(values) == 2 else None
+def land(solution: Solution, direction: Array) -> Solution | None:
+    """The minimum to which the energy falls from a fold or an unstable equilibrium, at its joint values.
+
+    The robot is pushed along `direction` (U,) in z to the sides that lead down: one at a fold, both at an unstable
+    equilibrium, of which the one that ends lower is taken. From there it takes the way of steepest descent in the norm
+    of the torsional energy. None where that leads to no stable equilibrium.
+
+    Of tubes off the centreline the torsional energy leaves out that they are stretched: it only chooses between sides.
+    """
+    problem, rotations = solution.problem, solution.rotations
+    z = to_unknowns(problem, rotations, solution.result.state.theta)
+    push = CONTINUATION.nudge / float(np.abs(problem.factor @ direction).max()) * direction
+    starts = downhill(z, push, lambda x: evaluate(problem, rotations, x).gradient)
+    ends = [result for result in (slide(problem, rotations, start) for start in starts) if result.converged]
+    rests = [Solution(problem, rotations, end, margin(problem, end.state)) for end in ends]
+    return min((one for one in rests if one.margin > 0), key=lambda one: one.result.state.energy, default=None)
 
 
-def _hessian_slope(problem: ReducedProblem, rotations: Array, state: Evaluation, v: Array) -> Array:
-    """(U, U) derivative of H v with respect to z; for tubes off the centreline by central differences."""
-    count, n = state.theta.shape
+def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult[Evaluation]:
+    """The gradient flow of the energy from z (U,) to the minimum where it ends.
+
+    Tubes off the centreline flow down what stands for the gradient, their residual: at their fold the same tubes on the
+    centreline may still have a minimum close by, in which a descent of that energy would be caught.
+    """
+    eccentric = problem.assembly.eccentric
+
+    def step(state: Evaluation, time: float) -> tuple[Array, float, bool]:
+        change, not_convex = _step(problem, state, np.eye(len(z)) / time)
+        return change, float(np.abs(problem.factor @ change).max(initial=0.0)), not_convex
+
+    def moved(state: Evaluation, change: Array) -> Evaluation | None:
+        there = evaluate(problem, rotations, state.z + change)
+        rises = there.energy > state.energy + 1e-13 * (problem.energy_parts + abs(state.energy))
+        return None if rises and not eccentric else there
+
+    return flow(
+        evaluate(problem, rotations, z), step, moved, lambda state: newton(problem, rotations, state.z, iterations=4)
+    )
+
+
+def _step(problem: ReducedProblem, state: Evaluation, shift: Array) -> tuple[Array, bool]:
+    """Step of the shifted Newton matrix, and whether that is not positive."""
+    matrix = state.hessian + shift
     if problem.assembly.eccentric:
-        # Second derivatives of the residual, so that v may be the direction in which H changes.
-        ahead, back = (evaluate(problem, rotations, state.z + step * v).hessian for step in (1e-6, -1e-6))
-        return (ahead - back) / 2e-6
-    y = np.zeros((count, n))
-    y.ravel()[problem.flat] = problem.factor @ v
-    direction = state.theta if problem.phase is None else state.theta + problem.phase
-    slope = section_function("stiffness_slope", count, n, False)(direction, problem.stiffness, problem.moment, y)[0]
-    second = np.zeros(problem.size**2)
-    second[problem.places] = slope.ravel()[problem.entries] * problem.entry_weight
-    return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
+        failed = scipy.linalg.lapack.dpotrf((matrix + matrix.T) / 2)[1]
+        step = scipy.linalg.lapack.dgesv(matrix, -state.gradient)[2]
+    else:
+        _, step, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
+    return np.asarray(step), failed != 0
+
+
+def distance(a: Solution, b: Solution) -> float:
+    """Largest difference (rad) of the rotations of two solutions of the same problem."""
+    return float(np.abs(a.result.state.theta - b.result.state.theta).max(initial=0.0))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,10 @@ from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_answer import to_loaded
+from ..equilibrium.load_continuation import JointFamily
+from ..equilibrium.load_problem import LOADED_DISCRETISATION
+from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
@@ -24,11 +28,12 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Sentence
-from .folds import Fold, polish_fold
-from .landing import distance, land
-from .loaded_following import loaded_legs
+from .folds import Fold, distance, land, polish_fold
+from .loaded_following import loaded_leg, loaded_legs
 from .rubbing_following import rubbing_legs
 from .snap import Snap, snap_between
+
+T = TypeVar("T")
 
 
 class PathStatus(Sentence):
@@ -50,7 +55,7 @@ class PathStatistics:
 class HeldEquilibria(Sequence[Equilibrium]):
     """Equilibria with friction at T waypoints, each of which is put together when it is first asked for."""
 
-    def __init__(self, robot: Robot, states: Sequence[Callable[[], Held]]) -> None:
+    def __init__(self, robot: Robot, states: Sequence[Held | Callable[[], Held]]) -> None:
         self._robot, self._states = robot, tuple(states)
         self._made: dict[int, Equilibrium] = {}
 
@@ -66,7 +71,9 @@ class HeldEquilibria(Sequence[Equilibrium]):
             return tuple(self[k] for k in range(*at.indices(len(self))))
         k = range(len(self))[at]
         if k not in self._made:
-            self._made[k] = to_held_equilibrium(self._robot, self._states[k](), "the increment before")
+            state = self._states[k]
+            held = state if isinstance(state, Held) else state()
+            self._made[k] = to_held_equilibrium(self._robot, held, "the increment before")
         return self._made[k]
 
 
@@ -137,72 +144,53 @@ def follow(
         >>> len(path.equilibria), len(path.snaps)
         (3, 0)
     """
-    alpha, shift = checked_waypoints(robot, rotations, translations)
-    joints = np.concatenate([alpha, shift], axis=1)
+    joints = np.concatenate(checked_waypoints(robot, rotations, translations), axis=1)
     if friction is not None and not friction.trivial:
-        return _follow_rubbing(robot, joints, (friction, load), start, progress)
-    if load is not None:
-        return _follow_loaded(robot, joints, load, start, progress)
-    first = start if start is not None else forward_kinematics(robot, alpha[0], shift[0])
-    if not first.stable:
-        raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    solution = polish(first)
-    own = np.concatenate([first.rotations, first.translations])
-    if not np.allclose(own, joints[0], rtol=0, atol=1e-12):
-        for event_or_point in motion_along(JointPath(robot, own, joints[0]), solution):
-            if isinstance(event_or_point, Point):
-                solution = event_or_point.solution
-    equilibria, snaps = [_finish(robot, solution, joints[0], "start")], []
-    for k in range(len(joints) - 1):
-        path = JointPath(robot, joints[k], joints[k + 1])
-        for step in motion_along(path, solution):
-            if isinstance(step, Point):
-                solution = step.solution
-            else:
-                snaps.append(to_snap(path, step, k))
-        equilibria.append(_finish(robot, solution, joints[k + 1], "the waypoint before"))
-        if progress is not None:
-            progress(k + 1)
-    return Path(tuple(equilibria), tuple(snaps))
+        if load is not None:
+            raise InputError("friction and a load are given; a motion is followed with one of them")
+        states, snaps = _collected(rubbing_legs(robot, joints, friction, start), progress)
+        return Path(HeldEquilibria(robot, states), snaps)
+    legs = _legs(robot, joints, start) if load is None else loaded_legs(robot, joints, load, start)
+    equilibria, snaps = _collected(legs, progress)
+    return Path(tuple(equilibria), snaps)
 
 
-def _follow_loaded(
-    robot: Robot,
-    joints: Array,
-    load: Load,
-    start: Equilibrium | None,
-    progress: Callable[[int], object] | None,
-) -> Path:
-    equilibria, snaps = [], []
-    for k, (equilibrium, found) in enumerate(loaded_legs(robot, joints, load, start)):
-        equilibria.append(equilibrium)
+def _collected(
+    legs: Iterable[tuple[T, list[Snap]]], progress: Callable[[int], object] | None
+) -> tuple[list[T], tuple[Snap, ...]]:
+    """What is told of every waypoint, and all snaps on the way."""
+    reached, snaps = list[T](), list[Snap]()
+    for k, (there, found) in enumerate(legs):
+        reached.append(there)
         snaps += found
         if progress is not None and k:
             progress(k)
-    return Path(tuple(equilibria), tuple(snaps))
+    return reached, tuple(snaps)
 
 
-def _follow_rubbing(
-    robot: Robot,
-    joints: Array,
-    acting: tuple[Friction, Load | None],
-    start: Equilibrium | None,
-    progress: Callable[[int], object] | None,
-) -> Path:
-    friction, load = acting
-    if load is not None:
-        raise InputError("friction and a load are given; a motion is followed with one of them")
-    states, snaps = list[Callable[[], Held]](), []
-    for k, (state, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
-        states.append(state)
-        for each in found:
-            ends = [
-                to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
-            ]
-            snaps.append(snap_between(k - 1, each.fraction, *ends))
-        if progress is not None and k:
-            progress(k)
-    return Path(HeldEquilibria(robot, states), tuple(snaps))
+def _legs(robot: Robot, joints: Array, start: Equilibrium | None) -> Iterator[tuple[Equilibrium, list[Snap]]]:
+    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it."""
+    first = start if start is not None else forward_kinematics(robot, *np.split(joints[0], 2))
+    if not first.stable:
+        raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    solution, own = polish(first), np.concatenate([first.rotations, first.translations])
+    if not np.allclose(own, joints[0], rtol=0, atol=1e-12):
+        solution, _ = _leg(JointPath(robot, own, joints[0]), solution, 0)
+    yield _finish(robot, solution, joints[0], "start"), []
+    for k in range(len(joints) - 1):
+        solution, snaps = _leg(JointPath(robot, joints[k], joints[k + 1]), solution, k)
+        yield _finish(robot, solution, joints[k + 1], "the waypoint before"), snaps
+
+
+def _leg(path: JointPath, solution: Solution, index: int) -> tuple[Solution, list[Snap]]:
+    """The end of a motion from a stable solution, and the snaps on it, which lie behind the waypoint `index`."""
+    snaps = list[Snap]()
+    for step in motion_along(path, solution):
+        if isinstance(step, Point):
+            solution = step.solution
+        else:
+            snaps.append(to_snap(path, step, index))
+    return solution, snaps
 
 
 def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
@@ -236,19 +224,14 @@ def motion_along(path: JointPath, solution: Solution) -> Iterator[Point | Event]
             here = points[-1] if points else here
             if reached:
                 break
-            event = leave_branch(path, here, goal)
+            fold = fold_ahead(path, here, min(goal, here.t + 1e-2))
+            event = beyond(path, here, goal, fold or Fold(here.t, here.solution, _softest(here.solution)))
             if isinstance(event, Event):
                 yield event
                 here = event.landed
             else:
                 here = event
             yield here
-
-
-def leave_branch(path: JointPath, here: Point, goal: float) -> Event | Point:
-    """What happens where the stable branch ends: a snap, or a smooth change to a neighbouring branch."""
-    fold = fold_ahead(path, here, min(goal, here.t + 1e-2))
-    return beyond(path, here, goal, fold or Fold(here.t, here.solution, _softest(here.solution)))
 
 
 def fold_ahead(path: JointPath, here: Point, far: float) -> Fold | None:
@@ -279,8 +262,36 @@ def _softest(solution: Solution) -> Array:
 
 def to_snap(path: JointPath, event: Event, index: int) -> Snap:
     """An event on a path as a snap after the waypoint `index`."""
-    rotations, translations = path.at(event.fold.t)
-    joint = np.concatenate([rotations, translations])
-    before = _finish(path.robot, event.fold.solution, joint, "fold")
-    after = _finish(path.robot, event.landed.solution, joint, "energy descent")
+    joint = np.concatenate(path.at(event.fold.t))
+    ends = (event.fold.solution, "fold"), (event.landed.solution, "energy descent")
+    before, after = (_finish(path.robot, solution, joint, how) for solution, how in ends)
     return snap_between(index, event.fold.t, before, after)
+
+
+@small
+def push(equilibrium: Equilibrium, load: Load) -> Path:
+    """What a robot does while the load on it turns evenly into another one: the equilibria at both ends, and the snaps
+    between, at fractions of the way.
+
+    Args:
+        equilibrium: stable, with a load whose forces keep their direction, or without one.
+        load: the new one; `Load()` takes the old one off.
+
+    Raises:
+        InputError: an unstable equilibrium, or a load without an energy.
+        SolveError: descent from where the branch is lost finds no stable equilibrium.
+    """
+    robot, before = equilibrium.robot, equilibrium.load or Load()
+    for each in (load, before):
+        each.require_energy("snaps are not told")
+    if not equilibrium.stable:
+        raise InputError(f"equilibrium has margin {equilibrium.margin:.3g}; it must be stable (margin above 0)")
+    alpha, shift = equilibrium.rotations, equilibrium.translations
+    try:
+        return Path((equilibrium, forward_kinematics(robot, alpha, shift, load=load, guess=equilibrium)), ())
+    except SolveError:
+        here = np.concatenate([alpha, shift])
+    family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
+    point, snaps = loaded_leg(family, loaded_point(equilibrium), 0)
+    end = to_loaded(point)
+    return Path((equilibrium, end), tuple(snaps))

@@ -22,7 +22,7 @@ from ..block.transcription.green import reach
 from ..block.transcription.reduced import ReducedProblem
 from ..robots.assembly import Assembly
 from ..typing import Index
-from .shooting import Bundle, along_of
+from .shooting import Bundle, gain_of, sections_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,54 +60,27 @@ def groups_of(problem: ReducedProblem) -> list[Group]:
 
 def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
     assembly, mesh = problem.assembly, problem.mesh
-    if problem.here is not None:
-        return _general_group(problem, tubes, sections)
     place = _places(assembly)
     others = [int(np.argmax(place == p)) for p in np.setdiff1d(place, place[tubes])]
     members = np.concatenate([tubes, np.array(others, dtype=np.intp)])
     seat = np.array([int(np.argmax(place[members] == p)) for p in place])
-    pieces = np.flatnonzero(np.isin(mesh.section, sections))
-    stiffness = np.zeros((len(pieces), len(members)))
-    stiffness[:, : len(tubes)] = problem.piece_stiffness[np.ix_(pieces, tubes)]
+    # Between two curved pieces of a tube a straight one only hands on the torque, but that it does.
+    pieces = np.flatnonzero((mesh.section >= sections[0]) & (mesh.section <= sections[-1]))
+    every = [part[pieces] for part in sections_of(problem)]
+    torsion, stiffness, moment, *phase = (part[..., members] for part in every)
+    stiffness[..., len(tubes) :] = moment[..., len(tubes) :] = 0.0
     for i in np.setdiff1d(np.arange(assembly.n_tubes), tubes):
-        stiffness[:, seat[i]] += problem.piece_stiffness[pieces, i]
-    moment = np.zeros_like(stiffness)
-    moment[:, : len(tubes)] = problem.piece_moment[np.ix_(pieces, tubes)]
+        stiffness[..., seat[i]] += every[1][..., i]
+    held = assembly.transmission + assembly.start[sections[0]]
     bundle = Bundle(
         length=mesh.length[pieces],
         bent=mesh.collocated[pieces],
-        stiffness=stiffness,
-        moment=moment,
-        torsional_stiffness=assembly.torsional_stiffness[members],
-        transmission=assembly.transmission[members] + assembly.start[sections[0]],
+        gain=gain_of(problem)[np.ix_(pieces, members)],
+        sections=(torsion, stiffness, moment, *phase),
+        transmission=(held if problem.here is None else reach(mesh, problem.here)[pieces[0]])[members],
         place=(assembly.offset[members], assembly.offset_angle[members]) if assembly.eccentric else (),
     )
     return Group(tubes, bundle, seat)
-
-
-def _general_group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
-    """Tubes made of pieces that act on one another; one straight tube stands for all the others."""
-    assembly, mesh, along = problem.assembly, problem.mesh, along_of(problem)
-    assert along is not None
-    assert problem.here is not None
-    rest = np.setdiff1d(np.arange(assembly.n_tubes), tubes)
-    members = np.concatenate([tubes, rest[:1]])
-    # Between two curved pieces of a tube a straight one only hands on the torque, but that it does.
-    pieces = np.flatnonzero((mesh.section >= sections[0]) & (mesh.section <= sections[-1]))
-    part = along.of(pieces, members)
-    part.stiffness[..., len(tubes) :] = along.stiffness[pieces][:, :, rest].sum(2, keepdims=True)[..., : len(rest)]
-    part.moment[..., len(tubes) :] = 0.0
-    bundle = Bundle(
-        length=mesh.length[pieces],
-        bent=mesh.collocated[pieces],
-        stiffness=problem.piece_stiffness,
-        moment=problem.piece_moment,
-        torsional_stiffness=assembly.torsional_stiffness,
-        transmission=reach(mesh, problem.here)[pieces[0], members],
-        place=(),
-        along=part,
-    )
-    return Group(tubes, bundle, np.zeros(assembly.n_tubes, dtype=np.intp))
 
 
 def _places(assembly: Assembly) -> Index:

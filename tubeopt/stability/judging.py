@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +11,15 @@ from numpy.typing import ArrayLike
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.parallel.blas import small
-from .certificate import certify
-from .eccentric_verdict import judge_eccentric
+from ..typing import Array
+from .certificate import Certificate, certify
+from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
 from .search import search_snap
 from .settings import DEFAULT_SEARCH, SnapSearch
-from .verdict import Verdict
-from .worst import worst_margin
+from .sheet import TURN
+from .snapping import find_snap
+from .verdict import EccentricVerdict, Verdict
+from .worst import WorstMargin, worst_margin
 
 
 @small
@@ -33,8 +36,9 @@ def judge(
     until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
     `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
     below 0, and their snap is found wherever it is. Robots with tubes made of pieces are turned from home, inside their
-    limits; more than two of them are not decided but where the certificate is above 0. For tubes off the centreline
-    see `eccentric_verdict`.
+    limits; more than two of them are not decided but where the certificate is above 0. Of tubes off the centreline one
+    tube of a segment is turned by a turn, forth and back, the other two held, all other segments curving to one side:
+    half-way lie the untwisted shapes of the closed form (see `eccentric_certificate`).
 
     Args:
         translations: (n,) m; default home.
@@ -56,7 +60,7 @@ def judge(
     except SolveError:
         worst = None
     if robot.assembly(certificate.translations).eccentric:
-        return judge_eccentric(robot, certificate, worst, progress)
+        return _eccentric(robot, certificate, worst, progress)
     if certificate.snap_free:
         return Verdict(robot, certificate, worst)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
@@ -67,3 +71,46 @@ def judge(
         return verdict
     start, end = found.way
     return replace(verdict, start=start, end=end, snap=found.snap, followed=found.followed)
+
+
+def _eccentric(
+    robot: Robot, certificate: Certificate, worst: WorstMargin | None, progress: Callable[[int, int], object] | None
+) -> EccentricVerdict:
+    """The verdict on tubes off the centreline."""
+    segments = segments_of(robot.assembly(certificate.translations))
+    shapes = sorted(map(softest_untwisted, segments or ()), key=lambda shape: shape.margin)
+    verdict = EccentricVerdict(robot, certificate, worst, untwisted=shapes[0].margin if shapes else None)
+    if certificate.snap_free:
+        return verdict
+    bends = np.array([np.sign(tube.curvature) for tube in robot.tubes])
+    ways = list(_ways(robot.n_tubes, shapes, bends))
+    for k, (start, end) in enumerate(ways):
+        if progress is not None:
+            progress(k, len(ways))
+        try:
+            snap = find_snap(robot, (start, certificate.translations), (end, certificate.translations))
+        except SolveError:
+            continue
+        if snap is not None:
+            return replace(verdict, start=start, end=end, snap=snap, ways=k + 1)
+    return replace(verdict, ways=len(ways))
+
+
+def _ways(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Array, Array]]:
+    """Rotations (n,) to start from and to turn to, the likeliest to snap on the way first."""
+    for shape in shapes:
+        for k in range(len(DIRECTIONS) if shape.margin < 0 else 1):
+            further = float(DIRECTIONS[k])
+            tips, odd = untwisted_tips(n, shape, bends)
+            # All segments turn alike: the outer ones keep their direction relative to this one.
+            start = tips + further
+            start[odd] -= np.pi
+            for turn in (TURN, -TURN):
+                end = start.copy()
+                end[odd] += turn
+                yield _rounded(start), _rounded(end)
+
+
+def _rounded(angles: Array) -> Array:
+    """Angles (rad) that are whole degrees exactly, so that they can be told and typed."""
+    return np.asarray(np.radians(np.round(np.degrees(angles), 6)))

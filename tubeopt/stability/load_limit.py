@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +12,12 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
-from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.loaded import solved, unloaded_point
+from ..equilibrium.load_problem import check_load
+from ..equilibrium.loaded import unloaded_point
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
-from ..solvers.loaded import loaded_newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..typing import Sentence
@@ -106,42 +105,37 @@ def find_load_limit(
     shift = tuple(place.tolist())
     check_load(robot, load, shift)
     positive("up_to", up_to)
-    if not load.has_energy:
-        raise InputError(
-            "load has a moment or turns with the tip; it has no energy, so a limit of stability is not told"
-        )
+    load.require_energy("a limit of stability is not told")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
     if first.load is not None or not first.stable:
         raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
     if not np.allclose(np.concatenate([first.rotations, first.translations]), [*alpha, *shift], rtol=0, atol=1e-9):
         raise InputError("equilibrium is at other joint values; they must be the same")
     found = find_loss(first, load, up_to)
-    return None if found is None else _described(first.robot, *found)
+    return None if found is None else _described(*found)
 
 
-def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily, Loss, float] | None:
-    """Where the branch that grows from a stable equilibrium without load is lost, in the family of the last stage of a
-    growing load, and the factor on the load that is 1 in it; None where it bears `up_to` times the load."""
+def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float] | None:
+    """Where the branch that grows from a stable equilibrium without load is lost, by the factor on the last stage of a
+    growing load, and what that is of the load; None where it bears `up_to` times the load."""
     robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
     point, reached = None, 0.0
     while reached < up_to:
         goal = min(up_to, CONTINUATION.load_stage * reached if reached else 1.0)
         grown = load.scaled(goal)
-        problem = loaded_problem(robot, shift, grown)
-        point = (
-            unloaded_point(problem, first)
-            if point is None
-            else _restart(point, Member(problem, alpha, shift, reached / goal))
-        )
-        family = LoadFamily(problem, alpha, shift)
+        if point is None:
+            point = unloaded_point(first, grown)
+        else:
+            point = _restart(point, Member.of(robot, alpha, shift, grown, factor=reached / goal))
+        family = LoadFamily(point.member)
         point = reach(family, point, 1.0)
         if point.t < 1.0:
             loss = branch_end(family, point, 1.0)
             if loss is not None:
-                return family, loss, goal
+                return loss, goal
             raise SolveError(
                 f"the branch is lost at {point.t * goal:.6g} times the load, but no fold or bifurcation is found there",
-                to_loaded(robot, point, grown.scaled(point.t), LOADED_DISCRETISATION),
+                to_loaded(point),
             )
         reached = goal
     return None
@@ -149,20 +143,19 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily,
 
 def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
     """The equilibrium of another problem close to a point."""
-    result = loaded_newton(there.problem, there.rotations, carry(point, there), there.factor)
-    if not result.converged:
-        raise SolveError("the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost")
-    return solved(there, result)
+    failure = "the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost"
+    return LoadedPoint.near(there, carry(point, there), failure)
 
 
-def _described(robot: Robot, family: LoadFamily, loss: Loss, scale: float) -> LoadLimit:
-    load = family.problem.load
-    before = to_loaded(robot, loss.point, load.scaled(loss.t), LOADED_DISCRETISATION)
-    left = loss.point if loss.kind == "fold" else _restart(loss.point, family.member(loss.t * (1 + CONTINUATION.past)))
+def _described(loss: Loss, scale: float) -> LoadLimit:
+    before = to_loaded(loss.point)
+    left = loss.point
+    if loss.kind != "fold":
+        left = _restart(left, replace(left.member, factor=loss.t * (1 + CONTINUATION.past)))
     landed = fall(left.member, left.state.x, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))
-    after = to_loaded(robot, landed, load.scaled(landed.member.factor), LOADED_DISCRETISATION)
+    after = to_loaded(landed)
     return LoadLimit(
         factor=loss.t * scale,
         kind=loss.kind,

@@ -22,7 +22,6 @@ import numpy as np
 
 from ..physics.loaded_certificate import APART, OPPOSED, largest_eigenvalue
 from ..robots.assembly import Assembly, merge
-from ..robots.robot import Robot
 from ..typing import Array
 
 
@@ -53,26 +52,14 @@ class Bundle:
         return largest_eigenvalue(force, sections, tubes, OPPOSED if pairs else APART)[0]
 
 
-def bundle_of(assembly: Assembly) -> Bundle:
-    """An arm itself."""
-    return Bundle(
-        assembly.start,
-        assembly.length,
-        (assembly.bending_stiffness * assembly.present).sum(1),
-        np.abs(assembly.bending_stiffness * assembly.curvature * assembly.curved),
-        assembly.torsional_stiffness,
-        assembly.transmission,
-    )
-
-
-def bundle_of_box(robot: Robot, low: Array, high: Array) -> Bundle:
-    """No stiffer than the arm at any translations between `low` and `high` (n,): its bounds hold for all of them.
+def bundle_of(near: Assembly, far: Assembly | None = None) -> Bundle:
+    """An arm, or no stiffer than the arm at any translations between two: then its bounds hold for all of them.
 
     A tube counts as curved where it may be, as stiff in bending only where it surely is, its transmission as long and
     the arm as long as they may be. Fields Y, phi, r of an arm between, with Y constant and r 0 beyond its ends, have no
     larger T there and no smaller N.
     """
-    near, far = robot.assembly(low), robot.assembly(high)
+    far = near if far is None else far
     kb, ends = near.bending_stiffness, np.maximum(np.stack([near.end, far.end]), 0.0)
     transition = np.maximum(np.stack([near.transition, far.transition]), 0.0)
     cuts = merge(np.concatenate([[0.0], ends.ravel(), transition.ravel()]))

@@ -7,25 +7,27 @@ energy grows with the square of the distance, the work int n.t of a load is at m
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import scipy
 
 from ..block.transcription.loaded import unknowns
+from ..block.transcription.reduced import Evaluation
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, Member
-from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.loaded import solved
+from ..equilibrium.load_problem import check_load
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, sample_rotation
-from ..errors import InputError, SolveError
+from ..equilibrium.solving import sample_rotation
+from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
-from ..solvers.loaded import loaded_newton, turn_of
+from ..solvers.loaded import turn_of
+from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .certificate import worst_case
-from .loaded_certificate import loaded_worst_case
+from .certificate import snap_free_certificate
 from .loaded_events import slide
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 
@@ -45,10 +47,10 @@ def loaded_equilibria(
     new, the degree is 1 and one of them is stable.
     """
     check_load(robot, load, translations)
-    if not load.has_energy:
-        raise InputError("load has a moment or turns with the tip; it has no energy, so equilibria cannot be counted")
-    member = Member(loaded_problem(robot, translations, load), rotations, translations)
-    if load.tip_force_only and _convex(robot, translations, load, search.certain):
+    load.require_energy("equilibria cannot be counted")
+    member = Member.of(robot, rotations, translations, load)
+    bounded, force = load.tip_force_only and not is_general(robot), float(np.linalg.norm(load.force))
+    if bounded and snap_free_certificate(robot, translations, max_force=force) > search.certain:
         return [forward_kinematics(robot, rotations, translations, load=load)]
     found: list[LoadedPoint] = []
     explored: set[int] = set()
@@ -61,23 +63,14 @@ def loaded_equilibria(
         new = sum(_add(found, member, x, search.same) for x in starts)
         new += _descend(found, member, explored, search.same)
         # There is a least energy, so a set without a stable equilibrium is not all.
-        if not new and _degree(found) == 1 and any(point.margin > 0 for point in found):
+        if not new and degree(found) == 1 and any(point.margin > 0 for point in found):
             points = sorted(found, key=lambda point: point.state.potential)
-            how = ("search from many starts", 0.0)
-            return [to_loaded(robot, point, load, LOADED_DISCRETISATION, how) for point in points]
+            return [to_loaded(point, ("search from many starts", 0.0)) for point in points]
         count *= 2
     raise SolveError(
-        f"{len(found)} equilibria were found, of degree {_degree(found)} instead of 1 or more of them in every round: "
+        f"{len(found)} equilibria were found, of degree {degree(found)} instead of 1 or more of them in every round: "
         "one is missing, or the joint values and load are at a fold, where two are one"
     )
-
-
-def _convex(robot: Robot, translations: tuple[float, ...], load: Load, certain: float) -> bool:
-    if is_general(robot):
-        return False
-    unloaded = worst_case(reduced_problem(robot, translations, DEFAULT_DISCRETISATION))[0]
-    assembly = robot.assembly(np.array(translations))
-    return loaded_worst_case(assembly, unloaded, float(np.linalg.norm(load.force))) > certain
 
 
 def _starts(member: Member, samples: Array, twist: float) -> list[Array]:
@@ -100,12 +93,12 @@ def _starts(member: Member, samples: Array, twist: float) -> list[Array]:
 
 def _add(found: list[LoadedPoint], member: Member, x: Array, same: float) -> bool:
     """Solve from x; whether that is an equilibrium which was not known."""
-    result = loaded_newton(member.problem, member.rotations, x, iterations=30)
+    result = member.solve(x, iterations=30)
     if not result.converged:
         return False
     if any(turn_of(member.problem, result.state, result.state.x - known.state.x) < same for known in found):
         return False
-    found.append(solved(member, result))
+    found.append(LoadedPoint.of(member, result))
     return True
 
 
@@ -125,5 +118,9 @@ def _descend(found: list[LoadedPoint], member: Member, explored: set[int], same:
     return new
 
 
-def _degree(found: list[LoadedPoint]) -> int:
-    return int(sum(np.linalg.slogdet(point.state.hessian)[0] for point in found))
+def degree(found: Iterable[LoadedPoint | NewtonResult[Evaluation]]) -> int:
+    """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index where there is an energy.
+
+    It is 1 for a complete set, since the equations deform into those without coupling.
+    """
+    return int(sum(np.linalg.slogdet(each.state.hessian)[0] for each in found))

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import LoadedState, evaluate
+from ..block.transcription.loaded import LoadedState
 from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
-from ..equilibrium.loaded import bifurcates, solved
-from ..solvers.flow import flow
-from ..solvers.loaded import loaded_margin, loaded_newton, turn_of
+from ..equilibrium.loaded import bifurcates
+from ..solvers.flow import downhill, flow
+from ..solvers.loaded import loaded_margin, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
+from .folds import turning_point
 
 NEUTRAL = 1e-9
 """A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
@@ -34,76 +35,27 @@ class Loss:
 def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
     if bifurcates(last):
-        found = bifurcation(family, last, goal) or fold(family, last)
-    else:
-        found = fold(family, last) or bifurcation(family, last, goal)
-    return found
+        return bifurcation(family, last, goal) or fold(family, last)
+    return fold(family, last) or bifurcation(family, last, goal)
 
 
 def fold(family: Family, near: LoadedPoint) -> Loss | None:
-    """Newton on grad = 0 and sigma = 0, the bordered determinant [H p; p' 0] [v; sigma] = [0; 1] that vanishes where H
-    is singular (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000).
+    """The fold of a branch close to a point of it; None where it is not found."""
 
-    Slopes of sigma are differences along v, which shape the steps, not the result; None where it does not converge.
-    """
-    t, x = near.t, near.state.x
-    border = np.linalg.eigh(near.state.hessian)[1][:, 0]
-    size = len(x)
-    for iteration in range(CONTINUATION.loaded_fold_steps):
-        here = family.member(t)
-        if here.problem.size != size:
-            return None
-        state = evaluate(here.problem, here.rotations, x, here.factor)
-        bordered = np.block([[state.hessian, border[:, None]], [border, np.zeros(1)]])
-        solution = np.linalg.solve(bordered, np.append(np.zeros(size), 1.0))
-        v, sigma = solution[:-1], float(solution[-1])
-        pull = _slope(family, t, x)
-        if pull is None:
-            return None
-        by_x, by_t = _sigma_slopes(family, t, x, v, state)
-        matrix = np.block([[state.hessian, pull[:, None]], [by_x, np.array([by_t])]])
-        try:
-            step = np.linalg.solve(matrix, -np.append(state.gradient, sigma))
-        except np.linalg.LinAlgError:
-            return None
-        turn = turn_of(here.problem, state, step[:-1])
-        if not np.isfinite(turn) or turn > np.pi or abs(step[-1]) > 0.1 * max(1.0, abs(t)):
-            return None
-        x, t = x + step[:-1], t + float(step[-1])
-        if turn < 1e-9 and iteration:
-            break
-    else:
+    def at(t: float) -> Callable[[Array], LoadedState] | None:
+        there = family.member(t)
+        return there.at if there.problem.size == near.member.problem.size else None
+
+    def turn(step: Array) -> float:
+        return turn_of(near.member.problem, near.state, step)
+
+    found = turning_point(at, turn, near.t, near.state.x, near.softest)
+    if found is None or abs(found.t - near.t) > CONTINUATION.widest * max(1.0, abs(found.t)):
         return None
-    if abs(t - near.t) > CONTINUATION.widest * max(1.0, abs(t)):
-        return None
-    there = family.member(t)
-    state = evaluate(there.problem, there.rotations, x, there.factor)
-    point = LoadedPoint(t, there, state, loaded_margin(there.problem, state), iteration + 1)
-    return Loss(t, point, "fold", v)
-
-
-def _slope(family: Family, t: float, x: Array) -> Array | None:
-    """Derivative of the gradient by t at fixed unknowns."""
-    step = 1e-6 * max(1.0, abs(t))
-    values = []
-    for place in (t + step, t - step):
-        there = family.member(place)
-        if there.problem.size != len(x):
-            return None
-        values.append(evaluate(there.problem, there.rotations, x, there.factor).gradient)
-    return np.asarray((values[0] - values[1]) / (2 * step))
-
-
-def _sigma_slopes(family: Family, t: float, x: Array, v: Array, state: LoadedState) -> tuple[Array, float]:
-    """Derivatives of sigma = -v'Hv by x and by t."""
-    here = family.member(t)
-    push = CONTINUATION.fold_difference / turn_of(here.problem, state, v)
-    sides = [evaluate(here.problem, here.rotations, x + sign * push * v, here.factor) for sign in (1, -1)]
-    by_x = -(sides[0].gradient - 2 * state.gradient + sides[1].gradient) / push**2
-    slopes = [_slope(family, t, x + sign * push * v) for sign in (1, -1)]
-    if slopes[0] is None or slopes[1] is None:
-        return by_x, 0.0
-    return by_x, -float(v @ (slopes[0] - slopes[1])) / (2 * push)
+    there = family.member(found.t)
+    state = there.at(found.x)
+    point = LoadedPoint(found.t, there, state, loaded_margin(there.problem, state), found.steps)
+    return Loss(found.t, point, "fold", found.direction)
 
 
 def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
@@ -111,8 +63,8 @@ def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
 
     def at(t: float) -> LoadedPoint | None:
         there = family.member(t)
-        result = loaded_newton(there.problem, there.rotations, carry(near, there), there.factor)
-        return solved(there, result, t) if result.converged else None
+        result = there.solve(carry(near, there))
+        return LoadedPoint.of(there, result, t) if result.converged else None
 
     ahead = 1e-7
     while ahead < CONTINUATION.widest:
@@ -121,26 +73,23 @@ def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
         if beyond is None:
             return None
         if beyond.margin < 0:
-            root = _root(at, near.t, t)
-            found = None if root is None else at(root)
-            if root is None or found is None:
-                return None
-            return Loss(root, found, "bifurcation", np.linalg.eigh(found.state.hessian)[1][:, 0])
+            found = _root(at, near.t, t)
+            return None if found is None else Loss(found.t, found, "bifurcation", found.softest)
         if t == goal:
             return None
         ahead *= 10
     return None
 
 
-def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) -> float | None:
+def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) -> LoadedPoint | None:
     def margin(t: float) -> float:
         point = at(t)
         return float("nan") if point is None else point.margin
 
     if not margin(low) > 0:
-        return low
+        return at(low)
     try:
-        return float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14))
+        return at(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
     except ValueError:
         return None
 
@@ -148,28 +97,18 @@ def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) ->
 def fall(member: Member, x: Array, direction: Array) -> LoadedPoint | None:
     """The minimum to which potential energy falls from x (U + 2 N,) after a push along `direction`, to the side that
     leads down, or to both if both do; None where that leads to no stable equilibrium."""
-    state = evaluate(member.problem, member.rotations, x, member.factor)
-    push = CONTINUATION.nudge / turn_of(member.problem, state, direction) * direction
-    sides = [side for side in (push, -push) if _gradient(member, x + side) @ side < 0] or [push, -push]
-    best: LoadedPoint | None = None
-    for side in sides:
-        result = slide(member, x + side)
-        if not result.converged:
-            continue
-        there = solved(member, result)
-        if there.margin > -NEUTRAL and (best is None or there.state.potential < best.state.potential - 1e-12):
-            best = there
-    return best
-
-
-def _gradient(member: Member, x: Array) -> Array:
-    return evaluate(member.problem, member.rotations, x, member.factor).gradient
+    push = CONTINUATION.nudge / turn_of(member.problem, member.at(x), direction) * direction
+    ends = [slide(member, start) for start in downhill(x, push, lambda x: member.at(x).gradient)]
+    points = [LoadedPoint.of(member, end) for end in ends if end.converged]
+    rests = [point for point in points if point.margin > -NEUTRAL]
+    # Of two that are alike, as beside a bifurcation, the first.
+    lowest = min((rest.state.potential for rest in rests), default=0.0)
+    return next((rest for rest in rests if rest.state.potential <= lowest + 1e-12), None)
 
 
 def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
     """The gradient flow of the potential energy from x to the minimum where it ends."""
-    problem, rotations, factor = member.problem, member.rotations, member.factor
-    begin = evaluate(problem, rotations, x, factor)
+    problem, begin = member.problem, member.at(x)
     scale = begin.energy + abs(begin.work)
 
     def step(state: LoadedState, time: float) -> tuple[Array, float, bool]:
@@ -178,11 +117,7 @@ def slide(member: Member, x: Array) -> NewtonResult[LoadedState]:
         return change, turn_of(problem, state, change), failed != 0
 
     def moved(state: LoadedState, change: Array) -> LoadedState | None:
-        there = evaluate(problem, rotations, state.x + change, factor)
+        there = member.at(state.x + change)
         return None if there.potential > state.potential + 1e-13 * scale else there
 
-    rest = flow(begin, step, moved)
-    if rest is None:
-        return NewtonResult(begin, False, CONTINUATION.flow_steps, 0.0)
-    last = loaded_newton(problem, rotations, rest[0].x, factor, iterations=4)
-    return NewtonResult(last.state, last.converged, rest[1], 0.0)
+    return flow(begin, step, moved, lambda state: member.solve(state.x, iterations=4))

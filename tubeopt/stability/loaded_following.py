@@ -12,12 +12,11 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import JointFamily, LoadedPoint, carry, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.loaded import loaded_point, solved
+from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.loaded import loaded_newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .loaded_events import Loss, branch_end, fall
@@ -53,13 +52,13 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
     loss = branch_end(family, last, 1.0)
     if loss is None:
         # Close to where breakpoints meet the exact fold may not be told; the last stable point is next to it.
-        loss = Loss(last.t, last, "fold", np.linalg.eigh(last.state.hessian)[1][:, 0])
+        loss = Loss(last.t, last, "fold", last.softest)
     left, t = loss.point, loss.t
     if loss.kind == "bifurcation":
         t = min(1.0, loss.t + CONTINUATION.past)
         there = family.member(t)
-        result = loaded_newton(there.problem, there.rotations, carry(loss.point, there), there.factor)
-        left = solved(there, result, t) if result.converged else loss.point
+        result = there.solve(carry(loss.point, there))
+        left = LoadedPoint.of(there, result, t) if result.converged else loss.point
     landed = fall(left.member, left.state.x, loss.direction)
     if landed is None:
         raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
@@ -72,49 +71,38 @@ def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
 
 
 def loaded_legs(
-    robot: Robot, joints: Array, load: Load, start: Equilibrium | None, *, first_only: bool = False
+    robot: Robot, joints: Array, load: Load, start: Equilibrium | None
 ) -> Iterator[tuple[Equilibrium, list[Snap]]]:
-    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it.
-
-    With `first_only` the motion ends with the first snap.
-    """
-    first = _first(robot, joints[0], load, start)
+    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it."""
+    first = loaded_start(robot, joints[0], load, start)
     point = loaded_point(first)
     yield first, []
     for k in range(len(joints) - 1):
         family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
-        point = LoadedPoint(0.0, point.member, point.state, point.margin)
-        point, snaps = loaded_leg(family, point, k, first_only=first_only)
-        yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), snaps
-        if first_only and snaps:
-            return
+        point, snaps = loaded_leg(family, point, k)
+        yield to_loaded(point, ("the waypoint before", 0.0)), snaps
 
 
-def loaded_leg(
-    family: JointFamily, point: LoadedPoint, index: int, *, first_only: bool = False
-) -> tuple[LoadedPoint, list[Snap]]:
-    """The end of a motion from a stable point at t = 0, with `first_only` before its first snap, and the snaps on it,
-    which lie behind the waypoint `index`."""
-    snaps = list[Snap]()
+def loaded_leg(family: JointFamily, start: LoadedPoint, index: int) -> tuple[LoadedPoint, list[Snap]]:
+    """The end of a motion from a stable point, and the snaps on it, which lie behind the waypoint `index`."""
+    point, snaps = replace(start, t=0.0, iterations=0), list[Snap]()
     for step in loaded_motion_along(family, point):
         if isinstance(step, LoadedPoint):
             point = step
-            continue
-        acting = family.load_at(step.loss.t)
-        before, after = (
-            to_loaded(family.path.robot, place, acting, LOADED_DISCRETISATION, (how, 0.0))
-            for place, how in ((step.loss.point, "fold"), (step.landed, "energy descent"))
-        )
-        snaps.append(snap_between(index, step.loss.t, before, after))
-        if first_only:
-            break
+        else:
+            snaps.append(to_loaded_snap(step, index))
     return point, snaps
 
 
-def _first(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
+def to_loaded_snap(event: LoadedEvent, index: int) -> Snap:
+    """An event as a snap after the waypoint `index`."""
+    before, after = to_loaded(event.loss.point, ("fold", 0.0)), to_loaded(event.landed, ("energy descent", 0.0))
+    return snap_between(index, event.loss.t, before, after)
+
+
+def loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
     """The stable equilibrium under load at a waypoint: that of forward kinematics, or on the branch of `start`."""
-    if not load.has_energy:
-        raise InputError("load has a moment or turns with the tip; it has no energy, so snaps are not told")
+    load.require_energy("snaps are not told")
     rotations, translations = np.split(joint, 2)
     first = start
     if start is None or start.load != load or not _at(start, joint):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -140,7 +141,7 @@ def stability_map(
     jobs = [(origin, tubes, row, False) for row in rows] + [(origin, tubes, rim(part), True) for part in parts]
     results = _done(jobs, workers, progress)
     table, found = np.array(results[: len(rows)]), np.concatenate(results[len(rows) :])
-    around, found = _closed_in(around, period, found, lambda ends: _job((origin, tubes, ends, True)))
+    around, found = _closed_in(around, period, found, lambda ends: _job(origin, tubes, ends, True))
     if mirrored:
         table = np.concatenate([table, table[: samples // 2][::-1, ::-1]])
         around, found = np.concatenate([around, around + np.pi]), np.vstack([found, found * MIRRORED])
@@ -161,26 +162,22 @@ def rim(directions: Array) -> Array:
 
 IGNORED = signal.SIGINT, signal.SIG_IGN
 
-Job = tuple[Equilibrium, tuple[int, int], Array, bool]
-"""The pose at home, the tubes that turn, pairs of rotations (k, 2), and whether only the first snap is wanted."""
 
-
-def _done(jobs: Sequence[Job], workers: int, progress: Callable[[int, int], object] | None) -> list[Array]:
-    """What becomes of jobs, in order."""
+def _done(jobs: Sequence[tuple[Any, ...]], workers: int, progress: Callable[[int, int], object] | None) -> list[Array]:
+    """What `_job` makes of arguments, in order."""
     results = []
     alone = nullcontext()  # and of several, who asked them hears of Ctrl-C
     with ProcessPoolExecutor(workers, None, signal.signal, IGNORED) if workers > 1 else alone as pool:
-        for result in map(_job, jobs) if pool is None else pool.map(_job, jobs):
+        for result in (map if pool is None else pool.map)(_job, *zip(*jobs, strict=True)):
             results.append(result)
             if progress is not None:
                 progress(len(results), len(jobs))
     return results
 
 
-def _job(job: Job) -> Array:
-    """(k, 2) margin and number of snaps on the ways to pairs of rotations; or (k, 2 + A) the rotations at the first
-    snap and the margins ahead of it, NaN without."""
-    origin, tubes, ends, rays = job
+def _job(origin: Equilibrium, tubes: tuple[int, int], ends: Array, rays: bool) -> Array:
+    """(k, 2) margin and number of snaps on the ways from home to pairs of rotations (k, 2); or, on `rays`, (k, 2 + A)
+    the rotations at the first snap and the margins ahead of it, NaN without."""
     out = np.full((len(ends), 2 + len(APPROACH) * rays), np.nan)
     for row, end in zip(out, ends, strict=True):
         goal = np.zeros(origin.robot.n_tubes)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..block.transcription.contact import evaluate_contact
 from ..equilibrium.continuation import JointPath, largest_twist
-from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, sweep, swept
+from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, sweep, swept, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -23,6 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
+from .snap import Snap, snap_between
 
 SHORTEST = 1e-11
 """Turn of a base (rad), or shift over the longest tube, in a step that fails only where the state is lost."""
@@ -86,12 +87,12 @@ class RubbingSnap:
 
 def rubbing_legs(
     robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None
-) -> Iterator[tuple[Callable[[], Held], list[RubbingSnap]]]:
-    """What tells the state at every waypoint (T, 2n), and the snaps on the way to it."""
+) -> Iterator[tuple[Held | Callable[[], Held], list[Snap]]]:
+    """The state at every waypoint (T, 2n), or what tells it, and the snaps on the way to it."""
     held = rubbing_start(robot, joints[0], friction, start)
     if not np.allclose(np.concatenate([held.rotations, held.translations]), joints[0], rtol=0, atol=1e-12):
         held, _ = rubbing_leg(robot, held, joints[0])
-    yield partial(_same, held), []
+    yield held, []
     k = 1
     while k < len(joints):
         rows = joints[k - 1 : k + CONTINUATION.rubbing_waypoints]
@@ -102,12 +103,15 @@ def rubbing_legs(
             held, k = swept(robot, held, rows, many, count), k + count
         if count < len(rows) - 1:  # where the kernel gives up, a step with more care
             held, snaps = rubbing_leg(robot, held, joints[k])
-            yield partial(_same, held), snaps
+            yield held, [_told(robot, snap, k - 1) for snap in snaps]
             k += 1
 
 
-def _same(held: Held) -> Held:
-    return held
+def _told(robot: Robot, snap: RubbingSnap, index: int) -> Snap:
+    before, after = (
+        to_held_equilibrium(robot, side, how) for side, how in ((snap.before, "fold"), (snap.after, "flow"))
+    )
+    return snap_between(index, snap.fraction, before, after)
 
 
 def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None) -> Held:
@@ -145,13 +149,19 @@ def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
             # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
             # goes far, a snap lies before it.
             if held.margin <= 0 and stride.size < CONTINUATION.hop * stride.longest and t >= far:
-                there = _hopped(path, held, at)
-                far = at if there is None else far
+                there = _flowed(path, held, at, pushed=False)
+                if there is None or _distance(held, there) > CONTINUATION.smooth_turn:
+                    there, far = None, at
             if there is None and shorter:
                 continue
             if there is None:
                 at, far = min(goal, t + CONTINUATION.rubbing_past * stride.shortest), -1.0
-                there = _landed(path, held, at)
+                there = _flowed(path, held, at, pushed=True)
+                if there is None:
+                    raise SolveError(
+                        f"the motion with friction is lost {100 * at:.3f} % of the way: no state was found in which "
+                        f"friction holds to {HONEST:g}"
+                    )
                 if _distance(held, there) > CONTINUATION.smooth_turn:
                     yield RubbingSnap(t, held, there)
             t, held = at, there
@@ -176,28 +186,16 @@ def _distance(a: Held, b: Held) -> float:
     return float(np.abs(change.ravel()[points.flat]).max(initial=0.0))
 
 
-def _hopped(path: JointPath, held: Held, t: float) -> Held | None:
-    """Where the robot flows to by itself, if that is not far."""
+def _flowed(path: JointPath, held: Held, t: float, *, pushed: bool) -> Held | None:
+    """Where the robot flows to by itself, or with a push from a state that is no equilibrium any more; None where that
+    is not found."""
     rotations, translations = path.at(t)
     contact, before, x = carried(path.robot, held, rotations, translations)
-    landed = slide(contact, rotations, x, before)
-    there = None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])
-    return there if there is not None and _distance(held, there) <= CONTINUATION.smooth_turn else None
-
-
-def _landed(path: JointPath, held: Held, t: float) -> Held:
-    """Where the robot flows to from a state that is no equilibrium any more, with a push."""
-    rotations, translations = path.at(t)
-    contact, before, x = carried(path.robot, held, rotations, translations)
-    push = CONTINUATION.nudge * softest(held.contact, held.found.state, held.found.signs)
-    if contact is not held.contact:  # on another mesh the softest direction is that of the state carried over
+    push = None
+    if pushed and contact is held.contact:
+        push = CONTINUATION.nudge * softest(contact, held.found.state, held.found.signs)
+    elif pushed:  # on another mesh the softest direction is that of the state carried over
         state = evaluate_contact(contact, rotations, x)
         push = CONTINUATION.nudge * softest(contact, state, np.ones(len(before), dtype=np.int8))
     landed = slide(contact, rotations, x, before, push)
-    if landed is None:
-        raise SolveError(
-            f"the motion with friction is lost {100 * t:.3f} % of the way: no state was found in which friction holds "
-            f"to {HONEST:g}"
-        )
-    found, heat = landed
-    return Held(contact, rotations, translations, found, held.heat + heat)
+    return None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])

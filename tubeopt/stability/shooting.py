@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..block.transcription.buffered import mapped, section_function
+from ..block.transcription.buffered import mapped
 from ..block.transcription.green import reach, sections_at
 from ..block.transcription.march import march_function
 from ..block.transcription.reduced import ReducedProblem
@@ -36,57 +36,42 @@ GRID = np.arange(2 * STEPS + 1) / (2 * STEPS)
 """Fractions of a piece at which the steps look at its cross-sections."""
 
 
-@dataclass(frozen=True, eq=False)
-class Along:
-    """Tubes made of pieces at X places of P pieces, (P, X, n): kb, m, phase, 1 / kt; `whole` (P, n): int ds / kt."""
-
-    stiffness: Array
-    moment: Array
-    phase: Array
-    compliance: Array
-    whole: Array
-
-    def of(self, pieces: Index, tubes: Index) -> Along:
-        """Some tubes on some pieces."""
-        own = np.ix_(pieces, np.arange(len(GRID)), tubes)
-        kb, m, phase, soft = (part[own] for part in (self.stiffness, self.moment, self.phase, self.compliance))
-        return Along(kb, m, phase, soft, self.whole[np.ix_(pieces, tubes)])
-
-
 @lru_cache(maxsize=16)
-def along_of(problem: ReducedProblem) -> Along | None:
-    """The tubes of a problem at GRID of all its pieces; None where none is made of pieces."""
-    mesh, here = problem.mesh, problem.here
-    if here is None:
-        return None
+def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
+    """kt, kb and m (P, n) of the tubes of a problem on its pieces; of tubes made of pieces 1 / kt, kb, m and phase
+    (P, X, n) at GRID."""
+    mesh, n = problem.mesh, problem.assembly.n_tubes
+    if problem.here is None:
+        kt = np.tile(problem.assembly.torsional_stiffness, (len(mesh.length), 1))
+        return kt, problem.piece_stiffness, problem.piece_moment
     at = sections_at(problem.assembly, mesh, GRID)
-    shape = len(mesh.length), len(GRID), problem.assembly.n_tubes
-    table = (at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness)
-    kb, m, phase, soft = (part.reshape(shape) for part in table)
-    return Along(kb, m, phase, soft, np.diff(reach(mesh, here), axis=0))
+    table = 1 / at.torsional_stiffness, at.stiffness, at.moment, at.phase
+    return tuple(part.reshape(len(mesh.length), len(GRID), n) for part in table)
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
     """Tubes that are integrated together, on P pieces, base to tip.
 
-    length: (P,) m.  bent: (P,) whether torsion is not linear there.  stiffness, moment: (P, n) kb_i of the tubes
-    present and m_i of the tubes curved.  torsional_stiffness, transmission: (n,), the latter m between where a tube is
-    held and the first piece.  place: offset and angle (n,), or nothing for concentric tubes.
+    length: (P,) m.  bent: (P,) whether torsion is not linear there.  gain: (P, n) what w turns there where it is.
+    sections: see `sections_of`; kb_i of the tubes present, m_i of those curved.  transmission: (n,) m between where a
+    tube is held and the first piece.  place: offset and angle (n,), or nothing for concentric tubes.
 
-    With tubes made of pieces theta is the elastic phi, w the torque, `transmission` the compliance int ds / kt up to
-    the first piece, and `along` has the cross-sections at GRID of every piece; stiffness, moment and
-    torsional_stiffness are not read.
+    With tubes made of pieces theta is the elastic phi, w the torque, `gain` and `transmission` the compliance
+    int ds / kt.
     """
 
     length: Array
     bent: Mask
-    stiffness: Array
-    moment: Array
-    torsional_stiffness: Array
+    gain: Array
+    sections: tuple[Array, ...]
     transmission: Array
     place: tuple[Array, ...]
-    along: Along | None = None
+
+    @property
+    def varying(self) -> bool:
+        """Whether there are tubes made of pieces."""
+        return self.sections[0].ndim == 3
 
     @property
     def n_tubes(self) -> int:
@@ -107,24 +92,33 @@ class Shot:
 
 def whole(problem: ReducedProblem) -> Bundle:
     """All tubes of a problem on all its pieces."""
-    assembly, mesh = problem.assembly, problem.mesh
+    assembly, mesh, here = problem.assembly, problem.mesh, problem.here
     return Bundle(
         length=mesh.length,
         bent=mesh.collocated,
-        stiffness=problem.piece_stiffness,
-        moment=problem.piece_moment,
-        torsional_stiffness=assembly.torsional_stiffness,
-        transmission=assembly.transmission if problem.here is None else problem.here.transmission,
-        along=along_of(problem),
+        gain=gain_of(problem),
+        sections=sections_of(problem),
+        transmission=assembly.transmission if here is None else here.transmission,
         place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
     )
 
 
+def gain_of(problem: ReducedProblem) -> Array:
+    """(P, n) length of the pieces, m, or of tubes made of pieces int ds / kt."""
+    if problem.here is not None:
+        return np.diff(reach(problem.mesh, problem.here), axis=0)
+    return np.tile(problem.mesh.length[:, None], (1, problem.assembly.n_tubes))
+
+
 def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = False) -> Shot:
-    """Joint rotations of tip angles (B, n), with their derivatives if `slopes`."""
-    shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(tips)]
-    columns = [np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True)]
-    return Shot(columns[0], columns[1], columns[3] if slopes else np.empty((len(tips), 0, 0)), columns[2])
+    """Joint rotations of tip angles (B, k) of the first k tubes, those of the others being 0, with their derivatives if
+    `slopes`; the lengths are those of all tubes."""
+    k = tips.shape[1]
+    padded = np.pad(tips, ((0, 0), (0, bundle.n_tubes - k)))
+    shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(padded)]
+    rotations, twist, travel, *by_tip = (np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True))
+    slope = by_tip[0][:, :k, :k] if slopes else np.empty((len(tips), 0, 0))
+    return Shot(rotations[:, :k], twist[:, :k], slope, travel)
 
 
 def to_base(problem: ReducedProblem, tips: Array) -> Array:
@@ -192,14 +186,12 @@ def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, 
     """The state at the base side of a piece, and theta and theta' where its steps begin and end."""
     if not bundle.bent[piece]:
         return _straight(bundle, piece, state)
-    if bundle.along is not None:
-        return _along(bundle.along, piece, bundle.length[piece] / steps, state, steps)
     count, n = state[0].shape
-    march = mapped(march_function(n, bool(bundle.place), len(state) > 3, steps), count)
+    march = mapped(march_function(n, bool(bundle.place), len(state) > 3, steps, bundle.varying), count)
     # CasADi has matrices by columns: derivatives (B, n, n) are (B n, n) there, those by one tip in a row.
     columns = [part.swapaxes(1, 2).reshape(-1, n) for part in state[3:]]
-    constants = bundle.torsional_stiffness, bundle.stiffness[piece], bundle.moment[piece], *bundle.place
-    *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *constants)
+    sections = [part[piece, :: STEPS // steps].ravel() if bundle.varying else part[piece] for part in bundle.sections]
+    *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *sections, *bundle.place)
     moved = [part.copy() for part in after[:3]]
     moved += [part.reshape(count, n, n).swapaxes(1, 2).copy() for part in after[3:]]
     return tuple(moved), (values.reshape(count, -1, n), slopes.reshape(count, -1, n))
@@ -208,49 +200,11 @@ def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, 
 def _straight(bundle: Bundle, piece: int, state: State) -> tuple[State, Grid]:
     """The same of a piece where torsion is linear."""
     theta, twist, travel, *slopes = state
-    n, along = bundle.n_tubes, bundle.along
-    gain = np.full(n, bundle.length[piece]) if along is None else along.whole[piece]
+    gain = bundle.gain[piece]
     moved = [theta - gain * twist, twist, travel + bundle.length[piece]]
     if slopes:
         moved += [slopes[0] - gain[:, None] * slopes[1], slopes[1]]
     return tuple(moved), (np.stack([theta, moved[0]], axis=1), np.stack([twist, twist], axis=1))
-
-
-def _along(along: Along, piece: int, h: float, state: State, steps: int) -> tuple[State, Grid]:
-    """The same of tubes made of pieces, whose cross-sections change along it: phi and torque for theta and w."""
-    values, slopes = [state[0]], []
-    for k in reversed(range(steps)):
-        low, middle, high = (k * STEPS // steps for k in (2 * k, 2 * k + 1, 2 * k + 2))
-        k1 = _rate(along, piece, high, state)
-        k2 = _rate(along, piece, middle, _back(state, h / 2, k1))
-        k3 = _rate(along, piece, middle, _back(state, h / 2, k2))
-        k4 = _rate(along, piece, low, _back(state, h, k3))
-        state = _back(state, h, tuple((a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)))
-        values.append(state[0])
-        slopes.append(k1[0])
-    slopes.append(_rate(along, piece, 0, state)[0])
-    return state, (np.stack(values, axis=1), np.stack(slopes, axis=1))
-
-
-def _back(state: State, h: float, rate: State) -> State:
-    """The state h nearer to the base; lengths add up on the way."""
-    moved = [value - h * slope for value, slope in zip(state, rate, strict=True)]
-    moved[2] = state[2] + h * rate[2]
-    return tuple(moved)
-
-
-def _rate(along: Along, piece: int, at: int, state: State) -> State:
-    """Derivatives of the elastic rotation and the torque of tubes made of pieces, at the place `at` of GRID."""
-    phi, torque = state[:2]
-    count, n = phi.shape
-    soft = along.compliance[piece, at]
-    function = section_function("balance" if len(state) > 3 else "moment", count, n, False)
-    out = function(phi + along.phase[piece, at], along.stiffness[piece, at], along.moment[piece, at])
-    turned, bend, one = soft * torque, out[0].copy(), np.ones_like(phi)
-    if len(state) == 3:
-        return turned, bend, one
-    stiff = out[1].reshape(count, n, n).swapaxes(1, 2)
-    return turned, bend, one, soft[:, None] * state[4], stiff @ state[3]
 
 
 def _hermite(grid: Grid, nodes: Array, h: float) -> Array:

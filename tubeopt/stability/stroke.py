@@ -94,8 +94,9 @@ def stroke_slopes(first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0) -
     found = find_loss(first, load, float(np.divide(up_to, unit)))
     if found is None:
         return None
-    family, loss, scale = found
-    member, force = loss.point.member, np.array(family.problem.load.force)
+    loss, scale = found
+    member = loss.point.member
+    force = np.array(member.problem.load.force)
     there = [(member.problem, member.rotations, loss.t * (1 + sign * STEP)) for sign in (1, -1)]
     value = loss.t * scale * unit
     by_force = _rate(loss, there, STEP * value)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..typing import Array
-from .shooting import Bundle, Shot, shoot
+from .shooting import Bundle, shoot
 
 TURN = 2 * np.pi
 
@@ -46,13 +46,6 @@ class Table:
     twist: Array
 
 
-def joints(bundle: Bundle, tips: Array, steps: int, *, slopes: bool = False) -> Shot:
-    """Joints of the first k tubes of a bundle by their tip angles (B, k); the lengths are those of all tubes."""
-    k = tips.shape[1]
-    shot = shoot(bundle, np.pad(tips, ((0, 0), (0, bundle.n_tubes - k))), steps=steps, slopes=slopes)
-    return Shot(shot.rotations[:, :k], shot.twist[:, :k], shot.by_tip[:, :k, :k], shot.travel)
-
-
 @lru_cache(maxsize=16)
 def table_of(bundle: Bundle, k: int) -> Table:
     """The table of the first k tubes of a bundle, refined until its Fourier series ends."""
@@ -68,7 +61,7 @@ def table_of(bundle: Bundle, k: int) -> Table:
 
 def _tabulate(bundle: Bundle, k: int, size: tuple[int, ...]) -> Table:
     tips = _tips(np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in size], indexing="ij"), axis=-1), k)
-    shot = joints(bundle, tips.reshape(-1, k), STEPS)
+    shot = shoot(bundle, tips.reshape(-1, k), steps=STEPS)
     turned = shot.rotations + bundle.transmission[:k] * shot.twist - tips.reshape(-1, k)
     return Table(size, turned.reshape(*size, k), shot.twist.reshape(*size, k))
 

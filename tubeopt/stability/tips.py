@@ -16,8 +16,8 @@ import numpy as np
 from ..solvers.sampling import sobol
 from ..typing import Array
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
-from .shooting import STEPS, Bundle
-from .tables import TURN, joints, starts, table_of
+from .shooting import STEPS, Bundle, shoot
+from .tables import TURN, starts, table_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,15 +61,9 @@ def _starts(bundle: Bundle, transmission: Array, wanted: Array, search: Equilibr
     count = search.first_starts
     while count <= search.most_starts:
         tips = np.pad(sobol(k - 1, count, count.bit_length() - 1) * TURN, ((0, 0), (0, 1)))
-        led = joints(replace(bundle, transmission=transmission), tips, search.rough_steps).rotations
+        led = shoot(replace(bundle, transmission=transmission), tips, steps=search.rough_steps).rotations
         yield tips + (wanted - led)[:, -1:]
         count *= 2
-
-
-def _gap(rotations: Array, wanted: Array) -> Array:
-    """(B, k) how far joints are from the wanted ones, but for whole turns."""
-    gap = rotations - wanted
-    return np.asarray(gap - TURN * np.round(gap / TURN))
 
 
 def _newton(
@@ -83,8 +77,9 @@ def _newton(
     for _ in range(iterations):
         if not len(going):
             break
-        shot = joints(bundle, here, steps, slopes=True)
-        gap = _gap(shot.rotations, wanted)
+        shot = shoot(bundle, here, steps=steps, slopes=True)
+        gap = shot.rotations - wanted
+        gap -= TURN * np.round(gap / TURN)
         size = np.abs(gap).max(1)
         better = size < least[going]
         best[going[better]], least[going[better]] = here[better], size[better]
@@ -115,7 +110,7 @@ def _finish(bundle: Bundle, wanted: Array, starts: Array, search: EquilibriaSear
     tips = tips[gap < search.solved]
     if not len(tips):
         return Preimage(tips, np.zeros(0), np.zeros((0, bundle.n_tubes)), True)
-    shot = joints(bundle, tips, STEPS, slopes=True)
+    shot = shoot(bundle, tips, slopes=True)
     tips = tips - TURN * np.round((shot.rotations - wanted) / TURN)
     sign = np.sign(np.linalg.det(shot.by_tip))
     kept: list[int] = []

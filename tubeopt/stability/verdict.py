@@ -101,3 +101,21 @@ class Verdict(Displayed):
         low, high = np.array(self.robot.limits.rotations).T
         joints = np.array([self.start, self.snap.rotations])
         return bool(((joints >= low - 1e-9) & (joints <= high + 1e-9)).all())
+
+
+@dataclass(frozen=True, eq=False)
+class EccentricVerdict(Verdict):
+    """A `Verdict` that knows a closed form too.
+
+    untwisted: margin of the softest shape with one tube of a segment against the two others, all of them equilibria.
+        Below 0 two more equilibria have its joint rotations, and the robot snaps on some way, shown or not. None where
+        the robot is not made of segments of three equal tubes.
+    """
+
+    untwisted: float | None = None
+
+    @property
+    def finding(self) -> Finding:
+        """The verdict in a word."""
+        known = self.untwisted is not None and self.untwisted < 0 and not self.certificate.snap_free
+        return Finding.CAN_SNAP if known else super().finding

@@ -55,17 +55,14 @@ def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool =
         left = float(np.abs(rotations - here.rotations).max())
         if not left:
             return End(here, snaps, first, before)
-        path = JointPath(here.robot, _joints(here, here.rotations), _joints(here, rotations))
+        begin, end = (np.concatenate([turned, here.translations]) for turned in (here.rotations, rotations))
+        path = JointPath(here.robot, begin, end)
         here, folds = _taken_over(path, here, left)
         if folds and first is None:
             first = path.at(folds[0])[0]
             if to_first_snap:
                 return End(here, 1, first, before)
         snaps += len(folds)
-
-
-def _joints(at: Equilibrium, rotations: Array) -> Array:
-    return np.concatenate([rotations, at.translations])
 
 
 def _by_kernel(here: Equilibrium, goal: Array) -> list[Equilibrium]:

@@ -14,9 +14,8 @@ from ..block.transcription.second_variation import margin
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
-from ..errors import InputError, SolveError, vector
+from ..errors import InputError, vector
 from ..robots.robot import Robot, shifts
-from ..solvers.newton import newton
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
 from ..typing import Array, Index
@@ -82,10 +81,8 @@ def worst_margin(
         ends = [(_turned(np.zeros(n), [pair.tubes[0]], np.array([[least.tip]]))[0], least.margin)]
     tips = min(ends, key=lambda end: end[1])[0][None] if ends else np.zeros((1, n))
     rotations = to_base(problem, tips)[0]
-    result = newton(problem, rotations, to_unknowns(problem, rotations, profiles(problem, tips)[0]))
-    if not result.converged:
-        raise SolveError("the worst equilibrium found is a fold (margin 0), which Newton cannot solve again")
-    solution = Solution(problem, rotations, result, margin(problem, result.state))
+    failure = "the worst equilibrium found is a fold (margin 0), which Newton cannot solve again"
+    solution = Solution.near(problem, rotations, profiles(problem, tips)[0], failure)
     equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
     unstable = np.array([tips for tips, found in ends if found < 0]).reshape(-1, n)
     return WorstMargin(solution.margin, equilibrium, 0 if pair else len(ends), unstable)

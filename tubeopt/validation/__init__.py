@@ -1,9 +1,8 @@
 """The model against measured tips: frames registered, errors told, the effects found that part robot and drawing."""
 
-from .comparison import Validation, validate
+from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate
 from .descent import FitSolver
 from .effects import EFFECTS, KINDS
-from .errors import ErrorGroup, ErrorSummary, ErrorTable, group_errors
 from .fitting import Estimate, Fit, FitOptions, fit
 from .folds import Parity
 from .force import ForceEstimate, ForceRecord, ForceSolver, estimate_force, estimate_forces

@@ -14,6 +14,7 @@ import numpy as np
 from ..robots.eccentric import EccentricRobot
 from ..robots.fit import drawn_clearance
 from ..robots.robot import Robot
+from ..typing import Array
 from .measurements import Measurements
 from .setup import Setup, members
 
@@ -43,6 +44,13 @@ class Context:
         return max(tube.length for tube in members(self.robot))
 
 
+Range = Callable[[Context, int | None], Span]
+"""Range of the parameter with an index from 0 (None: common to all)."""
+
+Change = Callable[[Setup, Setup, Sequence[int], float, bool], None]
+"""Sets a parameter of a setup: (setup, first setup, indices, value, whether common)."""
+
+
 @dataclass(frozen=True)
 class Effect:
     """One kind of deviation from the drawing.
@@ -52,8 +60,8 @@ class Effect:
         each: what its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
             eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot),
             "pair" of tubes that rub, "xyz", "xy", or "" for a single parameter.
-        span: range of the parameter with an index from 0 (None: common to all).
-        change: sets the parameter of a setup: (setup, first setup, indices, value, whether common).
+        span: range of the parameter.
+        change: sets the parameter.
         common: whether a parameter for all at once, without a number, is known as well.
         first: the lowest number that there is.
         needs: what the data must have: "time", "way" (rows in order of time), "orientation", "plate" (a registration
@@ -67,8 +75,8 @@ class Effect:
     meaning: str
     unit: str
     each: str
-    span: Callable[[Context, int | None], Span]
-    change: Callable[[Setup, Setup, Sequence[int], float, bool], None]
+    span: Range
+    change: Change
     common: bool = False
     first: int = 1
     needs: str = ""
@@ -78,32 +86,12 @@ class Effect:
     drives: bool = False
 
 
-Change = Callable[[Setup, Setup, Sequence[int], float, bool], None]
-
-
-def _put(name: str) -> Change:
-    """The value itself."""
-
-    def change(setup: Setup, _: Setup, which: Sequence[int], value: float, __: bool) -> None:
-        getattr(setup, name)[list(which)] = value
-
-    return change
-
-
-def _scale(name: str) -> Change:
-    """The value as a factor on what there was."""
+def _put(name: str, how: Callable[[float, Array], Array | float] = lambda value, _: value) -> Change:
+    """The value itself, or what becomes of it with what there was: added, or as a factor."""
 
     def change(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
-        getattr(setup, name)[list(which)] = value * getattr(first, name)[list(which)]
-
-    return change
-
-
-def _lengthen(name: str) -> Change:
-    """The value added to what there was."""
-
-    def change(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
-        getattr(setup, name)[list(which)] = value + getattr(first, name)[list(which)]
+        i = list(which)
+        getattr(setup, name)[i] = how(value, getattr(first, name)[i])
 
     return change
 
@@ -127,16 +115,17 @@ def _nu(setup: Setup, _: Setup, which: Sequence[int], value: float, __: bool) ->
     setup.torsional_stiffness[list(which)] = setup.bending_stiffness[list(which)] / (1 + value)
 
 
-def _within(start: float, reach: float, scale: float, prior: float) -> Callable[[Context, int | None], Span]:
+def _within(start: float, reach: float, scale: float, prior: float) -> Range:
     return lambda _, __: Span(start, start - reach, start + reach, scale, prior)
 
 
-def _own(name: str, reach: float, scale: float, prior: float) -> Callable[[Context, int | None], Span]:
-    """Around the value of the setup."""
+def _own(name: str, reach: float, scale: float, prior: float, *, positive: bool = False) -> Range:
+    """Around the value of the setup, or from 0 on."""
 
     def span(context: Context, index: int | None) -> Span:
         start = float(np.atleast_1d(getattr(context.setup, name))[index or 0])
-        return Span(start, start - reach, start + reach, scale, prior)
+        ends = (0.0, max(start, reach)) if positive else (start - reach, start + reach)
+        return Span(start, *ends, scale, prior)
 
     return span
 
@@ -207,16 +196,6 @@ def _curved_span(context: Context, index: int | None) -> Span:
     return Span(0.0, -reach, reach, context.length / 10, 2e-3)
 
 
-def _positive(name: str, most: float, scale: float, prior: float) -> Callable[[Context, int | None], Span]:
-    """Not below 0."""
-
-    def span(context: Context, index: int | None) -> Span:
-        start = float(getattr(context.setup, name)[index or 0])
-        return Span(start, 0.0, max(start, most), scale, prior)
-
-    return span
-
-
 def _friction_span(context: Context, index: int | None) -> Span:
     """A large torque is one that turns the tubes by a tenth of a rad along the curved part of the outer one."""
     pair = members(context.robot)[(index or 0) : (index or 0) + 2]
@@ -257,17 +236,17 @@ EFFECTS: dict[str, Effect] = {
     ),
     "rotation_play": Effect(
         "half width of the backlash between drive and tube I", "rad", "tube",
-        _positive("rotation_play", 20 * DEGREE, 0.1, DEGREE), _put("rotation_play"),
+        _own("rotation_play", 20 * DEGREE, 0.1, DEGREE, positive=True), _put("rotation_play"),
         needs="way", history=True, drives=True,
     ),
     "translation_play": Effect(
         "half width of the backlash between drive and carriage I", "m", "carriage",
-        _positive("translation_play", 5e-3, 1e-3, 5e-4), _put("translation_play"),
+        _own("translation_play", 5e-3, 1e-3, 5e-4, positive=True), _put("translation_play"),
         needs="way", history=True, drives=True,
     ),
     "translation_compliance": Effect(
         "by how much carriage I of a concentric robot yields to the force of its tubes", "m/N", "spring",
-        _positive("translation_compliance", 0.1, 0.01, 1e-3), _put("translation_compliance"),
+        _own("translation_compliance", 0.1, 0.01, 1e-3, positive=True), _put("translation_compliance"),
         compared="asked", drives=True,
     ),
     "friction": Effect(
@@ -284,7 +263,8 @@ EFFECTS: dict[str, Effect] = {
     ),
     "torsional_stiffness": Effect(
         "factor on the torsional stiffness GJ of tube I, or of all, EI kept", "", "kind",
-        _within(1.0, 0.9, 1.0, 0.2), _scale("torsional_stiffness"), common=True, sets=("torsional_stiffness",),
+        _within(1.0, 0.9, 1.0, 0.2), _put("torsional_stiffness", np.multiply),
+        common=True, sets=("torsional_stiffness",),
     ),
     "curvature": Effect(
         "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",
@@ -295,11 +275,11 @@ EFFECTS: dict[str, Effect] = {
         _piece_span, _put("piece_curvature"),
     ),
     "curved_length": Effect(
-        "length added to the curved part of tube I", "m", "kind", _curved_span, _lengthen("curved_length")
+        "length added to the curved part of tube I", "m", "kind", _curved_span, _put("curved_length", np.add)
     ),
     "bending_stiffness": Effect(
         "factor on the bending stiffness EI of tube I, GJ kept", "", "kind",
-        _within(1.0, 0.9, 1.0, 0.2), _scale("bending_stiffness"), sets=("bending_stiffness",),
+        _within(1.0, 0.9, 1.0, 0.2), _put("bending_stiffness", np.multiply), sets=("bending_stiffness",),
     ),
     "nu": Effect(
         "Poisson's ratio of all tubes, or of tube I, EI kept", "", "kind",

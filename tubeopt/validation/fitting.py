@@ -18,12 +18,20 @@ from ..display import Displayed
 from ..errors import InputError, choice, instance, positive
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array, Index, Sentence
-from .comparison import Progress, Validation, check_tubes, compare_at, distances
-from .descent import DEFAULT_SOLVER, LOSSES, Descent, FitSolver, Weights, descend, normal_equations
-from .errors import ErrorSummary
+from ..typing import Array, Index, Progress, Sentence
+from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances
+from .descent import (
+    DEFAULT_SOLVER,
+    LOSSES,
+    Descent,
+    FitSolver,
+    Weights,
+    bootstrap_errors,
+    descend,
+    hold_out,
+    normal_equations,
+)
 from .folds import deal, passes
-from .held_out import bootstrap_errors, hold_out
 from .identifiability import doubts, entangled_history, louder, undetermined
 from .measurements import Measurements
 from .model import ArmModel, State

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ from ..errors import InputError, Settings, SolveError, instance, positive, vecto
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
-from ..typing import Array, Sentence
+from ..typing import Array, Progress, Sentence
 from .comparison import check_tubes
 from .measurements import Measurements
 
@@ -150,7 +150,7 @@ def estimate_forces(
     *,
     noise: float = 1e-3,
     known: Load | None = None,
-    progress: Callable[[int, int], object] | None = None,
+    progress: Progress | None = None,
     solver: ForceSolver = DEFAULT_FORCE,
 ) -> ForceRecord:
     """The dead force at the tip in every row of a recording, as `estimate_force`, each from the row before.

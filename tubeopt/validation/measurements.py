@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError
+from ..errors import InputError, finite_array
 from ..typing import Array
 
 SAME_PLACE = 1e-6
@@ -196,17 +196,3 @@ def _sensors(value: ArrayLike, count: int) -> Array:
 def _mean(sensors: Array) -> Array:
     """(N, 3) mean over the sensors (N, s, 3) that were seen; NaN where none was."""
     return np.asarray(np.ma.masked_invalid(sensors).mean(1).filled(np.nan))
-
-
-def finite_array(name: str, value: ArrayLike, dimensions: int) -> Array:
-    """`value` as a float array with so many dimensions, else InputError naming the first bad place."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} are not an array of numbers") from None
-    if array.ndim != dimensions:
-        raise InputError(f"{name} have shape {array.shape}; they must have {dimensions} dimensions")
-    if not np.isfinite(array).all():
-        place = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise InputError(f"{name}{place} is {array[tuple(place)]}; every number must be finite")
-    return array

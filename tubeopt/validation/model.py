@@ -15,9 +15,8 @@ from ..robots.robot import Robot
 from ..typing import Array, Mask
 from .measurements import Measurements
 from .parameters import Parameter, apply
-from .poses import Poses, solve_poses
+from .poses import Poses, rubbed_poses, solve_poses
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration, register
-from .rubbed import rubbed_poses
 from .setup import Setup
 from .timeline import Timeline
 

@@ -122,7 +122,7 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
     missing = lacking(context.measurements, effect, registration)
     if missing:
         raise InputError(f"parameter {name!r} {missing}")
-    index = None if number is None else _index(context, effect, number)
+    index = None if number is None else numbers_of(context, effect).index(number) + effect.first - 1
     span = effect.span(context, index)
     unit = "" if index is None and kind == "curvature" else effect.unit
     which = _places(context, effect, index)
@@ -139,13 +139,6 @@ def _known(kind: str, number: str | None) -> bool:
     return bool(each) and (number in AXES) == each.startswith("x") and ("_" in number) == (each == "piece")
 
 
-def _index(context: Context, effect: Effect, number: str) -> int:
-    """The place, from 0, of what has a number."""
-    if number in AXES:
-        return AXES.index(number)
-    return numbers_of(context, effect).index(number) + effect.first - 1
-
-
 def _places(context: Context, effect: Effect, index: int | None) -> tuple[int, ...]:
     """Places in the setup that a parameter sets."""
     if effect.each in ("carriage", "spring"):
@@ -155,21 +148,14 @@ def _places(context: Context, effect: Effect, index: int | None) -> tuple[int, .
 
 
 def _check_number(context: Context, effect: Effect, name: str, number: str | None) -> None:
-    if number is None:
+    count, known = _count(context, effect), numbers_of(context, effect)
+    if number is None or number in known:
         return
-    count = _count(context, effect)
     if effect.each == "piece":
-        known = numbers_of(context, effect)
-        if number not in known:
-            there = f"choose from {', '.join(known)}" if known else "the robot has no tube of two or more pieces"
-            raise InputError(f"parameter {name!r}: there is no such piece of a tube; {there}")
-        return
+        there = f"choose from {', '.join(known)}" if known else "the robot has no tube of two or more pieces"
+        raise InputError(f"parameter {name!r}: there is no such piece of a tube; {there}")
     if number in AXES:
-        if AXES.index(number) >= count:
-            raise InputError(f"parameter {name!r} is not known; it has the axes {' and '.join(effect.each)}")
-        return
-    if effect.first <= int(number) <= count:
-        return
+        raise InputError(f"parameter {name!r} is not known; it has the axes {' and '.join(effect.each)}")
     what = COUNTED.get(effect.each, "tubes")
     what = what if effect.each in COUNTED or count == context.robot.n_tubes else "different tubes"
     least = effect.first

@@ -69,7 +69,7 @@ class Placement(Displayed):
     """That is to be measured."""
     rotations: Array
     translations: Array
-    measured: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    measured: Mask
     margin: Array
     parameters: tuple[str, ...]
     units: tuple[str, ...]
@@ -190,7 +190,7 @@ def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSea
             break
         q = space.join(space.lower[: robot.n_tubes], random.uniform(low, np.minimum(high, straight)))
         shift = space.joint(q)[robot.n_tubes :]
-        if space.admissible(q) and (shift + curved).max() > 0.25 * curved.max() and _admissible(robot, shift):
+        if space.admissible(q) and (shift + curved).max() > 0.25 * curved.max():
             found.append(shift)
     if not found:
         raise SolveError("no random translations within the limits keep carriages and ends in order")
@@ -202,14 +202,6 @@ def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSea
     if good.sum() < 3:
         raise SolveError(f"hardly any random configuration of the robot has the margin {min_margin:g}")
     return alpha[good], shift[good], poses.position[good, 0]
-
-
-def _admissible(robot: Robot, shift: Array) -> bool:
-    try:
-        robot.assembly(shift)
-    except InputError:
-        return False
-    return True
 
 
 def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array:

@@ -119,9 +119,7 @@ def register(
             "registration is 'rigid' and the predicted tips lie on a line, about which the frame could turn; measure "
             "more configurations, or use base-axis or none"
         )
-    u, _, vt = np.linalg.svd((p - p_mean).T @ (m - m_mean))
-    sign = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
-    rotation = u @ sign @ vt
+    rotation = scipy.spatial.transform.Rotation.align_vectors(p - p_mean, m - m_mean)[0].as_matrix()
     return Registration(method, rotation, p_mean - rotation @ m_mean)
 
 

@@ -20,13 +20,11 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array
-from .comparison import Progress, check_tubes, distances
-from .descent import Descent, Weights, cost_of, descend
-from .errors import ErrorSummary
+from ..typing import Array, Progress
+from .comparison import ErrorSummary, check_tubes, distances
+from .descent import Descent, Weights, cost_of, descend, predicted_held_out
 from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
-from .held_out import predicted_held_out
 from .measurements import Measurements
 from .model import ArmModel, State
 from .parameters import choose_parameters, groups

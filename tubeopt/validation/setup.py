@@ -13,10 +13,10 @@ from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration
 from ..robots.concentric import ConcentricRobot, friction_of
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..typing import Array
-from .rubbed import with_torque
 
 CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
 
@@ -127,7 +127,7 @@ class Setup:
             extra = max(0.0, given.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
         drives = self.calibration(found_by)
         if isinstance(given, ConcentricRobot):
-            friction = with_torque(friction_of(given), self.friction)
+            friction = _with_torque(friction_of(given), self.friction)
             loose = tuple(self.clearance.tolist()) if self.clearance.any() else None
             return replace(given, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
         return _rebuild(given, tubes, extra, drives)
@@ -171,6 +171,12 @@ def _clearance(robot: Robot) -> Array:
     if not isinstance(robot, ConcentricRobot):
         return np.zeros(0)
     return np.zeros(robot.n_tubes - 1) if robot.clearance is None else np.array(robot.clearance)
+
+
+def _with_torque(friction: Friction | None, torque: Array) -> Friction | None:
+    """A friction with other torques per length (n - 1,), N m per m; None where nothing rubs."""
+    changed = replace(friction or Friction(), torque=tuple(torque.tolist()) or (0.0,))
+    return None if changed.trivial else changed
 
 
 def members(robot: Robot) -> tuple[Tube, ...]:

@@ -23,8 +23,7 @@ import numpy as np
 
 from ..errors import InputError, SolveError
 from ..typing import Array, Index, Mask
-from .descent import Descent, Weights
-from .held_out import predicted_held_out
+from .descent import Descent, Weights, predicted_held_out
 from .model import ArmModel, State
 from .parameters import Parameter, apply
 
@@ -34,17 +33,24 @@ LEAST = 4.0
 """A parameter must gain so much at least, in squares of its standard error: two standard errors."""
 
 
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """Residuals around a state, with every effect that may be part of a set, P parameters and F freedoms besides.
+@dataclass(eq=False)
+class HeldOutSets:
+    """What sets of effects lose, held out and by the fit to all: by residuals around a state, with every effect that
+    may be part of a set, P parameters and F freedoms besides.
 
-    residuals: (V, 3).   slopes: (V, 3, P + F).   weights: (V,) of their squares.   fold (V,).   numbers: how many
-    are independent.
-    kinds: effect of each parameter (P,).   there: effects that are part of the state.
-    absent: (P,) what to add to each to be without it.   drawn: (P,) what to add to be as drawn, and `prior` (P,) the
-    standard deviation around it.   low, high: (P,) least and greatest change.
-    jumps: residuals (V, 3) that an effect brings at once, where its parameters alone do not say what it is to be
-    without it.
+    Args:
+        residuals: (V, 3).   slopes: (V, 3, P + F).   weights: (V,) of their squares.   fold (V,).
+        numbers: how many are independent.   kinds: effect of each parameter (P,).
+        there: effects that are part of the state.   absent: (P,) what to add to each to be without it.
+        drawn: (P,) what to add to be as drawn, and `prior` (P,) the standard deviation around it.
+        low, high: (P,) least and greatest change.
+        jumps: residuals (V, 3) that an effect brings at once, where its parameters alone do not say what it is to be
+            without it.
+
+    Attributes:
+        inflation: of the variance of parameters, 1 for independent errors.
+        price: what a parameter must gain by the fit to all, two standard errors.
+        charge: of a parameter, beside what is lost held out.
     """
 
     residuals: Array
@@ -61,37 +67,26 @@ class Linear:
     high: Array
     jumps: Mapping[str, Array]
 
-
-class HeldOutSets:
-    """What sets of effects lose, held out and by the fit to all.
-
-    Attributes:
-        inflation: of the variance of parameters, 1 for independent errors.
-        price: what a parameter must gain by the fit to all, two standard errors.
-        charge: of a parameter, beside what is lost held out.
-    """
-
-    def __init__(self, linear: Linear) -> None:
-        self.kinds, self.there, self.jumps = linear.kinds, linear.there, tuple(linear.jumps)
-        self.names = tuple(dict.fromkeys(linear.kinds))
-        self.count = len(linear.kinds)
-        v = len(linear.residuals)
-        parts = [linear.slopes.reshape(3 * v, -1), *(linear.jumps[kind].reshape(-1, 1) for kind in self.jumps)]
-        table = np.hstack([*parts, linear.residuals.reshape(-1, 1)])
-        table *= np.sqrt(np.repeat(linear.weights, 3))[:, None]
+    def __post_init__(self) -> None:
+        self.names, self.count, v = tuple(dict.fromkeys(self.kinds)), len(self.kinds), len(self.residuals)
+        parts = [self.slopes.reshape(3 * v, -1), *(jump.reshape(-1, 1) for jump in self.jumps.values())]
+        table = np.hstack([*parts, self.residuals.reshape(-1, 1)])
+        table *= np.sqrt(np.repeat(self.weights, 3))[:, None]
         size = np.sqrt((table[:, :-1] ** 2).sum(0))
-        scale = np.where(size > 0, size, 1.0)  # what moves nothing stays as drawn
-        table[:, :-1] /= scale
-        rows = np.repeat(linear.fold, 3)
-        self.squares = np.array([table[rows == k].T @ table[rows == k] for k in np.unique(linear.fold)])
-        self.free = linear.slopes.shape[2] - self.count
-        self.scale, own = scale, scale[: self.count]
-        self.absent, self.drawn = linear.absent * own, linear.drawn * own
-        self.low, self.high, self.inverse = linear.low * own, linear.high * own, 1 / (linear.prior * own) ** 2
+        self.scale = np.where(size > 0, size, 1.0)  # what moves nothing stays as drawn
+        table[:, :-1] /= self.scale
+        rows = np.repeat(self.fold, 3)
+        self.squares = np.array([table[rows == k].T @ table[rows == k] for k in np.unique(self.fold)])
+        self.free = self.slopes.shape[2] - self.count
+        own = self.scale[: self.count]
+        self.absent, self.drawn, self.low, self.high = (
+            each * own for each in (self.absent, self.drawn, self.low, self.high)
+        )
+        self.inverse = 1 / (self.prior * own) ** 2
         self.known: dict[Effects, float] = {}
         optimism = self.lost(self.there) - self.seen(self.there)
         self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.there) + self.free, 1)))
-        least = max(math.log(linear.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
+        least = max(math.log(self.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
         self.price, self.charge = self.inflation * LEAST, self.inflation * (least - 2)
 
     def parameters(self, effects: Iterable[str]) -> int:
@@ -189,21 +184,19 @@ class Slopes:
         away = np.array([p.start for p in chosen]) - x
         directed = int(self.model.directed.sum())
         return HeldOutSets(
-            Linear(
-                residuals=self.residuals,
-                slopes=self.table,
-                weights=weights.of(self.residuals),
-                fold=fold[self.model.row],
-                numbers=3 * len(self.model.row) - directed,
-                kinds=tuple(p.kind for p in chosen),
-                there=self.there,
-                absent=np.where([p.kind in self.jumps for p in chosen], 0.0, away),
-                drawn=away,
-                prior=weights.prior,
-                low=np.array([p.low for p in chosen]) - x,
-                high=np.array([p.high for p in chosen]) - x,
-                jumps=self.jumps,
-            )
+            residuals=self.residuals,
+            slopes=self.table,
+            weights=weights.of(self.residuals),
+            fold=fold[self.model.row],
+            numbers=3 * len(self.model.row) - directed,
+            kinds=tuple(p.kind for p in chosen),
+            there=self.there,
+            absent=np.where([p.kind in self.jumps for p in chosen], 0.0, away),
+            drawn=away,
+            prior=weights.prior,
+            low=np.array([p.low for p in chosen]) - x,
+            high=np.array([p.high for p in chosen]) - x,
+            jumps=self.jumps,
         )
 
     def beside(self, kind: str, weights: Weights, fold: Index) -> Array:

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 from ..display import Displayed
 from ..errors import InputError, finite
+from ..typing import Progress
 from .loss import SnappingLoss, snapping_loss
 from .table import Workspace
 from .volume import Volume, alpha_volume, meridian_volume, volume_of
 from .voxels import Voxels, voxels
-
-Progress = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -16,7 +15,7 @@ from ..display import Displayed
 from ..errors import InputError, positive
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..typing import Array, Mask
+from ..typing import Array, Mask, Progress
 from .samples import JointSamples
 from .table import Workspace, held
 from .voxels import Keys, Store, default_size
@@ -29,8 +28,6 @@ STEPS = 6
 
 CHUNK = 256
 """Arms integrated at once."""
-
-Progress = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)

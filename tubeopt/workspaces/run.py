@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from os import PathLike
 from pathlib import Path
@@ -19,11 +19,9 @@ from ..errors import InputError
 from ..files.files import atomic_write, read_bytes, write_text
 from ..files.journal import lock
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, Progress
 from .samples import JointSamples
 from .table import Workspace, width
-
-Progress = Callable[[int, int], object]
 
 SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..errors import InputError, choice
+from ..errors import InputError, choice, whole
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
@@ -56,8 +56,7 @@ class JointSamples:
     def __post_init__(self) -> None:
         choice("method", self.method, METHODS)
         for name, value, least in (("samples", self.count, 1), ("seed", self.seed, 0)):
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-                raise InputError(f"{name} is {value!r}; it must be a whole number, at least {least}")
+            whole(name, value, least)
 
     def blocks(self) -> Iterator[tuple[Array, Array]]:
         """Rotations and translations (B, n) of all samples, in their order."""
@@ -69,7 +68,7 @@ class JointSamples:
             y[:, box.free] += unit * (box.high - box.low)[box.free]
             q = np.clip(y @ box.back.T, space.lower, space.upper)
             q = q[(np.abs(q - y @ box.back.T) <= 1e-9 * space.scale).all(1)]
-            q = q[(q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)] if len(space.least) else q
+            q = q[space.ordered(q)]
             barren = 0 if len(q) else barren + 1
             if barren > 256:
                 raise InputError("limits leave so few joint values that keep the tubes in order that none was drawn")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import InputError, positive
 from ..typing import Array
 from .table import Workspace, held
-from .voxels import Keys, Voxels, cells, default_size, of_first_half, voxels
+from .voxels import Keys, Voxels, cells, default_size, of_first_half, on_surface, voxels
 
 
 @dataclass(frozen=True)
@@ -46,22 +46,14 @@ def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin:
 def volume_of(found: Voxels) -> Volume:
     """Volume of voxels."""
     cube = found.size**3
-    early = found.early > 0
-    first = replace(
-        found,
-        index=found.index[early],
-        count=found.count[early],
-        early=found.early[early],
-        directions=found.directions[early],
-        margin=found.margin[early],
-    )
+    first = found.index[found.early > 0]
     once, twice = int((found.count == 1).sum()), int((found.count == 2).sum())
     surface = 0.5 * found.surface.sum() * cube
     return Volume(
         value=float(len(found) * cube - surface),
         method="voxels",
         scale=found.size,
-        half=float((len(first) - 0.5 * first.surface.sum()) * cube),
+        half=float((len(first) - 0.5 * on_surface(first).sum()) * cube),
         unseen=once * (once - 1) / (2 * (twice + 1)) * cube,
         surface=float(surface),
     )

@@ -60,9 +60,13 @@ class Voxels:
     @property
     def surface(self) -> Mask:
         """(V,) whether one of the six neighbours holds no tip."""
-        keys = keys_of(self.index)
-        steps = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
-        return np.asarray(np.any([~np.isin(keys_of(self.index + step), keys) for step in steps], axis=0))
+        return on_surface(self.index)
+
+
+def on_surface(index: Keys) -> Mask:
+    """(V,) which of the cubes (V, 3) have a neighbour that is none of them."""
+    steps = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+    return np.asarray(np.any([~np.isin(keys_of(index + step), keys_of(index)) for step in steps], axis=0))
 
 
 def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Voxels:

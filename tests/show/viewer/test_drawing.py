@@ -190,7 +190,7 @@ def test_a_recording_replays_on_its_own_branch(tmp_path: Path) -> None:
     alone = forward_kinematics(THESIS, end.rotations)
     assert np.linalg.norm(alone.tip_position - end.tip_position) > 0.03
     assert playback.duration == pytest.approx(15 / 45)
-    with pytest.raises(InputError, match="nothing is recorded"):
+    with pytest.raises(InputError, match="nothing was recorded"):
         export.recording_csv(open_session(THESIS))
 
 

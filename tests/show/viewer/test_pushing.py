@@ -11,10 +11,10 @@ import pytest
 from tests.examples import THESIS
 from tubeopt import InputError, Load, find_load_limit, follow, forward_kinematics
 from tubeopt.show.viewer import View
-from tubeopt.show.viewer.pushing import bearing_of, bearing_words, gravity_of, head_of, newtons_per_metre, push_on
+from tubeopt.show.viewer.pushing import DIRECTIONS, bearing_of, bearing_words, head_of, newtons_per_metre, push_on
 from tubeopt.show.viewer.servo import pull
 from tubeopt.show.viewer.session import Session, go_home, move_joint, open_session, other_equilibria, redesign
-from tubeopt.stability.pushing import push
+from tubeopt.stability.following import push
 
 from .browser import Tab
 
@@ -67,7 +67,7 @@ def test_a_view_begins_under_the_load_that_is_given() -> None:
 
 
 def test_joints_move_under_the_load() -> None:
-    load = Load((0.02, 0.0, 0.0), gravity=gravity_of("along -y"))
+    load = Load((0.02, 0.0, 0.0), gravity=DIRECTIONS["along -y"])
     session = push_on(open_session(THESIS), load)
     moved, _ = move_joint(session, 1, 0.5)
     alone = follow(THESIS, [np.zeros(3), [0.0, 0.5, 0.0]], load=load).equilibria[-1]

@@ -13,7 +13,7 @@ from tests.examples import THESIS
 from tubeopt import IkSession, Load, find_load_limit, forward_kinematics, judge, stability_map, worst_margin
 from tubeopt.inverse import session as sessions
 from tubeopt.inverse.least_squares import LeastSquares
-from tubeopt.solvers.parallel.blas import _libraries, one_blas_thread
+from tubeopt.solvers.parallel.blas import _libraries, small
 
 
 def counts() -> set[int]:
@@ -32,9 +32,9 @@ def two_threads() -> Iterator[None]:
 
 @pytest.mark.usefixtures("two_threads")
 def test_a_block_has_one_thread_and_gives_them_back() -> None:
-    with one_blas_thread():
+    with small:
         assert counts() == {1}
-        with pytest.raises(ZeroDivisionError), one_blas_thread():
+        with pytest.raises(ZeroDivisionError), small:
             raise ZeroDivisionError
         assert counts() == {1}
     assert counts() == {2}
@@ -43,10 +43,10 @@ def test_a_block_has_one_thread_and_gives_them_back() -> None:
 @pytest.mark.usefixtures("two_threads")
 def test_blocks_beside_each_other_end_with_the_last() -> None:
     def beside() -> None:
-        with one_blas_thread():
+        with small:
             pass
 
-    with one_blas_thread():
+    with small:
         thread = Thread(target=beside)
         thread.start()
         thread.join()

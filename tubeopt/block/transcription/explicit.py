@@ -301,7 +301,7 @@ def _runge_kutta(
 ) -> list[Any]:
     """A step of theta' = g w, w' = M / kt and of its Jacobi fields, of softened tubes, of order 4."""
 
-    def rates(at: list[Any]) -> list[Any]:
+    def rates(at: list[Any], _: int) -> list[Any]:
         theta, w, y, v = at
         moment, slope, _, stretch, stretching = balance(theta, *given)
         turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)

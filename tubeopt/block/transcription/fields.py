@@ -31,9 +31,7 @@ SOFT_STEPS = 2
 def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     """Jacobi fields (2n, n) at the beginning of a piece from those at its end, tubes softened by the fraction `margin`.
 
-    The fields are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt where w
-    changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
-    det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
+    The fields are those of `softened_fields`.
 
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
     """

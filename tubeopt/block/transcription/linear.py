@@ -266,14 +266,10 @@ def interpolation(x: Array, values: Array, slopes: Array) -> Array:
     return np.asarray(np.linalg.solve(conditions.T, (x[:, None] ** power).T).T)
 
 
-def poses_inside(arm: Arm) -> tuple[Array, Array]:
-    """Frames (P, K, 3, 3) and positions (P, K, 3) at the points: polynomials through the shape points of a piece, with
-    the slopes R hat(u) and R e3 there (where it begins, u is another one's)."""
-    return poses_at_points(arm.tableau, arm.length, (arm.frame, arm.position, arm.curvature))
-
-
 def poses_at_points(t: Tableau, length: Array, shape: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """`poses_inside` of pieces of lengths (P,), from frames, positions and curvatures at the shape points."""
+    """Frames (P, K, 3, 3) and positions (P, K, 3) at the points of pieces of lengths (P,), from frames, positions and
+    curvatures at the shape points: polynomials through those of a piece, with the slopes R hat(u) and R e3 there (where
+    it begins, u is another one's)."""
     pieces, count = len(length), 2 * len(ENDS) - 1
     index = shape_points(pieces)
     frame, step = shape[0][index], length[:, None, None, None]

@@ -1,4 +1,4 @@
-"""Torsion of tubes of one curvature from tip to base: Runge and Kutta's method over a piece, in one call."""
+"""Torsion from tip to base: Runge and Kutta's method over a piece of the mesh, in one call."""
 
 from __future__ import annotations
 
@@ -14,59 +14,80 @@ Columns = list[Any]
 
 
 @lru_cache(maxsize=64)
-def march_function(n: int, eccentric: bool, slopes: bool, steps: int) -> ca.Function:
-    """Steps of the classical method on a piece along which the cross-sections are the same.
+def march_function(n: int, eccentric: bool, slopes: bool, steps: int, varying: bool = False) -> ca.Function:
+    """Steps of the classical method on a piece of the mesh.
 
     From (theta, w, travel (n,)[, derivatives (n, n) of theta and of w by the tip angles], h (steps,) m, kt, kb, m (n,)
     [, offset, angle (n,)]) at its far end to the same state at its near end, and theta and theta' (n, steps + 1) where
     the steps begin and end. `travel` is the length of every tube so far, m; h is counted towards the base. The last two
     inputs are those of eccentric tubes.
+
+    Where cross-sections are `varying` along the piece, as of tubes made of pieces, theta is the elastic rotation and w
+    the torque, and 1 / kt, kb, m and phase (n (2 steps + 1),), from the near end on where the steps end, are half-way
+    and begin, stand for kt, kb and m.
     """
-    step = _step_function(n, eccentric, slopes)
-    shapes = [(n, 1)] * 3 + [(n, n)] * (2 if slopes else 0)
-    state = [ca.MX.sym("state", *shape) for shape in shapes]
+    step = _step_function(n, eccentric, slopes, varying)
+    state, places = _state(ca.MX, n, slopes), 2 * steps + 1 if varying else 1
     h = ca.MX.sym("h", steps)
-    constants = [ca.MX.sym("constant", n) for _ in range(5 if eccentric else 3)]
+    constants = [ca.MX.sym("constant", n * places) for _ in range(_given(eccentric, varying))]
+    tables = [ca.reshape(part, n, places) for part in constants]
     here, passed, rates = state, [state[0]], []
     for k in range(steps):
-        *here, rate = step(*here, h[k], *constants)
+        far = 2 * (steps - k)
+        given = [part[:, at] for at in (far, far - 1, far - 2) for part in tables] if varying else constants
+        *here, rate = step(*here, h[k], *given)
         passed.append(here[0])
         rates.append(rate)
     stretch = section_functions(n, True)["moment"](here[0], *constants[1:])[1] if eccentric else 1
-    rates.append(stretch * here[1])
+    rates.append((tables[0][:, 0] if varying else stretch) * here[1])
     return ca.Function("march", [*state, h, *constants], [*here, ca.horzcat(*passed), ca.horzcat(*rates)])
 
 
+def _state(kind: Any, n: int, slopes: bool) -> Columns:
+    return [kind.sym("state", *shape) for shape in [(n, 1)] * 3 + [(n, n)] * (2 if slopes else 0)]
+
+
+def _given(eccentric: bool, varying: bool) -> int:
+    """How many vectors tell of a cross-section."""
+    return 4 if varying else 5 if eccentric else 3
+
+
 @lru_cache(maxsize=32)
-def _step_function(n: int, eccentric: bool, slopes: bool) -> ca.Function:
+def _step_function(n: int, eccentric: bool, slopes: bool, varying: bool) -> ca.Function:
     """One of these steps: the state after it, and theta' where it began."""
-    shapes = [(n, 1)] * 3 + [(n, n)] * (2 if slopes else 0)
-    state = [ca.SX.sym("state", *shape) for shape in shapes]
-    h, kt, *section = [ca.SX.sym("h"), *(ca.SX.sym("constant", n) for _ in range(5 if eccentric else 3))]
+    state, h = _state(ca.SX, n, slopes), ca.SX.sym("h")
+    sections = [
+        [ca.SX.sym("constant", n) for _ in range(_given(eccentric, varying))] for _ in range(3 if varying else 1)
+    ]
     section_function = section_functions(n, eccentric)["balance" if slopes else "moment"]
 
-    def rates(at: Columns) -> Columns:
+    def rates(at: Columns, half: int) -> Columns:
         """By arc length; the travel grows towards the base."""
         theta, twist = at[:2]
+        first, *section = sections[half if varying else 0]
+        if varying:
+            theta = theta + section.pop()
         out = section_function.call([theta, *section])
         stretch = (out[3] if slopes else out[1]) if eccentric else ca.SX.ones(n)
-        own = [stretch * twist, out[0] / kt, -stretch]
+        turning, bending = (first, ca.SX.ones(n)) if varying else (stretch, 1 / first)
+        own = [turning * twist, out[0] * bending, -stretch]
         if not slopes:
             return own
         theta_by_tip, twist_by_tip = at[3:]
-        turned = ca.diag(stretch) @ twist_by_tip
+        turned = ca.diag(turning) @ twist_by_tip
         if eccentric:
             turned += ca.diag(twist) @ (out[4] @ theta_by_tip)
-        return [*own, turned, ca.diag(1 / kt) @ (out[1] @ theta_by_tip)]
+        return [*own, turned, ca.diag(bending) @ (out[1] @ theta_by_tip)]
 
     after = [ca.densify(part) for part in classical_step(state, rates, -h)]
-    return ca.Function("step", [*state, h, kt, *section], [*after, rates(state)[0]], {"cse": True})
+    given = [part for section in sections for part in section]
+    return ca.Function("step", [*state, h, *given], [*after, rates(state, 0)[0]], {"cse": True})
 
 
-def classical_step(state: Columns, rates: Callable[[Columns], Columns], h: Any) -> Columns:
-    """The state after a step h of Runge and Kutta's classical method."""
-    slopes = [rates(state)]
-    for part in (0.5, 0.5, 1.0):
-        slopes.append(rates([a + part * h * b for a, b in zip(state, slopes[-1], strict=True)]))
+def classical_step(state: Columns, rates: Callable[[Columns, int], Columns], h: Any) -> Columns:
+    """The state after a step h of Runge and Kutta's classical method; `rates` of a state some halves of it on."""
+    slopes = [rates(state, 0)]
+    for half in (1, 1, 2):
+        slopes.append(rates([a + half / 2 * h * b for a, b in zip(state, slopes[-1], strict=True)], half))
     mean = [(a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(*slopes, strict=True)]
     return [a + h * b for a, b in zip(state, mean, strict=True)]

@@ -57,26 +57,25 @@ class Mesh:
     collocated: Mask
 
 
-def coupling_rate(assembly: Assembly) -> Array:
-    """(m,) bound sqrt(c) of the fastest growth or oscillation of torsion in each section, 1/m."""
-    if assembly.general:
-        return _needs(assembly)[0]
-    stiffness = assembly.bending_stiffness * assembly.present
-    moment = assembly.bending_stiffness * assembly.curvature * assembly.curved
-    return _rate(stiffness, moment, assembly.torsional_stiffness)
-
-
 def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
-    """sqrt(c) of cross-sections with kb_i, m_i (m, n) and kt (n,) or (m, n)."""
+    """(m,) bound sqrt(c) of the fastest growth or oscillation of torsion, 1/m, in cross-sections with kb_i, m_i (m, n)
+    and kt (n,) or (m, n)."""
     count, n = stiffness.shape
     if not count:
         return np.zeros(0)
     return mapped(coupling_rate_function(n), count)(stiffness, moment, torsional_stiffness)[0][:, 0].copy()
 
 
-def _needs(assembly: Assembly) -> tuple[Array, ...]:
-    """Of sections (m,) of tubes made of pieces: coupling rate, largest curvature, pieces for twist and detail, least
+def needs(assembly: Assembly) -> tuple[Array, ...]:
+    """Of sections (m,): coupling rate, largest curvature, pieces for twist and detail of tubes made of pieces, least
     sum of kb, and largest |m_i| / kt_i."""
+    if not assembly.general:
+        stiffness = assembly.bending_stiffness * assembly.present
+        moment = assembly.bending_stiffness * assembly.curvature * assembly.curved
+        rate = _rate(stiffness, moment, assembly.torsional_stiffness)
+        steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+        pull = (np.abs(moment) / assembly.torsional_stiffness).max(1, initial=0.0)
+        return rate, steepest, np.zeros(1), np.maximum(stiffness.sum(1), 1e-300), pull
     table, count = assembly.lengthwise, len(SAMPLES)
     assert table is not None
     s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
@@ -100,11 +99,7 @@ def _needs(assembly: Assembly) -> tuple[Array, ...]:
 
 def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
-    if assembly.general:
-        rate, steepest, finest, *_ = _needs(assembly)
-    else:
-        rate, finest = coupling_rate(assembly), np.zeros(1)
-        steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+    rate, steepest, finest, *_ = needs(assembly)
     waves, bend = rate * assembly.length / WAVES_PER_ELEMENT, steepest * assembly.length / BEND_PER_PIECE
     shape = np.maximum(bend, finest)
     shape = np.where(~assembly.coupled & (finest > 0), KNOWN * shape, shape)
@@ -124,14 +119,7 @@ def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: i
     Bending under a force n is as fast as sqrt(n / K), and bends an arm by no more than that of an elastica, twice this
     rate, or of a lever as long as the arm.
     """
-    if assembly.general:
-        rate, natural, finest, stiffness, pull = _needs(assembly)
-    else:
-        rate, finest = coupling_rate(assembly), np.zeros(1)
-        natural = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
-        stiffness = np.maximum((assembly.bending_stiffness * assembly.present).sum(1), 1e-300)
-        moments = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
-        pull = (moments / assembly.torsional_stiffness).max(1, initial=0.0)
+    rate, natural, finest, stiffness, pull = needs(assembly)
     fast = np.sqrt(force / stiffness)
     bent = np.minimum(2 * fast, force * assembly.total_length / stiffness) + moment / stiffness
     waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES

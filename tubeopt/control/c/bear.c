@@ -64,60 +64,27 @@ static Section section_on(const Tubes *t, const Layout *l, int p, int tube, doub
 #endif
 
 /* A section of the arm as a row of pieces, short enough for coupling, bend and force; 0 where there is no room. */
-static int lay_section(Bed *bed, double from, double to, double force, const double *transition) {
+static int lay_section(Bed *bed, double from, double to, double force) {
     Layout *l = &bed->layout;
-    double mass = 0, middle = (from + to) / 2;
-    int present[N], curved[N];
-#if GENERAL
-    (void)transition;
-    for (int i = 0; i < N; i++) {
-        int panel = panel_of(&PIECES, i, middle + l->transmission[i]);
-        present[i] = middle < l->end[i];
-        curved[i] = present[i] && PIECES.bent[i * PIECES.most + panel];
-    }
-    Needs needs = needs_of(&ROBOT, l, from, to - from, present);
-#else
-    double kb[N], m[N];
-    Needs needs = {0, 0, 0, 0, 0};
-    for (int i = 0; i < N; i++) {
-        present[i] = middle < l->end[i];
-        curved[i] = present[i] && middle > transition[i] && ROBOT.curvature[i] != 0;
-        kb[i] = present[i] ? ROBOT.kb[i] : 0;
-        m[i] = curved[i] ? kb[i] * ROBOT.curvature[i] : 0;
-        needs.softest += kb[i];
-        if (!curved[i]) continue;
-        needs.steepest = fmax(needs.steepest, fabs(ROBOT.curvature[i]));
-        needs.pull = fmax(needs.pull, fabs(m[i]) / ROBOT.kt[i]);
-    }
-    needs.fastest = fastest_growth(ROBOT.kt, m, kb);
-#endif
-    for (int i = 0; i < N; i++) mass += present[i] ? MASS[i] : 0;
-    double fast = sqrt(force / needs.softest), bend = fmin(2 * fast, force * bed->whole / needs.softest);
+    Across here = across(&ROBOT, l, (from + to) / 2);
+    Needs needs = needs_of(&ROBOT, l, from, to - from, &here);
+    double fast = sqrt(force / needs.softest), bend = fmin(2 * fast, force * bed->whole / needs.softest), mass = 0;
     double waves = fmax(fmax(needs.fastest, fast), sqrt(needs.pull * bend)) / LOADED_WAVES;
     double need = fmax(fmax(waves, (needs.steepest + bend) / BEND_PER_PIECE), needs.finest) * (to - from);
-    double wanted = fmax(1, ceil(need - 1e-9));
-    if (l->pieces + wanted > MOST_PIECES) return 0;
-    for (int j = 0; j < (int)wanted; j++) {
-        int p = l->pieces++;
-        l->length[p] = (to - from) / wanted;
-        l->start[p] = from + j * l->length[p];
-        memcpy(l->present[p], present, sizeof present);
-#if GENERAL
-        place_tubes(&ROBOT, l, p);
-#else
-        memcpy(l->stiffness[p], kb, sizeof kb);
-        memcpy(l->moment[p], m, sizeof m);
-#endif
+    int first = l->pieces;
+    if (!add_pieces(&ROBOT, l, 0, from, to - from, fmax(1, ceil(need - 1e-9)), &here, 1)) return 0;
+    for (int i = 0; i < N; i++) mass += here.present[i] ? MASS[i] : 0;
+    for (int p = first; p < l->pieces; p++) {
         bed->mass[p] = mass;
-        for (int i = 0; i < N; i++) bed->bent[p][i] = curved[i];
+        for (int i = 0; i < N; i++) bed->bent[p][i] = here.curved[i];
     }
     return 1;
 }
 
 static int lay_bed(Bed *bed, const double *shift, const tubeopt_load *load) {
     Layout *l = &bed->layout;
-    double transition[N], cuts[MOST_CUTS], weight = 0, force = sqrt(dot(load->force, load->force, 3));
-    int count = cuts_of(&ROBOT, shift, l, transition, cuts);
+    double cuts[MOST_CUTS], weight = 0, force = sqrt(dot(load->force, load->force, 3));
+    int count = cuts_of(&ROBOT, shift, l, cuts);
     if (count < 2) return 0;
     l->pieces = bed->tip_tube = 0;
     bed->whole = cuts[count - 1];
@@ -132,7 +99,7 @@ static int lay_bed(Bed *bed, const double *shift, const tubeopt_load *load) {
     }
     force += weight * sqrt(dot(load->gravity, load->gravity, 3));
     for (int k = 0; k + 1 < count; k++)
-        if (!lay_section(bed, cuts[k], cuts[k + 1], force, transition)) return 0;
+        if (!lay_section(bed, cuts[k], cuts[k + 1], force)) return 0;
     double beyond = 0;
     for (int p = l->pieces - 1; p >= 0; p--) {
         bed->beyond[p] = beyond;
@@ -148,7 +115,7 @@ static void lay_rule(Bearing *b, const Bed *bed, const tubeopt_load *load, int w
     const Rule *rule = RULE + which;
     const Layout *l = &bed->layout;
     Along *along = b->along + which;
-    int k = (int)rule->degree;
+    int k = rule->degree;
     for (int x = 0; x < l->pieces * k; x++) {
         int p = x / k;
         double mass = bed->beyond[p] + bed->mass[p] * l->length[p] * (1 - rule->nodes[x % k]);
@@ -161,11 +128,10 @@ static void lay_rule(Bearing *b, const Bed *bed, const tubeopt_load *load, int w
         }
         for (int r = 0; r < 3; r++) along->force[x][r] = load->force[r] + mass * load->gravity[r];
     }
-    Problem problem = {l->pieces, rule->degree, bed->tip_tube, bed->whole, rule->weights, rule->matrix, l->start,
-                       l->length, along->stiffness[0], along->moment[0], along->phase[0], along->rate[0],
-                       bed->bent[0], bed->felt[0], bed->held, along->force[0], b->base_force, rule->basis, rule->once,
-                       rule->twice, b->ends_stiffness[0], b->ends_moment[0], b->ends_phase[0], b->ends_rate[0],
-                       b->ends_twist[0], b->ends_wound[0]};
+    Problem problem = {l->pieces, bed->tip_tube, bed->whole, l->start, l->length, along->stiffness[0],
+                       along->moment[0], along->phase[0], along->rate[0], bed->bent[0], bed->felt[0], bed->held,
+                       along->force[0], b->base_force, b->ends_stiffness[0], b->ends_moment[0], b->ends_phase[0],
+                       b->ends_rate[0], b->ends_twist[0], b->ends_wound[0]};
     *out = problem;
 }
 
@@ -189,9 +155,6 @@ static void lay_rules(Bearing *b, const Bed *bed, const tubeopt_load *load) {
     lay_rule(b, bed, load, 0, &b->rules.problem);
     lay_rule(b, bed, load, 1, &b->rules.rough);
     lay_rule(b, bed, load, 2, &b->rules.check);
-    b->rules.to_rough = TO_ROUGH;
-    b->rules.to_check = TO_CHECK;
-    b->rules.from_rough = FROM_ROUGH;
 }
 
 /* Elastic rotations at the points of a bed, from those (N) of an arm on another one, `apart` samples from tube to tube and

@@ -31,11 +31,7 @@ static void numbers_along(const Unknowns *q, const double *alpha, const State *s
 /* Second variation at the last equilibrium, factorised, and the numbers there; 1 where that fails. */
 static int prepare_sides(tubeopt_memory *m) {
     Workspace *w = &m->work;
-    if (!m->fresh) {
-        tubeopt_joints same = m->joints;
-        if (step_to(m, &same)) return 1;
-        accept(m, &same);
-    }
+    if (refresh(m)) return 1;
     if (m->answers[m->here].margin >= FLAT) anywhere(w->mode, w->fine.size);
     numbers_along(&w->fine, m->joints.rotations, &w->state, w->mode, &w->spare, m->numbers);
     second_variation(&w->fine, &w->state, w->matrix);
@@ -50,7 +46,7 @@ static int beside(tubeopt_memory *m, const tubeopt_joints *there, double *out) {
     if (memcmp(there->translations, m->joints.translations, sizeof there->translations)) {
         q = &side->fine;
         if (!lay_out(&ROBOT, there->translations, &side->layout) || side->layout.pieces != w->layout.pieces ||
-            !pose_unknowns(&side->fine, &side->layout, &ROBOT, &METHOD.fine, 0) ||
+            !pose_unknowns(&side->fine, &side->layout, &ROBOT, &FINE, 0) ||
             memcmp(q->count, w->fine.count, sizeof q->count))
             return solved_beside(m, there, side, out);
     }

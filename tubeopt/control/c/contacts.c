@@ -1,13 +1,6 @@
 #define APART 1e-5 /* m above the clearance, at which the arm slides: a straight step bends towards the body */
 #define EDGE 1e-9  /* of the end of a tube, m, within which a contact moves along with it */
 
-/* The piece of a curve (last + 1 points) in which arc length s lies. */
-static int piece_at(const double *along, int last, double s) {
-    int k = 0;
-    while (k + 2 <= last && along[k + 1] <= s) k++;
-    return k;
-}
-
 /* Whether a contact is at the edge where a tube ends before the tip. */
 static int at_edge(const Answer *a, int tube, double s) {
     double end = a->tube_end[tube], tip = a->arc_length[a->pieces * STEPS];

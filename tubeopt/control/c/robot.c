@@ -144,13 +144,22 @@ static int step_in(tubeopt_memory *m, const tubeopt_joints *joints, Workspace *w
     for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - m->joints.rotations[i];
     Guess guess = {last->pieces * STEPS + 1, last->points, last->arc_length, m->rotation, m->torsion, last->point,
                    last->point_rotation[0], turn, m->joints.translations};
-    if (solve_one(&ROBOT, &METHOD, joints->rotations, joints->translations, &guess, w, next)) return 1;
+    if (solve_one(&ROBOT, joints->rotations, joints->translations, &guess, w, next)) return 1;
     return next->contraction > LARGEST_RATIO || next->largest_change > LONGEST_TWIST(last->margin);
 }
 
 static int step_to(tubeopt_memory *m, const tubeopt_joints *joints) {
     m->fresh = 0;
     return step_in(m, joints, &m->work);
+}
+
+/* The workspace is to have the last equilibrium, solved anew where it has not; 1 where that fails. */
+static int refresh(tubeopt_memory *m) {
+    tubeopt_joints same = m->joints;
+    if (m->fresh) return 0;
+    if (step_to(m, &same)) return 1;
+    accept(m, &same);
+    return 0;
 }
 
 /* Steps of ordinary length that a motion takes. */
@@ -184,7 +193,7 @@ tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tu
     if (!sensible(joints)) return TUBEOPT_BAD_INPUT;
     m->fresh = 0;
     m->before = NULL;
-    if (solve_one(&ROBOT, &METHOD, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
+    if (solve_one(&ROBOT, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
         return TUBEOPT_DECLINED;
     accept(m, joints);
 #if TUBEOPT_LOADS
@@ -292,15 +301,6 @@ tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     return TUBEOPT_DONE;
 }
 
-/* The centreline between two of its points, at arc length s: cubic, with the tangents. */
-static void on_curve(const double *along, const double (*place)[3], const double (*frame)[9], int k, double s,
-                     double *out) {
-    double h = along[k + 1] - along[k], t = (s - along[k]) / h, u = 1 - t;
-    for (int r = 0; r < 3; r++)
-        out[r] = place[k][r] * (1 + 2 * t) * u * u + place[k + 1][r] * t * t * (3 - 2 * t) +
-                 h * t * u * (frame[k][3 * r + 2] * u - frame[k + 1][3 * r + 2] * t);
-}
-
 tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_length, double (*position)[3]) {
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (count < 2) return TUBEOPT_BAD_INPUT;
@@ -311,10 +311,9 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_len
     if (m->bears) last = tubeopt_bearing_arm((const char *)m + OWN_ROOM, &along, &place, &frame);
 #endif
     for (int c = 0; c < count; c++) {
-        double s = along[last] * c / (count - 1);
-        while (k + 1 < last && along[k + 1] < s) k++;
-        arc_length[c] = s;
-        on_curve(along, place, frame, k, s, position[c]);
+        arc_length[c] = along[last] * c / (count - 1);
+        while (k + 1 < last && along[k + 1] < arc_length[c]) k++;
+        on_curve(along, place, frame, k, arc_length[c], position[c]);
     }
     return TUBEOPT_DONE;
 }

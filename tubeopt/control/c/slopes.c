@@ -2,11 +2,7 @@
 static int look_ahead(tubeopt_memory *m, int exact) {
     int blocked[JOINTS];
     Asked asked = {.compliance = exact};
-    if (!m->fresh) {
-        tubeopt_joints same = m->joints;
-        if (step_to(m, &same)) return 1;
-        accept(m, &same);
-    }
+    if (refresh(m)) return 1;
     only_backward(m, blocked);
     for (int i = 0; i < N; i++) {
         asked.carriage[i] = CARRIAGES[i];

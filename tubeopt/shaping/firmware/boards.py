@@ -6,18 +6,19 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from ...errors import InputError, choice
 from ...files.marks import POSITIVE, OneOf, check_fields, key, unit
-from ..heating.rig import Battery, Circuit, Rig
+from ..heating.plan import HeatingPlan
+from ..heating.rig import COUNTS, Battery, Circuit, Rig
 
-CONVERTERS = ("max31855", "max6675", "analog")
-"""Converter of a thermocouple, or an analog line such as a camera's."""
+CONVERTERS = {"max31855": 125, "max6675": 250, "analog": 20}
+"""Converter of a thermocouple, or an analog line such as a camera's, and the least time between two readings, ms: data
+sheets of Maxim, 100 and 220 ms at most, and what is left to be sure."""
 
 READS = {"thermocouple": ("max31855", "max6675"), "camera": ("analog",)}
 """Sensor -> converters with which the sketch reads it, the usual one first. It reads no temperature from resistance."""
-
-CONVERSION_MS = {"max31855": 125, "max6675": 250, "analog": 20}
-"""Least time between two readings, ms: data sheets of Maxim, 100 and 220 ms at most, and what is left to be sure."""
 
 LOWER = 10e3
 """Resistor of the divider from the pin to ground, ohm: whatever is above it, the pin sees less than the 10 kohm that
@@ -81,7 +82,7 @@ class Wiring:
     """
 
     board: Annotated[str, OneOf(tuple(BOARDS)), "which board"] = "uno"
-    converter: Annotated[str, OneOf(CONVERTERS), "what reads the thermometer"] = "max31855"
+    converter: Annotated[str, OneOf(tuple(CONVERTERS)), "what reads the thermometer"] = "max31855"
     measures_electrics: Annotated[bool, "whether battery voltage and current are wired to it"] = True
     shunt_V_per_A: Annotated[
         float | None,
@@ -170,3 +171,73 @@ def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> floa
             f"{1e5 / found:.0f} us, a tenth of a period"
         )
     return found
+
+
+# --- what else a rig is built of --------------------------------------------------------------------------------------
+
+
+FUSES = (5, 10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 100, 125, 150, 175, 200)
+"""A, of blade and bolt fuses (ISO 8820)."""
+
+DENSITY = 6.0
+"""Lasting current that copper in free air bears, A/mm2 rms, for cables of some metres: assumed, on the safe side of IEC
+60364-5-52 for single cores up to 25 mm2."""
+
+CABLES = (1.5, 2.5, 4, 6, 10, 16, 25, 35, 50)
+"""mm2, of stranded cables (IEC 60228)."""
+
+SPARE = 1.25
+"""By which a fuse, a cable and a MOSFET are rated above what flows."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """name: what is needed. rating: what it must be, in words. why: from what that follows."""
+
+    name: str
+    rating: str
+    why: str
+
+
+def root_mean_square(plan: HeatingPlan) -> float:
+    """Greatest current of the plan as a root mean square over 10 s, A: what warms cables and fuses."""
+    square = plan.duty / COUNTS * plan.current**2
+    window = max(round(10.0 / plan.spec.slot), 1)
+    return float(math.sqrt(np.convolve(square, np.ones(window) / window, mode="valid").max()))
+
+
+def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
+    """Everything between battery and tube, rated for the plan's currents, and the board's own parts."""
+    rms, peak, rest = root_mean_square(plan), plan.peak_current, plan.rig.battery.voltage
+    fuse = next((size for size in FUSES if size >= SPARE * rms), FUSES[-1])
+    # A cable must outlive its fuse.
+    cable = next((size for size in CABLES if DENSITY * size >= max(SPARE * rms, fuse)), CABLES[-1])
+    heat = rms**2 * plan.rig.circuit.mosfet_resistance
+    current = f"{rms:.0f} A rms, {peak:.0f} A while on"
+    sensor = {
+        "max31855": "thermocouple type K 0.25 mm, its bead insulated, with MAX31855",
+        "max6675": "thermocouple type K 0.25 mm, its bead insulated, with MAX6675",
+        "analog": f"0 to {wiring.known.reference:g} V line of a camera or amplifier",
+    }[wiring.converter]
+    bears = math.ceil(2.5 * rest / 10) * 10
+    resistance = 1e3 * plan.rig.circuit.mosfet_resistance
+    reference, ratio = wiring.known.reference, divider(wiring, plan.rig.battery)
+    upper = f"{upper_resistor(wiring, plan.rig.battery) / 1e3:g}"
+    slope, limit = hall_slope(wiring, plan.rig.circuit), plan.rig.circuit.peak_limit
+    hall = f"Hall, {math.ceil(max(SPARE * peak, READABLE * limit) / 50) * 50} A, {1e3 * slope:g} mV/A"
+    return (
+        Part("fuse", f"{fuse} A, slow, at the battery's plus", current),
+        Part("cable", f"{cable:g} mm2 copper, as short as can be", current),
+        Part("MOSFET", f"{bears} V, {math.ceil(SPARE * peak / 10) * 10} A, logic level, at most {resistance:g} mohm",
+             f"{peak:.0f} A while on; warms by {heat:.1f} W"),
+        Part("gate driver", "2 A or more, 10 kohm from gate to source", "without signal the switch must stay off"),
+        Part("diode", f"Schottky, {bears} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
+             "the loop's inductance"),
+        Part("emergency stop", "normally closed, in the gate driver's supply, second contact to the board",
+             "stops without the board too"),
+        Part("current sensor", hall, f"{current}; the board stops at {limit:g} A"),
+        Part("divider", f"{upper} kohm to the battery, {LOWER / 1e3:g} kohm and 1 nF to ground",
+             f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
+        Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),
+        Part("board", wiring.known.title, "runs the sketch"),
+    )  # fmt: skip

@@ -16,9 +16,9 @@ from ...errors import InputError, SolveError, extra
 from ...physics.heat import PROPERTIES
 from ...robots.materials import ZERO_CELSIUS
 from ..heating.law import HeatingLaw, begin, decide
-from ..heating.rates import State, current
 from ..heating.rig import COUNTS
 from ..heating.sensors import Felt, Sensor
+from ..heating.simulation import State, current
 from ..heating.thermal import ThermalModel
 
 BAUD = 115200

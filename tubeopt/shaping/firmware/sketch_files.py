@@ -11,17 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import InputError
 from ...files.files import write_text
 from ...typing import Array
 from ..heating.counts import full_current
-from ..heating.feedback import Feedback
-from ..heating.law import HeatingLaw
+from ..heating.files import slot_milliseconds
+from ..heating.law import Feedback, HeatingLaw
 from ..heating.leading import prolonged
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Rig
 from ..heating.robust import at_charge
-from .boards import CONVERSION_MS, Wiring, divider, hall_slope
+from .boards import CONVERTERS, Wiring, divider, hall_slope
 
 NAME = "tube_heater"
 SOURCES = (
@@ -77,9 +76,7 @@ def _rows(name: str, values: Array) -> str:
 def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]]) -> str:
     """schedule.h.   tables: voltage at rest, V, and counts of effect (T,) of each, the fullest battery first."""
     law = tabled(feedback.law)
-    slot = round(1000 * law.slot)
-    if abs(slot - 1000 * law.slot) > 1e-9:
-        raise InputError(f"slot is {law.slot:g} s; for a microcontroller it must be a whole number of milliseconds")
+    slot = slot_milliseconds(law.slot)
     ticks = next(n for n in range(math.ceil(law.slot / TICK), slot + 1) if slot % n == 0)
     numbers = _numbers(plan, feedback, slot, ticks, len(tables))
     body = "".join(_rows(f"PLANNED_{k}", np.round(planned * CENTS)) for k, (_, planned) in enumerate(tables))
@@ -166,7 +163,7 @@ def board_header(wiring: Wiring, rig: Rig) -> str:
     ampere = volt / hall_slope(wiring, rig.circuit)
     numbers = {
         "SENSOR": f"SENSOR_{wiring.converter.upper()}",
-        "SENSOR_MS": str(CONVERSION_MS[wiring.converter]),
+        "SENSOR_MS": str(CONVERTERS[wiring.converter]),
         "MEASURES_ELECTRICS": str(int(wiring.measures_electrics)),
         "PWM_HZ": f"{frequency:.2f}f",
         "PWM_PRESCALER": str(prescaler),

@@ -10,6 +10,7 @@ noise, with the error of the model's own grid to spare.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,11 +26,10 @@ from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of, unexplained
-from .rates import State, at_rest, current
 from .rig import COUNTS, Rig
 from .sensors import followed, tube_at
 from .settings import DEFAULT_RIG_SOLVER, RigSolver
-from .simulation import advance
+from .simulation import State, advance, at_rest, current
 from .thermal import COARSE, FINE, ThermalModel, gap_of, stack, thermal_model
 
 BIAS = "bias"
@@ -162,7 +162,7 @@ def calibrate(
     problem = _Problem(tube, rig, log, solver)
     free, remarks = list(names), list(doubts)
     while True:
-        x, sigma, errors = problem.solve(free)
+        x, sigma, J, errors = problem.solve(free)
         weak = int(np.argmax(errors)) if len(free) else 0
         if not len(free) or errors[weak] < solver.weak:
             break
@@ -170,7 +170,7 @@ def calibrate(
         free.pop(weak)
     freedom = max(problem.count - len(free), 1)
     reach = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))
-    room = reach * errors + np.abs(problem.shift(free, x, sigma))
+    room = reach * errors + np.abs(problem.shift(free, x, sigma, J))
     values = dict(zip(free, zip(x, room, strict=True), strict=True))
     estimates = tuple(_estimate(name, values.get(name), solver.bias) for name in names)
     before, after = problem.before_and_after(free, x)
@@ -235,8 +235,8 @@ class _Problem:
                 seen[channel][:, k] += off
         return {c: seen[c][read] - self.log.channels[c][read][:, None] for c, read in self.read.items()}
 
-    def solve(self, names: Sequence[str]) -> tuple[Array, dict[str, float], Array]:
-        """Logarithms of the factors, noise of the channels, and standard errors."""
+    def solve(self, names: Sequence[str]) -> tuple[Array, dict[str, float], Array, Array]:
+        """Logarithms of the factors, noise of the channels, Jacobian of the residuals, and standard errors."""
         x = np.zeros(len(names))
         sigma = {c: NOISE[kind_of(c)] for c in self.read}
         for _ in range(2):
@@ -250,34 +250,27 @@ class _Problem:
                 for c, d in now.items()
             }
         J = self._jacobian(now, sigma)
-        information = J.T @ J
-        values, vectors = np.linalg.eigh(information) if names else (np.zeros(0), np.zeros((0, 0)))
+        values, vectors = np.linalg.eigh(J.T @ J)
         floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
         errors = np.sqrt((vectors**2 / np.maximum(values, floor)).sum(1))
-        return x, sigma, errors
+        return x, sigma, J, errors
 
-    def shift(self, names: Sequence[str], x: Array, sigma: dict[str, float]) -> Array:
+    def shift(self, names: Sequence[str], x: Array, sigma: dict[str, float], J: Array) -> Array:
         """By how much the grid's own error moves the logarithms: grids are of second order, so that it is a third of
         the difference from one of half as many cells."""
         rig = [self.rig(names, x)]
         fine, coarse = (self._predicted(rig, grid) for grid in (FINE, COARSE))
         error = np.concatenate([(fine[c] - coarse[c])[read, 0] / 3 / sigma[c] for c, read in self.read.items()])
-        J = self._jacobian(self.differences(names, x), sigma)
         return np.asarray(np.linalg.lstsq(J, error, rcond=None)[0])
 
     def _fit(self, names: Sequence[str], x: Array, sigma: dict[str, float]) -> Array:
-        cache: dict[bytes, tuple[Array, Array]] = {}
-
-        def both(at: Array) -> tuple[Array, Array]:
-            key = at.tobytes()
-            if key not in cache:
-                now = self.differences(names, at)
-                r = np.concatenate([d[:, 0] / sigma[c] for c, d in now.items()])
-                cache[key] = r, self._jacobian(now, sigma)
-            return cache[key]
+        @functools.cache
+        def both(*at: float) -> tuple[Array, Array]:
+            now = self.differences(names, np.array(at))
+            return np.concatenate([d[:, 0] / sigma[c] for c, d in now.items()]), self._jacobian(now, sigma)
 
         found = scipy.optimize.least_squares(
-            lambda at: both(at)[0], x, jac=lambda at: both(at)[1], bounds=(-2.5, 2.5), xtol=1e-5, ftol=1e-6, max_nfev=25
+            lambda at: both(*at)[0], x, lambda at: both(*at)[1], bounds=(-2.5, 2.5), xtol=1e-5, ftol=1e-6, max_nfev=25
         )
         return np.asarray(found.x)
 

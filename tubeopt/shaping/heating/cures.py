@@ -188,8 +188,7 @@ def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> li
     if outcome.steepest > spec.ramp:
         # The schedule that breaks the limit keeps another one.
         faster = replace(spec, ramp=float(5 * math.ceil(outcome.steepest / 5 + 1e-9)))
-        rest = {name: getattr(outcome, name) for name in ("steepest", "mean_current", "peak_current")}
-        found.append(Cure(f"a ramp of {faster.ramp:g} K/s", 0.0, broken(rig, faster, **rest)))
+        found.append(Cure(f"a ramp of {faster.ramp:g} K/s", 0.0, broken(rig, faster, vars(outcome))))
     return found
 
 

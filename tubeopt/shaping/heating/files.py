@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 from ...errors import InputError
 from ...files.csv_file import to_csv
 from .plan import HeatingPlan
@@ -70,11 +68,3 @@ def slot_milliseconds(slot: float) -> int:
     if abs(milliseconds - 1000 * slot) > 1e-9 or milliseconds < 1:
         raise InputError(f"slot is {slot:g} s; for an Arduino it must be a whole number of milliseconds")
     return milliseconds
-
-
-def header_duties(text: str) -> list[int]:
-    """The duties in a header of `arduino_header`; raises InputError where there are none."""
-    match = re.search(r"HEATING_DUTY\[\w+\] PROGMEM = \{([^}]*)\}", text)
-    if match is None:
-        raise InputError("the header holds no HEATING_DUTY")
-    return [int(number) for number in match[1].split(",")]

@@ -48,12 +48,6 @@ class Lie:
     bottom: float
 
     @classmethod
-    def centred(cls, diameter: float, width: float, depth: float) -> Lie:
-        """In the middle."""
-        side, up = 0.5 * (width - diameter), 0.5 * (depth - diameter)
-        return cls(side, up, side, up)
-
-    @classmethod
     def leaning(cls, diameter: float, width: float, depth: float, standoff: float = STANDOFF) -> Lie:
         """On the floor and against one wall, as a bent tube lies that is pressed into its groove."""
         side, up = min(standoff, 0.5 * (width - diameter)), min(standoff, 0.5 * (depth - diameter))

@@ -1,7 +1,10 @@
-"""The balance of heat and current at one instant as equations of the optimal control problem, scaled.
+"""The balance of heat and current at one instant as equations of the optimal control problem, and their derivatives.
 
 The control is the drive, duty times current squared. The current and the tube's resistance are unknowns of their own:
 eliminated, they would couple every temperature with every other.
+
+An instant depends on few unknowns, and linearly on the rates of its temperatures. Differentiated as symbols once, it is
+evaluated at all points; with all unknowns at once it would be differentiated in one direction after the other.
 """
 
 from __future__ import annotations
@@ -31,6 +34,9 @@ VOLT = 10.0
 
 VENTS = 6
 """Places from the end of the mold to its middle at which vents may be chosen; linear between them."""
+
+OWN, NUMBERS = (0, 2, 3, 4), 5
+"""Inputs of an instant: the unknowns that are its own, and the numbers of tube and rig."""
 
 
 def physics(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
@@ -112,3 +118,70 @@ def instant(resolution: Resolution) -> ca.Function:
     resistance = ca.sum1(heat.resistances(at.tube, v, g)) / OHM - circuit[1]
     equations = ca.vertcat(rate - rates, voltage, resistance)
     return ca.Function("instant", [z, rate, circuit, drive, design, p], [equations, load.mean * source])
+
+
+@lru_cache(maxsize=8)
+def instant_derivatives(resolution: Resolution) -> tuple[tuple[ca.Function, Any], tuple[ca.Function, Any]]:
+    """Of `instant`, by its own unknowns with the length of its interval: functions that return the nonzeros of a
+    pattern, and the pattern. The rates, in which the equations are linear, are left out.
+
+    The first, of (own unknowns, numbers), is the Jacobian of the equations; the second, of (own unknowns, numbers,
+    multipliers, weight), the Hessian of the equations times multipliers, and of the energy, power times length, times a
+    weight.
+    """
+    whole = instant(resolution)
+    inputs = whole.sx_in()
+    sizes = np.cumsum([0, *(inputs[k].numel() for k in OWN), 1]).tolist()
+    own, numbers = ca.SX.sym("own", sizes[-1]), inputs[NUMBERS]
+    *parts, length = ca.vertsplit(own, sizes)
+    state, *others = parts
+    equations, power = whole(state, ca.SX(*state.shape), *others, numbers)
+    multipliers, weight = ca.SX.sym("multipliers", equations.numel()), ca.SX.sym("weight")
+    J = ca.jacobian(equations, own)
+    H = ca.hessian(ca.dot(multipliers, equations) + weight * length * power, own)[0]
+    slopes = ca.Function("slopes", [own, numbers], [J.nz[:]], {"cse": True})
+    bends = ca.Function("bends", [own, numbers, multipliers, weight], [H.nz[:]], {"cse": True})
+    return (slopes, J.sparsity()), (bends, H.sparsity())
+
+
+def exact_derivatives(
+    problem: dict[str, Any], resolution: Resolution, *, numbers: Any, own: Any, rest: dict[str, Any], weights: Any
+) -> dict[str, ca.Function]:
+    """Jacobian of the constraints of a program and Hessian of its Lagrangian, as options of `nlpsol`, which it is for:
+    what depends on the unknowns through the instants, and the rest.
+
+    Args:
+        numbers: of tube and rig.
+        own: (Y, N) own unknowns of every instant and the length of its interval, linear in the unknowns.
+        rest: the objective "f" without the energy, and all constraints "g", of the instants' equations, which come
+            first, only their rates.
+        weights: (1, N) of power times length in the objective.
+    """
+    x, p, g = (problem[name] for name in "xpg")
+    (jacobian, sloped), (hessian, bent) = instant_derivatives(resolution)
+    count, size = own.size2(), sloped.size1()
+    factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", g.numel())
+    ours = ca.reshape(multipliers[: count * size], size, count)
+    slopes = jacobian.map("slopes", "serial", count, [1], [])(own, numbers)
+    bends = hessian.map("bends", "serial", count, [1], [])(own, numbers, ours, factor * weights)
+    places = ca.jacobian(ca.vec(own), x)
+    below = ca.MX(g.numel() - count * size, x.numel())
+    J = ca.jacobian(rest["g"], x) + ca.vertcat(ca.mtimes(_blocks(sloped, slopes), places), below)
+    lagrangian = factor * rest["f"] + ca.dot(multipliers, rest["g"])
+    H = ca.hessian(lagrangian, x)[0] + ca.mtimes([places.T, _blocks(bent, bends), places])
+    given = {"x": x, "p": p}
+    return {
+        "jac_g": _named("jac_g", given, {"g": g, "jac_g_x": J}),
+        "hess_lag": _named(
+            "hess_lag", {**given, "lam_f": factor, "lam_g": multipliers}, {"triu_hess_gamma_x_x": ca.triu(H)}
+        ),
+    }
+
+
+def _blocks(pattern: Any, values: Any) -> Any:
+    """Blocks of a pattern on the diagonal; their nonzeros by column."""
+    return ca.MX(ca.diagcat(*[pattern] * values.size2()), ca.vec(values))
+
+
+def _named(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> ca.Function:
+    return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))

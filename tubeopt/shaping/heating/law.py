@@ -14,12 +14,19 @@ It is what the firmware computes, number by number.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
+from ...display import Displayed
 from ...typing import Array
 from .rig import COUNTS
+from .sensors import Felt, Sensor
+from .thermal import ThermalModel, seen
+from .uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,3 +114,143 @@ def shifted(law: HeatingLaw, by: float) -> HeatingLaw:
     """The law with its reference moved by `by`, K, where the tube is hot: in proportion to the rise."""
     rise = law.reference - law.reference.min()
     return replace(law, reference=law.reference + by * rise / rise.max())
+
+
+# --- heatings under it ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """B rigs as they may be, beside the one of the file.
+
+    model: of all members. bias: (B,) of the sensor, K, where the tube is as hot as it gets.
+    """
+
+    model: ThermalModel
+    bias: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LoopHistory:
+    """What B rigs did in a closed loop, at times (T,), s.
+
+    Attributes:
+        time: (T,). reading: (T, B) degC as the law saw them. count: (T, B). place: (T, B) slot of the schedule.
+        coldest, hottest: (T, B) of the curved part, degC; top: (T, B) of any point.
+        finished: (B,), bool, whether the whole schedule was run through.
+    """
+
+    time: Array
+    reading: Array
+    count: Array
+    place: Array
+    coldest: Array
+    hottest: Array
+    top: Array
+    finished: NDArray[np.bool_]
+
+    def in_hold(self, law: HeatingLaw) -> Array:
+        """(T, B) whether a time lies in the hold, its end included."""
+        first, last = law.hold
+        return np.asarray((self.place >= first) & (self.place <= last))
+
+    def extremes(self, law: HeatingLaw) -> tuple[Array, Array]:
+        """(B,) coldest and hottest of the curved part in the hold, degC; infinite where there was none."""
+        inside = self.in_hold(law)
+        low = np.where(inside, self.coldest, math.inf).min(0)
+        high = np.where(inside, self.hottest, -math.inf).max(0)
+        return np.where(np.isfinite(low), low, -math.inf), np.where(np.isfinite(high), high, math.inf)
+
+
+def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, dies: float = math.inf) -> LoopHistory:
+    """Run every rig of a fleet under the law until the last has ended.
+
+    Args:
+        seed: of the sensor's noise.
+        dies: s, time from which the sensor is dead: the firmware then stops, and the count is 0.
+    """
+    model, rng = fleet.model, np.random.default_rng(seed)
+    felt, memory, rows = Felt.at_rest(model, sensor), begin(model.members), []
+    ends, dead = (law.reference.min(), law.reference.max()), np.zeros(model.members, dtype=bool)
+    slots = math.ceil(law.longest / law.slot)
+    for k in range(slots + 1):
+        reading = sensor.shown(felt.lagged, fleet.bias, ends, rng)
+        dead |= (k * law.slot >= dies) | (reading < sensor.lowest) | (reading > sensor.highest)
+        place = memory.place
+        count, memory = decide(law, memory, reading)
+        count = np.where(dead, 0, count)
+        rows.append((reading, count, place, *seen(model, felt.state.cells[:, :, 0])))
+        if (memory.place > len(law.planned)).all() or k == slots:
+            break
+        felt = felt.after(model, sensor, count / COUNTS, law.slot)
+    finished = (memory.place >= len(law.planned)) & ~dead
+    time = np.asarray(law.slot * np.arange(len(rows)))
+    reading, count, place, coldest, hottest, top = (np.array(column) for column in zip(*rows, strict=True))
+    return LoopHistory(time, reading, count, place, coldest, hottest, top, finished)
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """How much one thing that is not known moves the temperature of the hold: its name, and a standard deviation, K."""
+
+    name: str
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback(Displayed):
+    """A heating in a closed loop, and what becomes of it on rigs that are not quite the one that it was planned for.
+
+    Attributes:
+        sensor, law: what reads, and what answers.
+        uncertainty: of the rigs. history: of the rig itself (first) and of S others.
+        lowest, highest: (S,) of the curved part in the hold, degC; top: (S,) of any point ever, degC.
+        kept: (S,) whether the window was kept through a whole hold, and the limit always.
+        open_loop: share of rigs that keep it with the schedule alone.
+        contributions: of what is not known, largest first; "sensor" is its bias.
+        window: degC. limit: degC.
+    """
+
+    sensor: Sensor
+    law: HeatingLaw
+    uncertainty: Uncertainty
+    history: LoopHistory
+    lowest: Array
+    highest: Array
+    top: Array
+    kept: Array
+    open_loop: float
+    contributions: tuple[Contribution, ...]
+    window: tuple[float, float]
+    limit: float
+
+    @property
+    def samples(self) -> int:
+        """S."""
+        return len(self.kept)
+
+    @property
+    def probability(self) -> float:
+        """Share of the rigs that keep the window."""
+        return float(self.kept.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of the probability, 95 % (Wilson's)."""
+        return wilson(int(self.kept.sum()), self.samples)
+
+    @property
+    def too_cold(self) -> float:
+        """Share that falls below the window, or never holds it."""
+        return float((self.lowest < self.window[0]).mean())
+
+    @property
+    def too_hot(self) -> float:
+        """Share that rises above the window's end in the hold, or above the limit at any time."""
+        return float(((self.highest > self.window[1]) | (self.top > self.limit)).mean())
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a probability (E. B. Wilson, J. Am. Stat. Assoc. 22 (1927))."""
+    found = scipy.stats.binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)

@@ -11,9 +11,7 @@ import scipy
 from ...errors import InputError, instance
 from ...solvers.parallel.blas import small
 from ...typing import Array
-from .feedback import Contribution, Feedback
-from .law import HeatingLaw, shifted
-from .loop import Fleet, LoopHistory, run_loop
+from .law import Contribution, Feedback, Fleet, HeatingLaw, LoopHistory, run_loop, shifted
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .robust import ENSEMBLE, assess

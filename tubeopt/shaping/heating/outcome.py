@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...physics.heat import GRIP
@@ -15,6 +16,14 @@ from .thermal import ThermalModel, joined
 
 LEAST_CHARGE = 0.2
 """State of charge below which lead-acid batteries suffer."""
+
+BROKEN = {
+    "steepest": "the tube warms at up to {} K/s, beyond the ramp of {:g} K/s: a whole count is too coarse for it; a "
+    "battery of less voltage, or a resistor in series, makes counts finer",
+    "peak_current": "while the MOSFET conducts the current is {} A; the circuit bears {:g} A, and no duty changes that",
+    "mean_current": "the mean current reaches {} A; the circuit bears {:g} A",
+}
+"""What is said of a limit that is not kept: the value, and the limit."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,7 @@ def outcome_of(
     warming = history.tube[1:, 0] - history.tube[:-1, 0]
     ramp = float(warming[:, model.zone > GRIP].max() / (history.time[1] - history.time[0]))
     found = {"steepest": within.rate, "mean_current": within.mean_current, "peak_current": within.current}
-    return Outcome(lowest, highest, hottest, max(miss, 0.0), ramp, **found, broken=broken(rig, spec, **found))
+    return Outcome(lowest, highest, hottest, max(miss, 0.0), ramp, **found, broken=broken(rig, spec, found))
 
 
 def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
@@ -70,28 +79,12 @@ def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
     return first, first + spec.hold_slots
 
 
-def broken(
-    rig: Rig, spec: HeatingSpec, *, steepest: float, mean_current: float, peak_current: float
-) -> tuple[str, ...]:
-    """In words, which of ramp and currents are beyond their limits; K/s and A, as in `Outcome`."""
-    found = []
-    if steepest > spec.ramp:
-        found.append(
-            f"the tube warms at up to {_above(steepest, spec.ramp)} K/s, beyond the ramp of {spec.ramp:g} K/s: a whole "
-            "count is too coarse for it; a battery of less voltage, or a resistor in series, makes counts finer"
-        )
+def broken(rig: Rig, spec: HeatingSpec, found: Mapping[str, float]) -> tuple[str, ...]:
+    """In words, which of ramp and currents are beyond their limits; K/s and A by their names in `Outcome`."""
     circuit = rig.circuit
-    if peak_current > circuit.peak_limit:
-        found.append(
-            f"while the MOSFET conducts the current is {_above(peak_current, circuit.peak_limit)} A; the circuit bears "
-            f"{circuit.peak_limit:g} A, and no duty changes that"
-        )
-    if mean_current > circuit.current_limit:
-        found.append(
-            f"the mean current reaches {_above(mean_current, circuit.current_limit)} A; the circuit bears "
-            f"{circuit.current_limit:g} A"
-        )
-    return tuple(found)
+    limits = {"steepest": spec.ramp, "peak_current": circuit.peak_limit, "mean_current": circuit.current_limit}
+    beyond = {name: limit for name, limit in limits.items() if found[name] > limit}
+    return tuple(BROKEN[name].format(_above(found[name], limit), limit) for name, limit in beyond.items())
 
 
 def _above(value: float, limit: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,11 @@ from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
 from .counts import Counts
 from .cures import Cure
-from .feedback import Feedback
+from .law import Feedback
 from .outcome import Outcome, hold_slots, remarks
-from .rates import stored
 from .rig import COUNTS, Rig
 from .schedule import Schedule
+from .simulation import stored
 from .spec import HeatingSpec
 from .thermal import thermal_data
 
@@ -257,8 +257,8 @@ class HeatingPlan(Displayed):
             duty=np.append(found.counts, 0),
             temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
             position=model.full_position,
-            curved=np.concatenate([model.curved, model.curved[::-1]]),
-            zone=np.concatenate([model.zone, model.zone[::-1]]),
+            curved=_mirrored(model.curved),
+            zone=_mirrored(model.zone),
             ideal_duty=np.append(COUNTS * run.levels, 0.0),
             ideal_temperature=_mirrored(run.exact.tube[:, 0]) - ZERO_CELSIUS,
             voltage=history.voltage[:, 0],
@@ -285,9 +285,9 @@ class HeatingPlan(Displayed):
         )
 
 
-def _mirrored(half: Array) -> Array:
-    """(T, 2n) along the whole tube from (T, n) along its half."""
-    return np.concatenate([half, half[:, ::-1]], axis=1)
+def _mirrored(half: NDArray[Any]) -> NDArray[Any]:
+    """(..., 2n) along the whole tube from (..., n) along its half."""
+    return np.concatenate([half, half[..., ::-1]], axis=-1)
 
 
 def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:

@@ -45,16 +45,6 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
         (True, True, True)
     """
     spec = HeatingSpec() if spec is None else spec
-    check_inputs(tube, rig, spec)
-    found = best_schedule(tube, rig, spec)
-    cures = () if found.kept else find_cures(tube, rig, spec, found)
-    iterations = 0 if found.program is None else found.program.ideal.iterations
-    plan = HeatingPlan.of(tube, spec, found, iterations, cures=cures)
-    return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
-
-
-def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
-    """Raise InputError where tube, rig and spec cannot belong together."""
     for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
         instance(name, value, wanted)
     thermal_data(tube)
@@ -63,4 +53,9 @@ def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
             f"ambient of the rig is {rig.ambient - ZERO_CELSIUS:g} degC; it must be below the window, which begins at "
             f"{spec.window_degC[0]:g} degC"
         )
-    thermal_model(tube, rig, PROGRAM)
+    thermal_model(tube, rig, PROGRAM)  # refuses a tube and a mold that do not fit one another
+    found = best_schedule(tube, rig, spec)
+    cures = () if found.kept else find_cures(tube, rig, spec, found)
+    iterations = 0 if found.program is None else found.program.ideal.iterations
+    plan = HeatingPlan.of(tube, spec, found, iterations, cures=cures)
+    return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))

@@ -20,8 +20,7 @@ from ...block.transcription.tableau import tableau
 from ...physics.heat import Resolution
 from ...solvers.settings import Ipopt
 from ...typing import Array
-from .derivatives import Parts
-from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
+from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, exact_derivatives, instant, number_count
 
 WISHES = (
     "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_drive",
@@ -82,9 +81,6 @@ class TimeMesh:
         return faces, (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", self.degree).nodes).ravel()
 
 
-MESH = TimeMesh()
-
-
 @dataclass(frozen=True)
 class Structure:
     """What a compiled program depends on.
@@ -96,7 +92,7 @@ class Structure:
     """
 
     resolution: Resolution
-    mesh: TimeMesh = MESH
+    mesh: TimeMesh = TimeMesh()
     clear: bool = False
     chosen: tuple[str, ...] = ()
 
@@ -210,11 +206,6 @@ class _Unknowns:
     design: Any
     copies: Any
 
-    @classmethod
-    def of(cls, s: Structure) -> _Unknowns:
-        """New symbols."""
-        return cls(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()})
-
     @property
     def column(self) -> Any:
         """All unknowns."""
@@ -250,7 +241,7 @@ def _held(s: Structure, x: _Unknowns, numbers: Numbers, designs: Any) -> Any:
 @lru_cache(maxsize=8)
 def program(s: Structure, by: Ipopt, again: int) -> Program:
     """The compiled program of a structure; `again`: iterations from an earlier answer at most."""
-    x, mesh = _Unknowns.of(s), s.mesh
+    x, mesh = _Unknowns(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()}), s.mesh
     p, wishes = ca.MX.sym("p", number_count(s.resolution)), ca.MX.sym("wishes", len(WISHES))
     w = dict(zip(WISHES, ca.vertsplit(wishes), strict=True))
     numbers = Numbers.of(p, s.resolution)
@@ -283,19 +274,18 @@ def program(s: Structure, by: Ipopt, again: int) -> Program:
         "x": x.column,
         "p": ca.veccat(p, wishes),
         "f": smooth + linear + ca.sum2(power * energy * width),
-        "g": ca.vertcat(*(ca.vec(block) for block in blocks.values())),
+        "g": ca.veccat(*blocks.values()),
     }
     blocks["equations"] = ca.vertcat(rate, ca.MX(equations.size1() - s.states, s.points))
-    apart = Parts(
-        x=x.column,
-        p=problem["p"],
+    by_instants = exact_derivatives(
+        problem,
+        s.resolution,
         numbers=p,
         own=ca.vertcat(x.z, x.circuit, drive, designs, width),
-        objective=smooth + linear,
-        constraints=ca.vertcat(*(ca.vec(block) for block in blocks.values())),
+        rest={"f": smooth + linear, "g": ca.veccat(*blocks.values())},
         weights=energy,
     )
-    exact = {**by.options(warm=False), **MUMPS, **apart.functions(s.resolution, problem["g"])}
+    exact = {**by.options(warm=False), **MUMPS, **by_instants}
     convex = {**exact, "hess_lag": _curvature(problem, smooth)}
     return Program(
         structure=s,

@@ -3,12 +3,13 @@
 An observer carries a coarse thermal model along with the counts that were given. What it predicts wrongly corrects the
 tube's temperatures and a share by which the heating is stronger than the model says: a disturbance at the input, with
 which no error stays (Pannocchia and Rawlings, AIChE J. 49 (2003)). From that state the duties are planned with which
-the sensor reads what the law wants, to the end of the hold; the board gets the first of them.
+the sensor reads what the law wants, to the end of the hold; the board gets the first of them every few seconds.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -18,11 +19,20 @@ from .counts import most_count
 from .law import HeatingLaw
 from .leading import Response, response
 from .plan import HeatingPlan
-from .rates import State
 from .rig import COUNTS
 from .sensors import Felt, Sensor
 from .settings import HeatingSolver
+from .simulation import State
 from .thermal import PROGRAM, ThermalModel, thermal_model
+
+MOST_SLOTS = 12
+"""Of one lead: the board goes on alone where no other comes before it ends; it takes no more than 20."""
+
+STRAIGHT = 0.3
+"""Counts by which a lead, which is a line, may differ from what was planned."""
+
+STEADY = 2.0
+"""K by which what the board wants may differ from the law that is planned with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +83,6 @@ def observer_gains(found: Response, slot: float, noise: float, solver: HeatingSo
     return float(gain[0, 0]), float(gain[1, 0])
 
 
-def first_estimate(planner: Planner) -> Estimate:
-    """Everything at rest."""
-    return Estimate(Felt.at_rest(planner.model, planner.sensor))
-
-
 def observed(planner: Planner, before: Estimate, reading: float, count: float, span: float) -> Estimate:
     """The estimate after `span` seconds, s, at a count, from the reading (degC) with which they began."""
     felt = before.felt
@@ -123,3 +128,59 @@ def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
         planned.append(level)
         reading.append(float(now.felt.lagged[0]))
     return Rest(place, np.array(planned), np.array(reading))
+
+
+@dataclass
+class Leader:
+    """What leads a board by its reports.
+
+    planner: with what. every: s from one plan to the next.
+    """
+
+    planner: Planner
+    every: float = 3.0
+    rest: Rest | None = field(default=None, init=False)
+    """The last plan."""
+
+    def __post_init__(self) -> None:
+        self._estimate = Estimate(Felt.at_rest(self.planner.model, self.planner.sensor))
+        self._left, self._time = 0, float("-inf")
+
+    @property
+    def strength(self) -> float:
+        """By how much the rig heats more than its model, as a fraction."""
+        return self._estimate.strength
+
+    def advise(self, row: dict[str, Any]) -> dict[str, Any] | None:
+        """What to tell the board after one of its reports on a slot that begins: a lead, or nothing.
+
+        Nothing is told to a board whose schedule is another one, or to one that is dry.
+        """
+        law, place = self.planner.law, int(row["place"])
+        if row["dry"] or row["state"] not in ("heating", "holding"):
+            return None
+        self._estimate = observed(self.planner, self._estimate, row["temperature_degC"], row["count"], law.slot)
+        self._left -= 1
+        due = row["time_s"] - self._time >= self.every or self._left <= 1
+        if not due or place >= len(law.planned) or not self._is_ours(row):
+            return None
+        self.rest = replanned(self.planner, self._estimate, place)
+        slots = straight(self.rest.planned)
+        self._left, self._time = slots, row["time_s"]
+        first, last = (round(100 * float(self.rest.planned[k])) for k in (0, slots - 1))
+        return {"slots": slots, "from": min(first, 25500), "to": min(last, 25500)}
+
+    def _is_ours(self, row: dict[str, Any]) -> bool:
+        reference = self.planner.law.reference
+        place = np.clip([row["place"] - 1, row["place"]], 0, len(reference) - 1)
+        return bool(np.abs(reference[place] - row["reference_degC"]).min() < STEADY)
+
+
+def straight(planned: Array) -> int:
+    """How many of the first counts a line from the first to the last of them tells."""
+    most = min(len(planned), MOST_SLOTS)
+    for slots in range(most, 2, -1):
+        line = np.linspace(planned[0], planned[slots - 1], slots)
+        if np.abs(line - planned[:slots]).max() <= STRAIGHT:
+            return slots
+    return min(most, 2)

@@ -13,10 +13,9 @@ from ...typing import Array
 from .counts import Counts, guarded_counts, sum_up_rounding
 from .outcome import hold_slots
 from .plan import HeatingPlan
-from .rates import State, current
 from .rig import COUNTS
 from .schedule import Run, checked
-from .simulation import resimulate, simulate, simulate_feedback
+from .simulation import State, current, resimulate, simulate, simulate_feedback
 from .thermal import FINE, ThermalModel, seen, thermal_model
 from .uncertainty import Uncertainty
 

@@ -1,7 +1,7 @@
 """The schedule of whole counts that keeps everything, or misses the window by least.
 
-Where the soonest hold is asked for, the greatest counts that keep the limits are tried first (`haste`). Where these do
-not keep everything, or something else is asked for, the ideal schedule solves an optimal control problem on a coarse
+Where the soonest hold is asked for, the greatest counts that keep the limits come first (`soonest`). Where these do not
+keep everything, or something else is asked for, the ideal schedule solves an optimal control problem on a coarse
 grid. It is rounded to whole counts and simulated in steps of a tenth of a second on a grid of three times as many cells
 and shells. Where that misses the window, the program's bounds are shifted by the difference between the two grids, and
 it is solved again (deferred correction): what holds in the end holds on the fine grid, for the schedule that is
@@ -19,8 +19,7 @@ import numpy as np
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from .counts import Counts, count_rate, guarded_counts
-from .haste import soonest
+from .counts import Counts, count_rate, guarded_counts, soonest
 from .ideal import Ideal, Shift, planned_ramp, solve_ideal
 from .outcome import Outcome, hold_slots, outcome_of
 from .rig import COUNTS, Rig

@@ -18,8 +18,7 @@ from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
 from ...physics.heat import PROPERTIES
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from .rates import State, at_rest, current
-from .simulation import advance
+from .simulation import State, advance, at_rest, current
 from .thermal import ThermalModel
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from ...display import Displayed
-from ...errors import InputError, choice, finite, instance, positive
+from ...errors import InputError, choice, finite, instance, positive, vector
 from ...files.marks import POSITIVE, OneOf, Range, Usual, check_fields, key, unit
 from .settings import DEFAULT_HEATING, HeatingSolver
 
@@ -116,11 +116,7 @@ class HeatingSpec(Displayed):
 
 
 def _pair(name: str, value: Any) -> tuple[float, float]:
-    try:
-        low, high = value
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is {value!r}; it must be two numbers, the least and the greatest") from None
-    low, high = finite(name, low), finite(name, high)
+    low, high = vector(name, value, 2, "the least and the greatest").tolist()
     if not low < high:
         raise InputError(f"{name} is {low:g} to {high:g}; the first must be below the second")
     return low, high

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import choice
 from ...files.units import TO_MM
 from ...typing import Array
 from .groove import Arc, Line, Piece, Point, leads_to_edge
@@ -34,7 +33,6 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
 
     Centrelines are on both, grooves only on the base, vents only on the lid; clamps are drawn with the texts.
     """
-    choice("part", part, PARTS)
     width, height = (extent * TO_MM for extent in mold.size)
     outline = rectangle(width, height)
     centre = tuple(in_mm(piece) for groove in mold.grooves for piece in groove.centreline.pieces)

@@ -1,15 +1,42 @@
-"""The files of a mold, written together: drawings, solids, G-code, set-up sheet."""
+"""The files of a mold: drawings (DXF, SVG), solids (STL), G-code; in mm, read back and compared with what is wanted."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from os import PathLike
 from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
 
-from ...files.files import left_out_where_missing
-from .dxf import write_dxf
+import numpy as np
+
+from ...errors import InputError, SolveError, extra
+from ...files.files import atomic_write, left_out_where_missing, write_text
+from ...files.units import TO_MM
+from .drawing import LAYERS, PARTS, TEXT_HEIGHT_MM, Drawing, draw_plate
 from .gcode import write_gcode
+from .groove import Arc, Line, Piece, farthest, polygon
+from .holes import Hole
 from .mold import Mold
-from .stl import write_stl
-from .svg import write_svg
+
+COLOURS = {
+    "OUTLINE": (7, "#222222"),
+    "GROOVE": (5, "#0072B2"),
+    "CENTERLINE": (1, "#D55E00"),
+    "HOLES": (3, "#009E73"),
+    "TEXT": (8, "#6A6A6A"),
+}
+"""Of the layers: index in DXF, colour in SVG."""
+
+MARGIN_MM = 25.0
+
+TOLERANCE = 1e-6
+"""Greatest distance (m) of the centreline in a DXF file from the one wanted."""
+
+ABOVE = 1e-3
+"""Cutters of a solid reach this far (m) beyond the faces, so that no faces coincide."""
 
 
 def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
@@ -21,10 +48,191 @@ def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
         InputError: a file cannot be written.
         SolveError: a file that was written does not agree with the mold when it is read back.
     """
-    out = Path(directory)
-    paths = []
-    for part in ("base", "lid"):
-        for kind, write in (("dxf", write_dxf), ("svg", write_svg), ("stl", write_stl)):
-            with left_out_where_missing():
-                paths.append(write(mold, out / f"{part}.{kind}", part=part))
+    out, paths = Path(directory), list[Path]()
+    centre = [piece for groove in mold.grooves for piece in groove.centreline.pieces]
+    for part in PARTS:
+        paths += write_drawing(draw_plate(mold, part), centre, out / part)
+        with left_out_where_missing():
+            paths.append(write_stl(mold, out / f"{part}.stl", part))
     return [*paths, *write_gcode(mold, out)]
+
+
+def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: Path) -> list[Path]:
+    """Write a drawing as DXF and SVG under a path to which the endings are added, and return the paths; errors, and
+    what is left out, as of `write_mold`."""
+    svg, paths = path.with_suffix(".svg"), list[Path]()
+    with left_out_where_missing():
+        paths.append(write_dxf(drawing, centreline, path.with_suffix(".dxf")))
+    write_text(svg, svg_of(drawing))
+    return [*paths, svg]
+
+
+# --- drawings ---------------------------------------------------------------------------------------------------------
+
+
+def write_dxf(drawing: Drawing, centreline: Sequence[Piece], path: Path) -> Path:
+    """Write a drawing as DXF (R2010, true arcs), whole or not at all; raises SolveError where its centreline, read
+    back, lies 1 um or more from these."""
+    ezdxf = extra("ezdxf", "fabrication", "DXF files")
+    document = ezdxf.new("R2010")
+    document.header["$INSUNITS"] = 4  # mm
+    document.header["$MEASUREMENT"] = 1
+    for name in LAYERS:
+        document.layers.add(name, color=COLOURS[name][0])
+    space = document.modelspace()
+    for layer, pieces in drawing.pieces.items():
+        for piece in pieces:
+            _add(space, piece, layer)
+    for centre, diameter in drawing.circles:
+        space.add_circle(centre, diameter / 2, dxfattribs={"layer": "HOLES"})
+    for place, text in drawing.texts:
+        attributes = {"layer": "TEXT", "height": TEXT_HEIGHT_MM, "insert": place}
+        space.add_text(text, dxfattribs=attributes)
+    with atomic_write(path) as temporary:
+        document.saveas(temporary)
+        deviation = dxf_deviation(centreline, temporary)
+        if deviation > TOLERANCE:
+            raise SolveError(f"{path}: the centreline in the file lies {deviation * 1e6:.3g} um from the one wanted")
+    return path
+
+
+def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
+    """The lines and arcs on layer CENTERLINE of a DXF file, in m."""
+    ezdxf = extra("ezdxf", "fabrication", "DXF files")
+    try:
+        document = ezdxf.readfile(path)
+    except (OSError, ezdxf.DXFError) as error:
+        raise InputError(f"{path}: not a DXF file that can be read: {error}") from None
+    pieces: list[Piece] = []
+    for entity in document.modelspace().query('*[layer=="CENTERLINE"]'):
+        dxf = entity.dxf
+        if entity.dxftype() == "LINE":
+            pieces.append(Line((dxf.start.x / TO_MM, dxf.start.y / TO_MM), (dxf.end.x / TO_MM, dxf.end.y / TO_MM)))
+        elif entity.dxftype() == "ARC":
+            sweep = math.radians((dxf.end_angle - dxf.start_angle) % 360.0)
+            centre = (dxf.center.x / TO_MM, dxf.center.y / TO_MM)
+            pieces.append(Arc(centre, dxf.radius / TO_MM, math.radians(dxf.start_angle), sweep))
+    return tuple(pieces)
+
+
+def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str]) -> float:
+    """Greatest distance (m), either way, between centrelines and those in a DXF file, sampled every millimetre."""
+    read = read_centreline(path)
+    if not read:
+        return math.inf
+    return max(farthest(own, read), farthest(read, own))
+
+
+def _add(space: object, piece: Piece, layer: str) -> None:
+    attributes = {"layer": layer}
+    if isinstance(piece, Line):
+        space.add_line(piece.start, piece.end, dxfattribs=attributes)  # type: ignore[attr-defined]
+        return
+    # DXF arcs run counter-clockwise.
+    first, last = piece.start_angle, piece.start_angle + piece.sweep
+    start, end = (math.degrees(angle) for angle in ((first, last) if piece.sweep > 0 else (last, first)))
+    space.add_arc(piece.centre, piece.radius, start, end, dxfattribs=attributes)  # type: ignore[attr-defined]
+
+
+def svg_of(drawing: Drawing) -> str:
+    """A drawing as SVG in its true size, with a group for every layer."""
+    low = min([0.0, *(place[1] for place, _ in drawing.texts)]) - MARGIN_MM / 2
+    longest = max(len(text) for _, text in drawing.texts) * 0.6 * TEXT_HEIGHT_MM
+    right = max(drawing.size[0] + MARGIN_MM, longest)
+    width, height = right + MARGIN_MM, drawing.size[1] + MARGIN_MM - low
+    # SVG's y points down: everything is flipped at once, the letters back again.
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.3f}mm" height="{height:.3f}mm" '
+        f'viewBox="{-MARGIN_MM:.3f} {-(drawing.size[1] + MARGIN_MM):.3f} {width:.3f} {height:.3f}">\n'
+        '<g transform="scale(1,-1)" fill="none" stroke-width="0.15">\n'
+    )
+    groups = []
+    for layer in LAYERS:
+        dash = ' stroke-dasharray="3 0.7 0.5 0.7"' if layer == "CENTERLINE" else ""
+        body = [f'<path d="{_path(piece)}"/>' for piece in drawing.pieces.get(layer, ())]
+        if layer == "HOLES":
+            body += [f'<circle cx="{x:.6f}" cy="{y:.6f}" r="{d / 2:.6f}"/>' for (x, y), d in drawing.circles]
+        if layer == "TEXT":
+            body += [
+                f'<text transform="translate({x:.3f},{y:.3f}) scale(1,-1)" font-size="{TEXT_HEIGHT_MM}" '
+                f'font-family="sans-serif" fill="{COLOURS[layer][1]}" stroke="none">{escape(text)}</text>'
+                for (x, y), text in drawing.texts
+            ]
+        groups.append(f'<g id="{layer}" stroke="{COLOURS[layer][1]}"{dash}>\n' + "\n".join(body) + "\n</g>\n")
+    return head + "".join(groups) + "</g>\n</svg>\n"
+
+
+def _path(piece: Piece) -> str:
+    (x0, y0), (x1, y1) = piece.start, piece.end
+    if isinstance(piece, Line):
+        return f"M{x0:.6f},{y0:.6f} L{x1:.6f},{y1:.6f}"
+    large, sweep = int(abs(piece.sweep) > math.pi), int(piece.sweep > 0)
+    return f"M{x0:.6f},{y0:.6f} A{piece.radius:.6f},{piece.radius:.6f} 0 {large} {sweep} {x1:.6f},{y1:.6f}"
+
+
+# --- solids -----------------------------------------------------------------------------------------------------------
+
+
+def write_stl(mold: Mold, path: Path, part: str) -> Path:
+    """Write a plate of the mold as binary STL, whole or not at all, and return the path: the upper face of the base at
+    z = 0, the lid on it. Raises SolveError where its volume, read back, is off by more than 0.1 %."""
+    above = (*mold.holes, *mold.vents)
+    solid = _base(mold) if part == "base" else _plate(mold, above, mold.spec.plate.lid_thickness, 0.0)
+    return write_solid(solid, path, part, partial(wrong_volume, mold, part))
+
+
+def write_solid(solid: Any, path: Path, what: str, wrong: Callable[[Any], str]) -> Path:
+    """Write a solid as STL; raises SolveError where it is not watertight, or something is wrong with it, read back."""
+    mesh = solid.to_mesh()
+    # Vertices as STL holds them; what then coincides is one vertex, so that the file closes as the solid does.
+    faces = trimesh().Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(faces.export(file_type="stl"))
+        read = trimesh().load_mesh(str(temporary), file_type="stl")
+        words = wrong(read) if read.is_watertight else f"the solid of the {what} is not watertight"
+        if words:
+            raise SolveError(f"{path}: {words}")
+    return path
+
+
+def wrong_volume(mold: Mold, part: str, mesh: Any) -> str:
+    """What is wrong with the volume of a plate as a mesh, in words, where that is more than 0.1 %."""
+    off = float(mesh.volume) / TO_MM**3 / (mold.base_volume if part == "base" else mold.lid_volume) - 1
+    return f"the volume of the {part} is off by {off * 100:.3g} %" if abs(off) > 1e-3 else ""
+
+
+def _base(mold: Mold) -> Any:
+    library = manifold()
+    thickness = mold.spec.plate.thickness
+    solid = _plate(mold, mold.holes, thickness, -thickness)
+    for groove in mold.grooves:
+        # Beyond the edge by more than an oblique exit needs.
+        curve = groove.centreline.lengthened(20 * groove.width)
+        corners = polygon(curve, groove.width, mold.spec.solver.sagitta)
+        cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
+        solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
+    return solid
+
+
+def _plate(mold: Mold, holes: Sequence[Hole], thickness: float, bottom: float) -> Any:
+    """The plate with its holes, which go through: cut out of its outline, in the plane, and made thick."""
+    library = manifold()
+    outline = library.CrossSection.square((mold.size[0] * TO_MM, mold.size[1] * TO_MM))
+    drills = [
+        library.CrossSection.circle(hole.diameter / 2 * TO_MM, mold.spec.solver.hole_sides).translate(
+            (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
+        )
+        for hole in holes
+    ]
+    drilled = library.CrossSection.batch_boolean([outline, *drills], library.OpType.Subtract)
+    return library.Manifold.extrude(drilled, thickness * TO_MM).translate((0.0, 0.0, bottom * TO_MM))
+
+
+def manifold() -> Any:
+    """The library of solids; raises MissingExtraError without it."""
+    return extra("manifold3d", "fabrication", "STL files")
+
+
+def trimesh() -> Any:
+    """The library of meshes; raises MissingExtraError without it."""
+    return extra("trimesh", "fabrication", "STL files")

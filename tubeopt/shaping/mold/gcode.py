@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import SolveError, choice
+from ...errors import SolveError
 from ...files.files import write_text
 from ...files.units import TO_MM
 from .checks import THROUGH, beyond_edge
@@ -60,20 +60,13 @@ class Stage:
 def write_gcode(mold: Mold, directory: Path) -> list[Path]:
     """Write the programs of both plates, and return their paths; raises SolveError where, read again, a cutter
     leaves its way by more than 10 um, or moves where it must not."""
-    written = []
-    for part in PARTS:
-        for name, text in programs(mold, part).items():
-            path = directory / name
-            wrong = hazards(text)
-            if wrong:
-                raise SolveError(f"{path}: {wrong[0]}")
-            written.append((path, text))
+    texts = {name: text for part in PARTS for name, text in programs(mold, part).items()}
     deviation = toolpath_deviation(mold, groove_gcode(mold))
     if deviation > TOLERANCE:
         raise SolveError(f"{directory}: a cutter's way lies {deviation * 1e6:.3g} um from its groove's")
-    for path, text in written:
-        write_text(path, text)
-    return [path for path, _ in written]
+    for name, text in texts.items():
+        write_text(directory / name, text)
+    return [directory / name for name in texts]
 
 
 @dataclass(frozen=True)
@@ -113,16 +106,20 @@ def programs(mold: Mold, part: str) -> dict[str, str]:
 
 
 def files_of(part: str, title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> dict[str, str]:
-    """The programs of stages by the names of their files; `title` and `clear` as in `program`."""
+    """The programs of stages by the names of their files; `title` and `clear` as in `program`. Raises SolveError where,
+    read again, one moves where it must not."""
     files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
     if spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}
-    return {name: program(title, clear, spec, some) for name, some in files.items()}
+    texts = {name: program(title, clear, spec, some) for name, some in files.items()}
+    for name, text in texts.items():
+        for wrong in hazards(text):
+            raise SolveError(f"{name}: {wrong}")
+    return texts
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
     """What the tools do to a plate, one after the other; what cuts it out comes last."""
-    choice("part", part, PARTS)
     plate = mold.spec.plate
     if part == "base":
         return [*groove_stages(mold), *plate_stages(mold.holes, mold.size, plate.thickness, mold.spec)]

@@ -149,6 +149,11 @@ class Centreline:
         bend = tuple(piece.offset(distance) for piece in self.bend)
         return Centreline(self.lead_in.offset(distance), bend, self.lead_out.offset(distance))
 
+    def moved(self, shift: Point) -> Centreline:
+        """The centreline, moved by `shift` (m)."""
+        bend = tuple(piece.moved(shift) for piece in self.bend)
+        return Centreline(self.lead_in.moved(shift), bend, self.lead_out.moved(shift))
+
     def lengthened(self, extra: float) -> Centreline:
         """With both leads `extra` (m) longer, outwards."""
         return with_leads(self.bend, self.lead_in.length + extra, self.lead_out.length + extra)

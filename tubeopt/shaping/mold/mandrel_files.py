@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 import re
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,13 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ...errors import InputError, SolveError
+from ...errors import SolveError
+from ...files.csv_file import to_csv
 from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
+from .files import manifold, trimesh, write_solid
 from .mandrel import Cylinder, Mandrel
-from .stl import manifold, trimesh, write_solid
 
 TOLERANCE = 1e-5
 """Greatest distance (m) of the groove in a file from the curve."""
@@ -45,32 +47,25 @@ def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path
     out = Path(directory)
     paths = []
     with left_out_where_missing():
-        stl = out / "mandrel.stl"
-        paths.append(write_solid(_solid(mandrel), stl, lambda path: check_mandrel_stl(mandrel, path, name=str(stl))))
+        paths.append(write_solid(_solid(mandrel), out / "mandrel.stl", "mandrel", partial(solid_off_curve, mandrel)))
     if isinstance(mandrel.body, Cylinder):
-        table, text = _csv(mandrel), mandrel_gcode(mandrel)
+        rows = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
+        table, text = to_csv(COLUMNS, [[f"{x:.5f}" for x in row] for row in rows]), mandrel_gcode(mandrel)
         read = np.loadtxt(io.StringIO(table), delimiter=",", skiprows=1)[:, 1:]
         for path, content, rows in ((out / "mandrel.csv", table, read), (out / "mandrel.nc", text, read_rotary(text))):
-            _must_follow(mandrel, rows, path)
+            if words := _table_off_curve(mandrel, rows):
+                raise SolveError(f"{path}: {words}")
             write_text(path, content)
             paths.append(path)
     return paths
 
 
 def rotation_table(mandrel: Mandrel) -> Array:
-    """(N, 4) arc length from the bend's proximal end (m), feed (m), rotation (rad), radius of the tool's tip (m)."""
-    if not isinstance(mandrel.body, Cylinder):
-        raise InputError("the mandrel is printed; only a turned one has a table of rotation and feed")
+    """(N, 4) of a turned one: arc length along the bend, feed (m), rotation (rad), radius of the tool's tip (m)."""
     fine = mandrel.winding.lengthened(0.0, FINE)
     feed, y, z = fine.points.T
     angle = np.unwrap(np.arctan2(z, y))
     return np.column_stack([fine.arc_length, feed, angle - angle[fine.bend.start], np.hypot(y, z) - mandrel.width / 2])
-
-
-def _csv(mandrel: Mandrel) -> str:
-    table = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
-    rows = [",".join(f"{x:.5f}" for x in row) for row in table]
-    return "\n".join([",".join(COLUMNS), *rows, ""])
 
 
 def mandrel_gcode(mandrel: Mandrel) -> str:
@@ -108,33 +103,26 @@ def read_rotary(text: str) -> Array:
     """(N, 3) feed (mm), rotation (deg), radius of the tip (mm) of the last, deepest pass of a program."""
     last = text.rsplit("G93", 1)[-1]
     rows = re.findall(r"^G1 X([-\d.]+) A([-\d.]+) Z([-\d.]+)", last, re.MULTILINE)
-    if not rows:
-        raise InputError("the G-code has no moves with X, A and Z after G93")
     return np.array([[float(x) for x in row] for row in rows])
 
 
-def _must_follow(mandrel: Mandrel, rows: Array, path: Path) -> None:
-    """Refuse a table (mm, deg, mm) whose groove lies more than 10 um from the curve."""
+def off_curve(mandrel: Mandrel, places: Array, away: float = 0.0) -> str:
+    """What is wrong with a groove, in words, where places of it (N, 3), m, of which some is to lie `away` (m) from each
+    of the bend, are off by more than 10 um."""
+    near = scipy.spatial.KDTree(places).query(mandrel.winding.points[mandrel.winding.bend])[0]
+    off = float(np.abs(near - away).max())
+    return f"the groove lies {off * 1e6:.3g} um from the curve" if off > TOLERANCE else ""
+
+
+def solid_off_curve(mandrel: Mandrel, mesh: Any) -> str:
+    """`off_curve` of a solid, a mesh in mm: the groove's bottom lies half a width from the bend everywhere."""
+    return off_curve(mandrel, np.asarray(mesh.vertices) / TO_MM, mandrel.width / 2)
+
+
+def _table_off_curve(mandrel: Mandrel, rows: Array) -> str:
+    """`off_curve` of a table of feed (mm), rotation (deg) and radius of the tip (mm)."""
     feed, angle, tip = rows[:, 0] / TO_MM, np.radians(rows[:, 1]), rows[:, 2] / TO_MM + mandrel.width / 2
-    points = np.column_stack([feed, tip * np.cos(angle), tip * np.sin(angle)])
-    own = scipy.spatial.KDTree(points)
-    bend = mandrel.winding.points[mandrel.winding.bend][1:]
-    off = float(own.query(bend)[0].max())
-    if off > TOLERANCE:
-        raise SolveError(f"{path}: the groove lies {off * 1e6:.3g} um from the curve")
-
-
-def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str = "") -> float:
-    """Greatest deviation (m) of the groove in an STL file: its bottom lies half a width from the bend everywhere."""
-    mesh = trimesh().load_mesh(str(path), file_type="stl")
-    if not mesh.is_watertight:
-        raise SolveError(f"{name or path}: the solid of the mandrel is not watertight")
-    corners = scipy.spatial.KDTree(np.asarray(mesh.vertices) / TO_MM)
-    near = corners.query(mandrel.winding.points[mandrel.winding.bend])[0]
-    off = float(np.abs(near - mandrel.width / 2).max())
-    if off > TOLERANCE:
-        raise SolveError(f"{name or path}: the groove lies {off * 1e6:.3g} um from the curve")
-    return off
+    return off_curve(mandrel, np.column_stack([feed, tip * np.cos(angle), tip * np.sin(angle)]))
 
 
 def _solid(mandrel: Mandrel) -> Any:

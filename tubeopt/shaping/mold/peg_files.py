@@ -11,16 +11,15 @@ import scipy
 
 from ...errors import SolveError
 from ...files.csv_file import to_csv
-from ...files.files import left_out_where_missing, write_text
+from ...files.files import write_text
 from ...files.units import TO_MM
 from .checks import beyond_edge
 from .drawing import TEXT_HEIGHT_MM, Drawing, in_mm, rectangle
-from .dxf import write_drawing
+from .files import write_drawing
 from .gcode import files_of, plate_stages
-from .gcode_reader import TOLERANCE, hazards, read_gcode
+from .gcode_reader import TOLERANCE, read_gcode
 from .holes import Hole
 from .pegs import PegBoard
-from .svg import svg_of
 
 COLUMNS = ("hole", "angle_deg", "side", "pin_x_mm", "pin_y_mm", "arc_length_mm", "force_N", "colder_by_K")
 
@@ -38,10 +37,8 @@ def write_pegs(board: PegBoard, directory: Path) -> list[Path]:
     off = max(_pins_off(board, table), *(_holes_off(board, text) for text in list(texts.values())[:1]))
     if off > TOLERANCE:
         raise SolveError(f"{directory}: a pin or a hole lies {off * 1e6:.3g} um from where it is meant to be")
-    drawing, paths = draw_board(board), []
-    with left_out_where_missing():
-        paths.append(write_drawing(drawing, board.centreline.pieces, directory / "board.dxf"))
-    for name, text in {"pegs.csv": table, "board.svg": svg_of(drawing), **texts}.items():
+    paths = write_drawing(draw_board(board), board.centreline.pieces, directory / "board")
+    for name, text in {"pegs.csv": table, **texts}.items():
         write_text(directory / name, text)
         paths.append(directory / name)
     return paths
@@ -74,11 +71,7 @@ def board_programs(board: PegBoard) -> dict[str, str]:
     holes = [Hole("hole", place, spec.pegs.shank) for place in board.holes.values()]
     stages = plate_stages(holes, board.size, spec.plate.thickness, spec)
     clear = beyond_edge([], spec) if spec.workshop.cut_out else 0.0
-    texts = files_of("board", "board of pegs", clear, spec, stages)
-    for name, text in texts.items():
-        for wrong in hazards(text):
-            raise SolveError(f"{name}: {wrong}")
-    return texts
+    return files_of("board", "board of pegs", clear, spec, stages)
 
 
 def draw_board(board: PegBoard) -> Drawing:

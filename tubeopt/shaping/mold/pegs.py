@@ -20,13 +20,15 @@ from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array, Sentence
+from ..heating.groove_air import STANDOFF
+from ..heating.rig import air_conductivity, natural_convection
+from ..heating.thermal import STEFAN_BOLTZMANN
 from .arcs import bend_of
-from .checks import refuse_failed, strain_check
+from .checks import refuse_failed, springback_remarks, strain_check
 from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
-from .heat import ColdEnd
+from .heat import ColdEnd, HeatSpec, fin, thermal_data
 from .held import Held, held_between
 from .lattice import Lattice, Peg, Sampled
-from .peg_heat import PegHeat, peg_heat, pin_conductance, tube_in_air
 from .setting import bend_direction, tube_in_mold
 from .spec import MoldSpec
 
@@ -157,7 +159,7 @@ def _pegged(
     good = [one for one in found if one[0] <= pegging.most_deviation]
     fewest = min(good, key=lambda one: int((one[3].force > 0).sum()), default=None)
     worst, placed, pegs, lying = fewest or min(found, key=lambda one: one[0])
-    force = lying.force * _stiffness(tube)
+    force = lying.force * float(tube.bending_stiffness)
     some = tuple(replace(peg, force=float(f)) for peg, f in zip(pegs, force, strict=True) if f > 0)
     return worst, placed, some, lying
 
@@ -192,13 +194,6 @@ def _to_be_held(tube: Tube, spec: MoldSpec, number: int) -> Tube:
     return held
 
 
-def _stiffness(tube: Tube) -> float:
-    """Bending stiffness (N m^2): the tube's own where it is one number, else that of its cross-section."""
-    if not tube.general and tube.bending_stiffness:
-        return float(tube.bending_stiffness)
-    return tube.material.youngs_modulus * math.pi / 64 * (tube.outer_diameter**4 - tube.inner_diameter**4)
-
-
 def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Centreline]:
     """Size of the board and the curve in its middle."""
     low, high = bounds(curve.pieces)
@@ -213,19 +208,16 @@ def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Ce
                 f"board of the pegs is {size[0] * 1e3:g} x {size[1] * 1e3:g} mm; tube {number} with its cold ends and "
                 f"its pegs needs {need[0] * 1e3:.0f} x {need[1] * 1e3:.0f} mm"
             )
-    return size, _moved(curve, [0.5 * (side - a - b) for side, a, b in zip(size, low, high, strict=True)])
-
-
-def _moved(curve: Centreline, shift: Sequence[float]) -> Centreline:
-    by = float(shift[0]), float(shift[1])
-    return Centreline(curve.lead_in.moved(by), tuple(p.moved(by) for p in curve.bend), curve.lead_out.moved(by))
+    return size, curve.moved((0.5 * (size[0] - low[0] - high[0]), 0.5 * (size[1] - low[1] - high[1])))
 
 
 def _shifts(curve: Centreline, spec: MoldSpec) -> list[Centreline]:
     """The curve at places of one cell of the lattice around the middle of the board."""
     count, pitch = spec.solver.peg_shifts, spec.pegs.pitch
     steps = (np.arange(count) - count // 2) / count
-    return [_moved(curve, (x * math.sqrt(2) * pitch, y * pitch / math.sqrt(2))) for x in steps for y in steps]
+    return [
+        curve.moved((float(x * math.sqrt(2) * pitch), float(y * pitch / math.sqrt(2)))) for x in steps for y in steps
+    ]
 
 
 def _unevenness(curve: Centreline, lattice: Lattice, tube: Tube, spec: MoldSpec) -> float:
@@ -278,6 +270,59 @@ def _remarks(spec: MoldSpec, worst: float, heat: PegHeat) -> tuple[str, ...]:
             f"heated by its own current, the tube is up to {dip:.0f} K colder at its pegs, more than the tolerance of "
             f"{spec.heat.tolerance:g} K: set it in a furnace, pegs and board with it, or take pins that conduct less"
         )
-    if not spec.springback.calibrated:
-        found.append("no spring-back is given: the tube will come out straighter than it is to be")
-    return tuple(found)
+    return *found, *springback_remarks(spec)
+
+
+# --- heat -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PegHeat:
+    """What pegs make of the tube's temperature.
+
+    Attributes:
+        dip: (M,) by which the tube is colder at each peg than without any, K. drawn: (M,) heat into each, W.
+        decay_length: of a cold spot along the tube, m. loss: of the tube to air, W/m.
+    """
+
+    dip: Array
+    drawn: Array
+    decay_length: float
+    loss: float
+
+
+def tube_in_air(tube: Tube, heat: HeatSpec) -> ColdEnd:
+    """The end of a tube in air as a fin, hot by its current; as `cold_end` of a mold."""
+    data, hot, cold = thermal_data(tube), heat.set_temperature, heat.ambient
+    radiated = data.emissivity * STEFAN_BOLTZMANN * (hot**4 - cold**4) / heat.rise
+    return fin(tube, heat, natural_convection(tube.outer_diameter, hot, cold) + radiated)
+
+
+def pin_conductance(tube: Tube, heat: HeatSpec, pin: float, height: float, conductivity: float) -> float:
+    """W/K from a tube into the board through a pin of this diameter (m), conductivity (W/(m K)) and height (m).
+
+    That of the air around the place where two crossed cylinders touch, in series with what the pin resists: heat
+    spreads from the place of contact into it and goes down to the board, which stays cold, so that it is an upper
+    bound. Air between cylinders of radii a and b that cross at right angles, with their roughness d between them,
+    conducts 2 pi k sqrt(a b) ln(1 + min(a, b) / (2 d)) up to where the gap has grown by half of the smaller radius.
+    """
+    a, b = 0.5 * tube.outer_diameter, 0.5 * pin
+    air = air_conductivity(0.5 * (heat.set_temperature + heat.ambient))
+    contact = 2 * math.pi * air * math.sqrt(a * b) * math.log1p(min(a, b) / (2 * STANDOFF))
+    spreading = 1 / (4 * conductivity * math.sqrt(a * b))
+    down = height / (conductivity * math.pi * b**2)
+    return 1 / (1 / contact + spreading + down)
+
+
+def peg_heat(tube: Tube, heat: HeatSpec, places: Array, conductance: float) -> PegHeat:
+    """Cold spots of pegs at `places` (M,), m, along the tube, each of this conductance (W/K); steady.
+
+    The tube is a fin in air, warm by its current as a whole; every peg is a sink at a point.
+    """
+    end = tube_in_air(tube, heat)
+    girth = math.pi * tube.outer_diameter
+    # A heat of 1 W makes the tube colder by this where it is drawn.
+    one = 1 / (2 * end.loss_coefficient * girth * end.decay_length)
+    spots = one * np.exp(-np.abs(places[:, None] - places) / end.decay_length)
+    drawn = np.linalg.solve(np.eye(len(places)) / conductance + spots, np.full(len(places), heat.rise))
+    return PegHeat(spots @ drawn, drawn, end.decay_length, end.loss_coefficient * girth * heat.rise)

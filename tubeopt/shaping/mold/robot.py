@@ -1,4 +1,4 @@
-"""The mold for the tubes of a robot: which of them need a groove, and which share one."""
+"""The mold for the tubes of a robot, which of them need a groove and which share one; and the tubes that come out."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...display import Displayed
-from ...errors import InputError
+from ...errors import InputError, instance, whole
 from ...robots.robot import Robot
+from ...robots.tubes import Tube
 from .mold import Mold, plan_mold
-from .setting import bend_direction
+from .setting import bend_direction, tube_from_mold
 from .spec import MoldSpec
+from .springback import Springback
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,3 +68,35 @@ def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list
     if not numbers:
         raise InputError("no tube of this robot is curved; none needs a mold")
     return numbers, left_out
+
+
+def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback | None = None) -> Tube:
+    """The tube that comes out of a groove: the reverse of `plan_mold`.
+
+    Args:
+        mold: the mold.
+        index: of the groove, from 0; needed where there are several.
+        springback: another than the mold was planned with.
+
+    Raises:
+        InputError: no such groove, several grooves and no index, or a tube tighter than it is thick.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> mold = tubeopt.plan_mold(robot.tubes[0])
+        >>> round(tubeopt.predict_tube(mold).curvature, 6)
+        10.0
+    """
+    instance("mold", mold, Mold)
+    count = len(mold.grooves)
+    if index is None and count > 1:
+        raise InputError(f"the mold has {count} grooves; index must say which, 0 to {count - 1}")
+    if not 0 <= (which := whole("index", 0 if index is None else index)) < count:
+        raise InputError(f"index is {index}; it must lie in 0 to {count - 1}")
+    return tube_from_mold(mold.grooves[which].held, springback or mold.spec.springback)
+
+
+def predict_tubes(mold: Mold, *, springback: Springback | None = None) -> tuple[Tube, ...]:
+    """The tubes that come out of all grooves, as `predict_tube`."""
+    return tuple(predict_tube(mold, k, springback=springback) for k in range(len(mold.grooves)))

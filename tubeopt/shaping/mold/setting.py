@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 
 from ...errors import InputError
 from ...robots.pieces import Piece
-from ...robots.series import Quantity, Series, breaks_of, on_panels, times
+from ...robots.series import Quantity, Series, breaks_of, on_panels, times, values, vary, zeros
 from ...robots.tubes import Tube
 from ...typing import Array
 from .springback import Springback
@@ -58,7 +58,7 @@ def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float,
         size = max(size, 1e-9)
         return curve(size) / size
 
-    if even or not (isinstance(x, Series) or isinstance(y, Series)):
+    if even or not vary((x, y)):
         at = 1.0 if even else float(np.hypot(x, y))
         x, y = times(x, gain(at)), times(y, gain(at))
     else:
@@ -70,23 +70,7 @@ def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float,
             return np.asarray(values(quantity, s) * np.array([gain(size) for size in sizes]))
 
         x, y = (0.0 if q == 0.0 else _fitted(partial(bent, q), breaks) for q in own)
-    stiffness = (piece.bending_stiffness, piece.torsional_stiffness)
-    bending, torsional = (None if q is None else _stretched(q, factor) for q in stiffness)
-    return Piece(
-        piece.length * factor,
-        tuple(_stretched(q, factor) for q in (x, y, z)),
-        bending_stiffness=bending,
-        torsional_stiffness=torsional,
-    )
-
-
-def values(quantity: Quantity, s: Array) -> Array:
-    """(N,) values of a quantity at arc lengths (N,)."""
-    return quantity(s) if isinstance(quantity, Series) else np.full(len(s), quantity)
-
-
-def _stretched(quantity: Quantity, factor: float) -> Quantity:
-    return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
+    return replace(piece, precurvature=(x, y, z)).stretched(factor)
 
 
 def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
@@ -95,9 +79,7 @@ def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
     found = set(breaks.tolist())
     for quantity in (x, y):
         for (low, high), coefficients in zip(pairwise(breaks), on_panels(quantity, breaks), strict=True):
-            trimmed = chebyshev.chebtrim(coefficients, 1e-14 * float(np.abs(coefficients).max()))
-            roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
-            inside = roots.real[(np.abs(roots.imag) < 1e-7) & (np.abs(roots.real) < 1 - 1e-9)]
+            inside = zeros(coefficients, 1e-7)
             found |= {float((low + high) / 2 + r * (high - low) / 2) for r in inside}
     return sorted(found)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from ...display import Displayed
-from ...errors import InputError, instance, numbers, positive
+from ...errors import InputError, instance, numbers, positive, vector
 from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, check_fields, key, unit
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .heat import HeatSpec
@@ -75,10 +75,8 @@ class PlateSpec:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.size is not None:
-            sides = numbers("size of the plate", self.size)
-            if len(sides) != 2:
-                raise InputError(f"size has {len(sides)} numbers; it must be the width and the height of the plate")
-            size = (positive("width of the plate", sides[0]), positive("height of the plate", sides[1]))
+            width, height = vector("size of the plate", self.size, 2, "width and height")
+            size = positive("width of the plate", width), positive("height of the plate", height)
             object.__setattr__(self, "size", size)
 
 

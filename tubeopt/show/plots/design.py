@@ -16,7 +16,7 @@ from ...files.units import TO_MM
 from ...planning import PairShare
 from ...stability import StabilityMap
 from ...typing import Array
-from ..arm_surfaces import Centreline, exposed
+from ..arm_surfaces import Centreline, visible
 from ..colours import tube_colour
 from .maps import draw_map
 from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
@@ -63,7 +63,7 @@ def plot_poses(solution: DesignSolution) -> Figure:
 
 def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
     line = Centreline(equilibrium)
-    for tube, start, end in exposed(equilibrium):
+    for tube, start, end, *_ in visible(equilibrium):
         points = line.position(np.linspace(start, end, ALONG))[:, [i, j]] * TO_MM
         axes.plot(*points.T, color=tube_colour(tube), lw=1.2 + 0.7 * tube, solid_capstyle="butt", zorder=4)
 

@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 
 from ...files.units import TO_MM
-from ...shaping.firmware.parts import root_mean_square
+from ...shaping.firmware.boards import root_mean_square
 from ...shaping.heating.plan import HeatingPlan
 from ...shaping.tube_fabrication import TubeFabrication
 from .heating import draw_duty, draw_temperature

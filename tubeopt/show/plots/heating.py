@@ -160,7 +160,7 @@ def plot_rig_fit(fit: RigFit) -> Figure:
 
 
 @picture
-def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
+def plot_feedback(answer: LedHeating) -> Figure:
     """Picture of a led heating: curved parts of uncertain rigs over time, near the window, and what moves them."""
     feedback = answer.feedback
     figure = new_figure(9.4, 5.2)
@@ -192,7 +192,7 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     low_p, high_p = feedback.interval
     kept = f"{100 * feedback.probability:.1f} % of {feedback.samples} rigs keep the window"
     sure = f"({100 * low_p:.1f} to {100 * high_p:.1f} %),  {100 * feedback.open_loop:.0f} % without it"
-    headed(figure, f"{title or answer.plan.rig.name or 'rig'}, led by a {feedback.sensor.name}:  {kept} {sure}")
+    headed(figure, f"{answer.plan.rig.name or 'rig'}, led by a {feedback.sensor.name}:  {kept} {sure}")
     return figure
 
 

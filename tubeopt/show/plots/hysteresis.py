@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
-from ...stability import Path, Snap
+from ...stability import Path
 from ...typing import Array
+from .path import place_of, stretches
 from .stage import note
 from .style import Axes, Figure, angle_locator, finish, new_figure, styled
 
@@ -100,26 +101,6 @@ def _liveliest(forth: Path, back: Path) -> int:
     return int(np.argmax(np.ptp([e.tip_position for e in forth.equilibria], axis=0)))
 
 
-def snap_angle(snap: Snap, angles: Array) -> float:
-    """Angle at which a snap happens, from the angles (T,) of the waypoints."""
-    return float(angles[snap.index] + snap.fraction * (angles[snap.index + 1] - angles[snap.index]))
-
-
-def stretches(followed: Path, angles: Array) -> list[tuple[Array, list[Equilibrium]]]:
-    """A path cut at its snaps: angles and equilibria of each stretch, up to and from the very snap."""
-    out: list[tuple[Array, list[Equilibrium]]] = []
-    where, what, done = [float(angles[0])], [followed.equilibria[0]], 1
-    for snap in followed.snaps:
-        until = snap.index + 1
-        here = snap_angle(snap, angles)
-        where += [*angles[done:until].tolist(), here]
-        what += [*followed.equilibria[done:until], snap.before]
-        out.append((np.array(where), what))
-        where, what, done = [here], [snap.after], max(done, until)
-    out.append((np.array([*where, *angles[done:].tolist()]), [*what, *followed.equilibria[done:]]))
-    return out
-
-
 def _draw_way(axes: Axes, way: Way, quantity: Value) -> None:
     """One way: its stretches, and an arrow for each snap between them."""
     colour = way.colour
@@ -138,7 +119,7 @@ def _name_snaps(axes: Axes, way: Way, quantity: Value) -> None:
     """Angle, jump of the tip and energy of each snap, beside it: ahead of the way on which it happens."""
     side = 1 if way.angles[-1] > way.angles[0] else -1
     for snap in way.path.snaps:
-        x = snap_angle(snap, way.angles)
+        x = place_of(snap, way.angles)
         y = (quantity(snap.before) + quantity(snap.after)) / 2
         text = f"{x:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm\n{snap.energy_released * TO_MILLI:.2f} mJ released"
         words = text.replace("-", "\N{MINUS SIGN}")

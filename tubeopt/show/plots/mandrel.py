@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import textwrap
 
 import numpy as np
 
@@ -13,23 +12,21 @@ from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mandrel_files import rotation_table
 from ...typing import Array
 from ..colours import tube_colour
-from .mold import A4, EDGE, INCH, sheet_text
+from .mold import A4, EDGE, INCH, sheet_steps, sheet_text
 from .style import INK, Axes, Figure, headed, new_figure, picture
 
 BODY = "#D9D4C5"
-WRAPPED = 78
-"""Letters per line of the steps."""
 
 
 @picture
-def plot_mandrel(mandrel: Mandrel, *, title: str = "") -> Figure:
+def plot_mandrel(mandrel: Mandrel) -> Figure:
     """The mandrel in space, and beside it what the workshop needs: rotation over feed, or the groove from above."""
     figure = new_figure(8.6, 4.0)
     space = figure.add_subplot(1, 2, 1, projection="3d")
     side = figure.add_subplot(1, 2, 2)
     draw_space(space, mandrel)
     draw_plan(side, mandrel)
-    return headed(figure, f"{title or f'Mandrel of tube {mandrel.number}'}, {_made(mandrel)}")
+    return headed(figure, f"Mandrel of tube {mandrel.number}, {_made(mandrel)}")
 
 
 def _made(mandrel: Mandrel) -> str:
@@ -115,14 +112,8 @@ def plot_mandrel_sheet(mandrel: Mandrel, *, title: str = "") -> Figure:
     for k, (what, value) in enumerate(_numbers(mandrel)):
         for x, words in ((EDGE, what), (95.0, value)):
             sheet_text(figure, x, top - 5.2 * k, words)
-    lines = [_wrapped(f"{k}.", step) for k, step in enumerate(_steps(mandrel), start=1)]
-    lines += [_wrapped("!", remark) for remark in mandrel.remarks]
-    sheet_text(figure, 150.0, top, "\n".join(lines))
+    sheet_text(figure, 150.0, top, sheet_steps(_steps(mandrel), mandrel.remarks))
     return figure
-
-
-def _wrapped(mark: str, text: str) -> str:
-    return f"{mark}  " + textwrap.fill(text, WRAPPED, subsequent_indent="      ")
 
 
 def _numbers(mandrel: Mandrel) -> list[tuple[str, str]]:

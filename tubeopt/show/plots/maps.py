@@ -15,7 +15,7 @@ from ...solvers.parallel.blas import small
 from ...stability import EnergyMap, StabilityMap
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
-from .style import INK, Axes, Figure, angle_locator, narrow, new_figure, number, picture
+from .style import INK, Axes, Figure, angle_locator, narrow, new_figure, picture, rotations_in_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -70,7 +70,8 @@ def plot_energy_maps(maps: Sequence[EnergyMap], *, titles: Sequence[str] = ()) -
             panel.axis("off")
             continue
         filled = _draw_energy(panel, maps[k], levels)
-        panel.set_title(titles[k] if titles else _rotations(maps[k]), loc="left")
+        own = "".join(rotations_in_words(e.rotations) for e in maps[k].equilibria[:1])
+        panel.set_title(titles[k] if titles else own, loc="left")
     if len({(*each.tubes, *each.first[[0, -1]], *each.second[[0, -1]]) for each in maps}) == 1:
         for panel in panels.ravel():
             panel.label_outer()
@@ -87,13 +88,6 @@ def energy_levels(energies: Sequence[Array]) -> Array:
     high = max(float(energy.max()) for energy in energies) * TO_MILLI
     span = max(high - low, 1e-9 * max(abs(high), 1e-12))
     return np.asarray(low + span * np.linspace(0, 1, ENERGY_LEVELS + 1) ** 2)
-
-
-def _rotations(energy_map: EnergyMap) -> str:
-    if not energy_map.equilibria:
-        return ""
-    angles = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(energy_map.equilibria[0].rotations))
-    return f"rotations ({angles})"
 
 
 def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet:
@@ -167,7 +161,8 @@ def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]
     handles: list[Artist] = []
     if curves:
         behind = axes.pcolormesh(fine, fine, _filled(stability_map, fine, reached, ()), **look)
-        handles = [_cut_out(axes, behind, curves), _draw_boundary(axes, curves)]
+        lines = [axes.plot(*curve.points.T, color=SNAP_COLOUR, lw=2.0, label=SNAPS)[0] for curve in curves]
+        handles = [_cut_out(axes, behind, curves), lines[0]]
     handles += axes.plot([0], [0], "o", ms=6, mfc="white", mec=INK, mew=1.0, ls="", label="home")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(angle_locator())
@@ -242,9 +237,3 @@ def _cut_out(axes: Axes, behind: Artist, curves: Sequence[Curve]) -> Artist:
     axes.add_patch(PathPatch(region, **look))
     behind.set_clip_path(region, axes.transData)
     return Patch(**look | {"facecolor": "#7C7B78"}, label="reached through a snap")
-
-
-def _draw_boundary(axes: Axes, curves: Sequence[Curve]) -> Artist:
-    """The curves of first snaps; returns their name."""
-    lines = [axes.plot(*points.T, color=SNAP_COLOUR, lw=2.0, label=SNAPS)[0] for _, points, *_ in curves]
-    return lines[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from ..arm_surfaces import Part
 from ..surfaces import Surface
 
 
-@dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(NamedTuple):
     """k four-sided facets: corners (k, 4, 3) m, outward normals (k, 3), colours (k, 4) as RGBA in [0, 1].
 
     `lift` (k,) m: how much nearer to whom it faces a facet counts when facets are sorted by depth, so that a surface
@@ -37,7 +36,7 @@ class Mesh:
 
     def only(self, kept: Mask) -> Mesh:
         """Some of the facets: `kept` (k,), bool."""
-        return Mesh(self.corners[kept], self.normals[kept], self.colours[kept], self.lift[kept])
+        return Mesh(*(each[kept] for each in self))
 
     def in_sight(self, towards_viewer: Array) -> Mesh:
         """The facets of surfaces that enclose something, without those that its other side hides: opaque ones that turn
@@ -47,12 +46,8 @@ class Mesh:
     @staticmethod
     def join(parts: list[Mesh]) -> Mesh:
         """All facets of `parts` as one mesh, so that they can be sorted by depth together."""
-        return Mesh(
-            np.concatenate([np.empty((0, 4, 3)), *(part.corners for part in parts)]),
-            np.concatenate([np.empty((0, 3)), *(part.normals for part in parts)]),
-            np.concatenate([np.empty((0, 4)), *(part.colours for part in parts)]),
-            np.concatenate([np.empty(0), *(part.lift for part in parts)]),
-        )
+        nothing = Mesh(np.empty((0, 4, 3)), np.empty((0, 3)), np.empty((0, 4)), np.empty(0))
+        return Mesh(*map(np.concatenate, zip(nothing, *parts, strict=True)))
 
     def lit(self, towards_viewer: Array, towards_light: Array) -> Array:
         """(k, 4) colours under a light from `towards_light` (unit, (3,)), seen from `towards_viewer`."""

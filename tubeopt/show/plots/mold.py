@@ -174,6 +174,12 @@ def sheet_text(figure: Figure, x: float, y: float, text: str, *, size: float = 7
     figure.text(x / A4[0], y / A4[1], text, fontsize=size, fontweight=weight, va="top", ha="left", linespacing=1.35)
 
 
+def sheet_steps(steps: Sequence[str], remarks: Sequence[str]) -> str:
+    """Steps of a sheet, numbered, and below them what to beware of."""
+    marked = [*((f"{k}.", step) for k, step in enumerate(steps, start=1)), *(("!", remark) for remark in remarks)]
+    return "\n".join(f"{mark}  {textwrap.fill(text, 78, subsequent_indent='      ')}" for mark, text in marked)
+
+
 def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
     """What the workshop needs to know of one groove; mm and deg."""
     tube, back = groove.tube, mold.spec.springback
@@ -241,9 +247,7 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
         f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
         "Trim the ends. Measure the radius, note it beside the mold radius: `tubeopt mold calibrate TRIALS.csv`.",
     ]
-    lines = [f"{k}.  " + textwrap.fill(step, 78, subsequent_indent="      ") for k, step in enumerate(steps, start=1)]
-    lines += ["!  " + textwrap.fill(remark, 78, subsequent_indent="      ") for remark in mold.remarks]
-    sheet_text(figure, 158.0, top, "\n".join(lines))
+    sheet_text(figure, 158.0, top, sheet_steps(steps, mold.remarks))
 
 
 @picture

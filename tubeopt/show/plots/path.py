@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -58,20 +59,41 @@ def plot_path(path: Path) -> Figure:
     return figure
 
 
+def place_of(snap: Snap, values: Array) -> float:
+    """Where a snap happens, in what has these values (T,) at the waypoints."""
+    return float(values[snap.index] + snap.fraction * (values[snap.index + 1] - values[snap.index]))
+
+
+def stretches(path: Path, values: Array) -> list[tuple[Array, list[Equilibrium]]]:
+    """A path cut at its snaps: values and equilibria of each stretch, up to and from the very snap."""
+    out: list[tuple[Array, list[Equilibrium]]] = []
+    where, what, done = [float(values[0])], [path.equilibria[0]], 1
+    for snap in path.snaps:
+        until = snap.index + 1
+        here = place_of(snap, values)
+        where += [*values[done:until].tolist(), here]
+        what += [*path.equilibria[done:until], snap.before]
+        out.append((np.array(where), what))
+        where, what, done = [here], [snap.after], max(done, until)
+    out.append((np.array([*where, *values[done:].tolist()]), [*what, *path.equilibria[done:]]))
+    return out
+
+
 def _curve(path: Path) -> Curve:
     """Waypoints, points between them, and both sides of each snap, with a gap between these."""
     points: Curve = []
-    for k, here in enumerate(path.equilibria):
-        at, arrived = k + 1.0, here
-        points.append((at, here))
-        for snap in (snap for snap in path.snaps if snap.index == k):
-            place = _place(snap)
-            points += _between(arrived, snap.before, at, place, to_fold=True)
-            points += [(place, snap.before), (place, None), (place, snap.after)]
-            at, arrived = place, snap.after
-        if k + 1 < len(path.equilibria):
-            points += _between(arrived, path.equilibria[k + 1], at, k + 2.0, to_fold=False)
+    parts = stretches(path, _numbers(path))
+    for k, (where, what) in enumerate(parts):
+        points += [(where[0], None)] * bool(k) + [(where[0], what[0])]
+        for (at, here), (place, there) in pairwise(zip(where, what, strict=True)):
+            to_fold = there is what[-1] and k + 1 < len(parts)
+            points += [*_between(here, there, at, place, to_fold=to_fold), (place, there)]
     return points
+
+
+def _numbers(path: Path) -> Array:
+    """(T,) of the waypoints, from 1."""
+    return np.arange(1.0, len(path.equilibria) + 1)
 
 
 def _between(start: Equilibrium, end: Equilibrium, first: float, last: float, *, to_fold: bool) -> Curve:
@@ -95,10 +117,6 @@ def _between(start: Equilibrium, end: Equilibrium, first: float, last: float, *,
     return found
 
 
-def _place(snap: Snap) -> float:
-    return snap.index + 1 + snap.fraction
-
-
 def _draw_curves(
     axes: Axes, curve: Curve, path: Path, quantities: Callable[[Equilibrium], Array], looks: Sequence[tuple[str, str]]
 ) -> None:
@@ -109,13 +127,15 @@ def _draw_curves(
         for snap in path.snaps:
             for side, face in ((snap.before, "white"), (snap.after, colour)):
                 value = quantities(side)[k]
-                axes.plot([_place(snap)], [value], "o", ms=4, mfc=face, mec=colour, zorder=4, clip_on=False)
+                axes.plot(
+                    [place_of(snap, _numbers(path))], [value], "o", ms=4, mfc=face, mec=colour, zorder=4, clip_on=False
+                )
 
 
 def _mark_snaps(above: Axes, below: Axes, path: Path) -> None:
     """A thin line at every snap, numbered on top."""
     for k, snap in enumerate(path.snaps, start=1):
-        at = _place(snap)
+        at = place_of(snap, _numbers(path))
         for axes in (above, below):
             axes.axvline(at, color=FAINT, lw=0.7, ls=(0, (4, 3)), zorder=0)
         if len(path.snaps) <= MOST_NAMES:

@@ -14,7 +14,7 @@ from ...files.units import TO_MM
 from ...inverse.outline import Outline
 from ...planning import Trajectory
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
-from .trajectory import SHOWN, arms_at
+from .trajectory import some_of
 
 CELLS = 300
 """Places along a side of the picture at which it is told whether a body is there."""
@@ -43,8 +43,8 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     t, plane = trajectory, plane or trajectory.cut
     if plane is None:
         raise InputError("there is no plane to cut along; give one, or a trajectory with a cut")
-    arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
-    lines = [Outline(arm).at(np.linspace(0.0, arm.arc_length[-1], ALONG))[0] for arm in arms]
+    arms = some_of(t.arms)
+    lines = [Outline(arm).line(ALONG)[0] for arm in arms]
     frame = plane.frame
     seen = frame.seen(np.concatenate([*lines, t.tip_position]))[:, :2]
     low, high = seen.min(0) - AROUND, seen.max(0) + AROUND
@@ -78,7 +78,7 @@ def _draw_arm(axes: Axes, arm: Equilibrium, plane: Plane) -> None:
     """An arm as the balls about its centreline: all of them as they are seen, and what the plane cuts of them."""
     from matplotlib.collections import EllipseCollection
 
-    line, radius = Outline(arm).at(np.linspace(0.0, arm.arc_length[-1], ALONG))
+    line, radius = Outline(arm).line(ALONG)
     at, height = plane.frame.seen(line)[:, :2] * TO_MM, plane.height(line)
     for half, colour in ((radius, BESIDE), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
         wide = 2 * TO_MM * half[half > 0]

@@ -12,7 +12,7 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array, Mask
-from ..arm_surfaces import Bundle, Centreline, Detail, bundles, exposed, plate_part, plate_radius, robot_parts
+from ..arm_surfaces import Bundle, Centreline, Detail, bundles, plate_part, plate_radius, robot_parts, visible
 from ..colours import tube_colour
 from .mesh import Mesh, mesh_of
 from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
@@ -134,7 +134,7 @@ def draw_scenes(
         draw_box(scene, box, seen)
         _draw_shadows(scene, [equilibrium, *some], box, seen)
         scene.add_collection(facets(mesh.in_sight(seen.towards_viewer), seen), autolim=False)
-        if exposed(equilibrium):
+        if visible(equilibrium):
             _name_tubes(scene, equilibrium, seen)
         _draw_forces(scene, equilibrium, seen)
     for row, bundle in enumerate(reversed(ends)):

@@ -9,7 +9,7 @@ from ...files.units import TO_MILLI, TO_MM
 from ...stability import Snap
 from .shape import draw_scenes
 from .stage import View, widest_view
-from .style import INK, Axes, Figure, headed, new_figure, number, picture
+from .style import INK, Axes, Figure, headed, millimetres, new_figure, picture, rotations_in_words
 
 
 @picture
@@ -46,18 +46,18 @@ def _heading(snap: Snap, title: str) -> str:
     """Where the robot snaps and what that does, in two lines."""
     robot = snap.before.robot
     name = title or robot.name or f"Robot with {robot.n_tubes} tubes"
-    joints = "rotations (" + ", ".join(f"{number(angle, 3)}°" for angle in np.degrees(snap.rotations)) + ")"
+    joints = rotations_in_words(snap.rotations, 3)
     if np.any(snap.translations):
-        joints += ", translations (" + ", ".join(number(shift * TO_MM, 1) for shift in snap.translations) + ") mm"
+        joints += f", translations ({millimetres(snap.translations)}) mm"
     jump, energy = f"{snap.tip_jump * TO_MM:.1f}", f"{snap.energy_released * TO_MILLI:.2f}"
     return f"{name}:  snap at {joints}\nthe tip jumps by {jump} mm, {energy} mJ are released"
 
 
 def _state(equilibrium: Equilibrium, *, at_fold: bool = False) -> str:
     """Tip, margin and energy, in two lines; at a fold the margin is 0 but for round-off."""
-    tip = ", ".join(number(length * TO_MM, 1) for length in equilibrium.tip_position)
     margin = "0, the fold" if at_fold else f"{equilibrium.margin:.3f}"
-    return f"tip ({tip}) mm\nmargin {margin},  energy {equilibrium.energy * TO_MILLI:.2f} mJ"
+    energy = f"{equilibrium.energy * TO_MILLI:.2f} mJ"
+    return f"tip ({millimetres(equilibrium.tip_position)}) mm\nmargin {margin},  energy {energy}"
 
 
 def _draw_jump(scene: Axes, snap: Snap, view: View) -> None:

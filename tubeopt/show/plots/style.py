@@ -162,6 +162,14 @@ def name_above(axes: Axes, x: float, words: str, row: int = 0) -> None:
     axes.annotate(words, (x, 1), (0, 2 + 9 * row), fontsize=7, color=FAINT, **place)
 
 
+def widen(axes: Axes, least: float) -> None:
+    """Let the y axis span at least `least`, so that round-off about a constant does not look like a signal."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - least / 2, middle + least / 2)
+
+
 def picture_format(path: str | PathLike[str]) -> str:
     """Format that the file name asks for; raises InputError where it is none of `FORMATS`."""
     suffix = Path(path).suffix.lower().removeprefix(".")
@@ -257,27 +265,29 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     under a load, what pushes in a line more."""
     kind = "Concentric" if equilibrium.robot.nested_pairs or equilibrium.robot.n_tubes == 1 else "Eccentric"
     name = title or equilibrium.robot.name or f"{kind} robot, {equilibrium.robot.n_tubes} tubes"
-    rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
-    joints = [f"rotations ({rotations})"]
+    joints = [rotations_in_words(equilibrium.rotations)]
     if np.any(equilibrium.translations):
         first = [tubes[0] for tubes in equilibrium.robot.moving_together]
-        joints.append(f"translations ({_millimetres(equilibrium.translations[first])}) mm")
+        joints.append(f"translations ({millimetres(equilibrium.translations[first])}) mm")
     margin = f"margin {round(equilibrium.margin, 3) + 0.0:.3f}".replace("-", "\N{MINUS SIGN}")
     word = in_a_word(equilibrium.margin)
     verdict = f"{margin}, {word}" if word in ("unstable", "at a snap") else margin
     verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
-    state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
-    pushed = [] if equilibrium.load is None else [f"load: {_with_minus(load_in_words(equilibrium.load))}"]
+    state = [f"tip ({millimetres(equilibrium.tip_position)}) mm", verdict]
+    load = "" if equilibrium.load is None else f"load: {load_in_words(equilibrium.load)}"
+    pushed = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []
     if narrow:
         return "\n".join([name, *joints, *state, *pushed])
     return "\n".join([f"{name}:  {',  '.join(state)}", ",  ".join(joints), *pushed])
 
 
-def _with_minus(words: str) -> str:
-    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", words)
+def rotations_in_words(rotations: Array, digits: int = 1) -> str:
+    """Rotations (rad) as a heading has them."""
+    return f"rotations ({', '.join(f'{number(angle, digits)}°' for angle in np.degrees(rotations))})"
 
 
-def _millimetres(lengths: Array) -> str:
+def millimetres(lengths: Array) -> str:
+    """Lengths (m) as a heading has them, without their unit."""
     return ", ".join(number(length * TO_MM, 1) for length in lengths)
 
 

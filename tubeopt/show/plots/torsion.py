@@ -13,7 +13,7 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
 from ..colours import tube_colour
-from .style import FAINT, INK, Axes, Figure, caption, name_above, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, caption, name_above, new_figure, picture, widen
 
 JUMP = 1e-3
 """Share of the range of theta' from which a difference across a breakpoint is drawn as a jump."""
@@ -23,12 +23,8 @@ JUMP = 1e-3
 def plot_torsion(equilibrium: Equilibrium) -> Figure:
     """Picture of the rotation and the torsion of every tube over arc length.
 
-    theta_i(s) in deg stands above theta_i'(s) in deg/mm; each curve ends where its tube ends, and theta' is
-    broken where it jumps. Curves of outer tubes are
-    thicker, so that curves that coincide stay visible inside one another.
-
-    Args:
-        equilibrium: what to draw.
+    theta_i(s) in deg stands above theta_i'(s) in deg/mm; each curve ends where its tube ends, and theta' is broken
+    where it jumps. Curves of outer tubes are thicker, so that curves that coincide stay visible inside one another.
     """
     return _torsions([equilibrium], [""])
 
@@ -63,8 +59,8 @@ def _torsions(equilibria: Sequence[Equilibrium], titles: Sequence[str]) -> Figur
     below.set_ylabel("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)")
     length = max(float(each.tube_end.max()) for each in equilibria)
     below.set_xlim(0, 1.02 * TO_MM * length if length > 0 else 1.0)
-    _widen(above, 20.0)
-    _widen(below, 0.02)
+    widen(above, 20.0)
+    widen(below, 0.02)
     _add_legend(figure, above)
     return figure
 
@@ -162,11 +158,3 @@ def _mark_sections(above: Axes, below: Axes, equilibrium: Equilibrium, *, room: 
         reached[row : row + 1] = [s]
         name_above(above, s, what, row)
     return len(reached)
-
-
-def _widen(axes: Axes, least: float) -> None:
-    """Let the y axis span at least `least`, so that round-off about a constant does not look like a signal."""
-    low, high = axes.get_ylim()
-    if high - low < least:
-        middle = (low + high) / 2
-        axes.set_ylim(middle - least / 2, middle + least / 2)

@@ -28,7 +28,7 @@ from ..surfaces import obstacle_surface, swept
 from .mesh import Mesh, facets_of
 from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled, widen
 
 SHOWN = 9
 """Shapes of the arm in the picture."""
@@ -72,29 +72,21 @@ def plot_trajectory(
     t = trajectory
     figure = new_figure(10.0, 5.4)
     curves = 3 + bool(np.isfinite(t.clearance).all()) + (t.deviation is not None)
-    scene, axes = _panels(figure, curves)
-    arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
-    stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
-    _draw_scene(scene, stage, arms, t.obstacles, (t.time, t.tip_position))
+    axes = _beside_scene(figure, curves, some_of(t.arms), t.obstacles, (t.time, t.tip_position), view)
     _draw_curves(axes, t)
-    axes[1].legend(*scene.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     figure.align_ylabels(axes)
-    headed(figure, _heading(t, title))
-    return figure
+    return headed(figure, _heading(t, title))
 
 
 @picture
-def plot_checked(checked: Checked, *, title: str = "") -> Figure:
+def plot_checked(checked: Checked) -> Figure:
     """Picture of a trajectory that was checked: the swept arm with the way of its tip, joint values, and the margin as
     far as it was followed, with the place of a snap."""
     joints, proof = checked.joints, checked.proof
     figure = new_figure(10.0, 5.4)
-    scene, axes = _panels(figure, 3)
     time, followed = _followed(checked)
-    tips = np.array([e.tip_position for e in followed])
-    arms = [followed[k] for k in np.unique(np.linspace(0, len(followed) - 1, SHOWN).astype(int))]
-    stage = stage_for(_passed(arms, tips), checked.obstacles, None)
-    _draw_scene(scene, stage, arms, checked.obstacles, (time, tips))
+    way = time, np.array([e.tip_position for e in followed])
+    axes = _beside_scene(figure, 3, some_of(followed), checked.obstacles, way, None)
     _draw_joints(axes, joints.time, joints.rotations, joints.translations)
     axes[2].plot(time, [e.margin for e in followed], color=INK, lw=1.4)
     if proof.snap is not None:
@@ -102,14 +94,12 @@ def plot_checked(checked: Checked, *, title: str = "") -> Figure:
         axes[2].axvline(float(at), color="#C1272D", lw=1.2, label="snaps")
         axes[2].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     _margin_scale(axes[2], min(e.margin for e in followed))
-    axes[1].legend(*scene.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     _along_time(axes, joints.time)
     figure.align_ylabels(axes)
     verdict = "holds" if proof.holds else "does not hold"
     seconds = number(float(joints.time[-1] - joints.time[0]), 1)
     least = f"least margin {proof.least_margin:.3f}"
-    headed(figure, f"{title or joints.robot.name or 'robot'}\n{seconds} s,  {least},  {verdict}{_under(proof.end)}")
-    return figure
+    return headed(figure, f"{joints.robot.name or 'robot'}\n{seconds} s,  {least},  {verdict}{_under(proof.end)}")
 
 
 @styled
@@ -128,7 +118,7 @@ def animate_trajectory(
     film_ending(path)
     t = trajectory
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
-    arms = arms_at(t, rows)
+    arms = [t.arms[row] for row in rows]
     stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
 
     def draw(scene: Axes, below: Axes, k: int) -> None:
@@ -194,15 +184,9 @@ def save_film(path: str | PathLike[str], title: str, count: int, draw: Callable[
     return Path(path)
 
 
-def arms_at(trajectory: Trajectory, rows: Array) -> list[Equilibrium]:
-    """The equilibria at some samples, in order, followed through all that are between them."""
-    t, here, found = trajectory, trajectory.start, []
-    wanted = {int(row) for row in rows}
-    for k in range(len(t.time)):
-        here = forward_kinematics(t.robot, t.rotations[k], t.translations[k], load=t.start.load, guess=here)
-        if k in wanted:
-            found.append(here)
-    return found
+def some_of(arms: Sequence[Equilibrium]) -> list[Equilibrium]:
+    """At most `SHOWN` of the equilibria along a motion, evenly, with the first and the last."""
+    return [arms[k] for k in np.unique(np.linspace(0, len(arms) - 1, SHOWN).astype(int))]
 
 
 def _passed(arms: Sequence[Equilibrium], tips: Array) -> Array:
@@ -218,11 +202,21 @@ def stage_for(points: Array, obstacles: Sequence[Obstacle], view: tuple[float, f
     return seen, Box.around(np.concatenate([points, *corners, np.zeros((1, 3))]))
 
 
-def _panels(figure: Figure, count: int) -> tuple[Axes, list[Axes]]:
-    """A scene, and so many panels over time beside it."""
+def _beside_scene(
+    figure: Figure,
+    count: int,
+    arms: Sequence[Equilibrium],
+    obstacles: Sequence[Obstacle],
+    way: tuple[Array, Array],
+    view: tuple[float, float] | None,
+) -> list[Axes]:
+    """Draw a motion, as `_draw_scene` does; so many panels over time beside it, of which the second names its marks."""
     grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1.0))
     scene, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
-    return scene, [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, count))]
+    axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, count))]
+    _draw_scene(scene, stage_for(_passed(arms, way[1]), obstacles, view), arms, obstacles, way)
+    axes[1].legend(*scene.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    return axes
 
 
 def _draw_scene(
@@ -299,10 +293,7 @@ def _draw_joints(axes: Sequence[Axes], time: Array, rotations: Array, translatio
         for i, row in enumerate(values.T):
             panel.plot(time, row, color=tube_colour(i), lw=1.2 + 1.1 * i, zorder=2 - 0.01 * i, label=f"tube {i + 1}")
         panel.set_ylabel(name)
-        low, high = panel.get_ylim()
-        short = FLAT[name] - (high - low)
-        if short > 0:
-            panel.set_ylim(low - short / 2, high + short / 2)
+        widen(panel, FLAT[name])
     axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
 
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...runs.firmware_study import LedHeating
-from ...shaping.firmware.boards import Wiring
-from ...shaping.firmware.parts import parts_list
+from ...shaping.firmware.boards import Wiring, parts_list
 from .heating import IDEAL, TUBE
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
@@ -53,7 +52,7 @@ DIODE, DIODE_SIZE = (0.675, 0.87), 0.022
 
 
 @picture
-def plot_wiring(answer: LedHeating, *, title: str = "") -> Figure:
+def plot_wiring(answer: LedHeating) -> Figure:
     """How the parts are wired, with poles, the pins of the board, and the ratings for the plan's currents."""
     figure = new_figure(9.8, 5.8)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.9, 1.0))
@@ -66,7 +65,7 @@ def plot_wiring(answer: LedHeating, *, title: str = "") -> Figure:
     _draw_diode(axes)
     lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
     text.text(0, 0.97, "\n\n".join(textwrap.fill(line, 46) for line in lines), fontsize=8, va="top", color=INK)
-    return headed(figure, f"{title or answer.plan.rig.name or 'rig'}: wiring")
+    return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring")
 
 
 def _draw_parts(axes: Axes, board: str) -> None:

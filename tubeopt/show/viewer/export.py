@@ -1,4 +1,5 @@
-"""What leaves the viewer: joint values, a recorded trajectory, the robot, a picture, a page for a colleague."""
+"""What leaves the viewer: joint values, a recorded trajectory, the robot, a picture, a page for a colleague; and a page
+on which several robots move past each other."""
 
 from __future__ import annotations
 
@@ -9,19 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ...equilibrium.readings import to_readings
-from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import DEG, MM, in_unit
 from ...files.yaml_file import save_yaml
+from ...planning import ArmsPlan
 from ...planning.file import branch_line, timed_csv
 from ...robots.file import save_robot
 from ...robots.robot import Robot
-from ..arm_surfaces import Part
+from ..arm_surfaces import Part, plate_part, plate_radius
 from .host import quiet_server, titled_page
-from .playback import passed
-from .scene import Scene, look_from
+from .playback import recorded
+from .scene import SCALE, Scene, look_from, obstacle_parts
 from .session import Session
 
 
@@ -34,12 +36,12 @@ def joints_yaml(session: Session) -> str:
         "rotations_deg": [in_unit(x, DEG) for x in rotations.tolist()],
         "translations_mm": [in_unit(x, MM) for x in translations.tolist()],
     }
-    return _text(lambda path: save_yaml(path, data, f"Joint values of {session.robot.name or 'a robot'}."), ".yaml")
+    return _text(lambda path: save_yaml(path, data, f"Joint values of {session.robot.name or 'a robot'}."))
 
 
 def robot_yaml(robot: Robot) -> str:
     """The robot as `load_robot` reads it."""
-    return _text(lambda path: save_robot(robot, path), ".yaml")
+    return _text(lambda path: save_robot(robot, path))
 
 
 def recording_csv(session: Session) -> str:
@@ -48,20 +50,18 @@ def recording_csv(session: Session) -> str:
     The robot passes them at constant speed of its fastest tube: the times at which a hand moved sliders mean nothing.
 
     Raises:
-        InputError: nothing was recorded.
+        InputError: as `recorded`.
     """
-    start = session.recorded_from
-    if start is None or session.recording is None or len(session.recording) < 2:
-        raise InputError("nothing is recorded: switch recording on and move the robot first")
-    way = passed(session)
-    comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(start)]
+    way = recorded(session)
+    assert way.start is not None
+    comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(way.start)]
     return timed_csv(way.time, *to_readings(session.robot, way.rotations, way.translations), comment)
 
 
-def _text(write: Callable[[Path], None], suffix: str) -> str:
+def _text(write: Callable[[Path], None]) -> str:
     """What `write` writes into a file."""
     with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / f"file{suffix}"
+        path = Path(directory) / "file.yaml"
         write(path)
         return path.read_text(encoding="utf-8")
 
@@ -77,6 +77,13 @@ def png(picture: np.ndarray) -> bytes:
     out = io.BytesIO()
     image.save(out, "PNG")
     return out.getvalue()
+
+
+FRAMES = 48
+"""Pictures of the motion of several robots."""
+
+REST = 1.0
+"""Seconds for which the ends of that motion stand still."""
 
 
 def page_title(session: Session) -> str:
@@ -96,6 +103,34 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
         for name, parts in layers.items():
             scene.layer(name, parts)
         return titled_page(str(server.scene.as_html()), page_title(session))
+
+
+def arms_page(plan: ArmsPlan) -> str:
+    """The motions of a plan as a page that plays by itself, without any server or network, to be turned and zoomed: all
+    arms and bodies in the frame that they share. Raises InputError where viser is not installed."""
+    names = " and ".join(arm.called for arm in plan.arms)
+    with quiet_server("127.0.0.1", 0) as server:
+        longest = max((each.end for each in plan.trajectories), key=lambda e: float(e.arc_length[-1]))
+        look_from(server.initial_camera, longest, far=1.3)
+        reach = max(tube.length for arm in plan.arms for tube in arm.robot.tubes)
+        Scene(server.scene).layer("obstacles", obstacle_parts(plan.obstacles, reach))
+        scenes = []
+        for k, (arm, motion) in enumerate(zip(plan.arms, plan.trajectories, strict=True)):
+            turn = Rotation.from_matrix(arm.base.axes).as_quat(scalar_first=True)
+            place = f"/arm_{k + 1}"
+            server.scene.add_frame(place, show_axes=False, wxyz=tuple(turn), position=tuple(arm.base.origin * SCALE))
+            server.scene.add_label(f"{place}/name", arm.called)
+            scenes.append(Scene(server.scene, place))
+            scenes[-1].layer(f"{place[1:]}/plate", [plate_part(plate_radius(motion.start))])
+            scenes[-1].show(motion.start)
+        film = server.get_scene_serializer()
+        film.insert_sleep(REST)
+        for t in np.linspace(0.0, plan.duration, FRAMES)[1:]:
+            for scene, motion, row in zip(scenes, plan.trajectories, plan.rows_at(float(t)), strict=True):
+                scene.show(motion.arms[row])
+            film.insert_sleep(plan.duration / FRAMES)
+        film.insert_sleep(REST)
+        return titled_page(str(film.as_html()), f"{names}, tubeopt")
 
 
 def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: bool) -> tuple[str, bytes]:

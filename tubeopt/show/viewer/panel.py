@@ -11,23 +11,37 @@ import numpy as np
 
 from ...bodies.plane import Plane
 from ...files.units import TO_MM, parse_number
+from ...inverse.mirror import mirror_rotations
 from ...robots.eccentric import EccentricRobot
 from ...robots.robot import Robot
 from .cut import ACROSS
-from .designs import Knob, knobs
+from .designs import Knob, knobs, with_knob
 from .given import BODIES, YAML
 from .hand import KEYS
 from .push_panel import PushPanel
-from .session import Session, joint_names, space_of
+from .session import (
+    Session,
+    clear_trail,
+    go_home,
+    joint_names,
+    move,
+    move_joint,
+    record,
+    redesign,
+    space_of,
+)
 from .view import View
-from .wishes import MIRROR, Wishes
-from .words import hand_words, legend, log_words, message_words, readout
+from .wishes import Wishes
+from .words import hand_words, legend, log_words, message_words, readout, typed
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
 
 EXACT = 6
 """Digits behind the point in the boxes for exact values, deg or mm."""
+
+MIRROR = "mirror"
+"""Stands for the joint that is dragged where it is the direction or the separation."""
 
 LONGEST_TURN = 720.0
 """Sliders reach no farther (deg) where limits do."""
@@ -57,7 +71,9 @@ class Panel:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Joints"):
             self._sliders = [self._slider(k, name) for k, name in enumerate(joint_names(robot))]
-            self._buttons()
+            self._button("Home", lambda: tab.change(go_home))
+            self._button("Undo", tab.undo)
+            self._button("All equilibria", tab.ghosts)
             self._mirror = self._mirror_sliders() if isinstance(robot, EccentricRobot) else []
             self._boxes = self._exact()
         with tabs.add_tab("Tip"):
@@ -110,8 +126,8 @@ class Panel:
         """A plot of "torsion", the "curve" or the "map", or why there is none."""
         self._plots[name].content = PAD.format(escape(content)) if text else content
 
-    def sync(self, session: Session, dragged: int | None = None, *, refused: bool = False) -> None:
-        """Bring sliders and boxes to where the robot is; not the slider that is being `dragged`.
+    def sync(self, session: Session, dragged: int | str | None = None, *, refused: bool = False) -> None:
+        """Bring sliders and boxes to where the robot is; not the slider of the joint that is being `dragged`.
 
         What was refused stays in the boxes, to be corrected there.
         """
@@ -127,12 +143,12 @@ class Panel:
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * TO_MM)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
-                box.value = _typed(value, EXACT)
+                box.value = typed(value, EXACT)
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
         for box, value in zip(self._targets, session.equilibrium.tip_position * TO_MM, strict=True):
             if box.value == self._aimed.get(id(box), "0"):  # nobody has typed a target
-                box.value = self._aimed[id(box)] = _typed(value, 3)
+                box.value = self._aimed[id(box)] = typed(value, 3)
 
     def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
         """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
@@ -185,7 +201,8 @@ class Panel:
         slider = self._gui.add_slider(
             f"{name} ({unit})", low, max(high, low + STEP), STEP, min(max(0.0, low), high), marks=()
         )
-        return self._when_moved(slider, lambda value: self._tab.slide(joint, value / factor))
+        change = self._tab.change
+        return self._when_moved(slider, lambda at: change(lambda s: move_joint(s, joint, at / factor), held=joint))
 
     def _when_moved(self, widget: Any, act: Callable[[float], None]) -> Any:
         """Tell `act` where the hand has put a slider."""
@@ -196,10 +213,6 @@ class Panel:
 
         widget.on_update(moved)
         return widget
-
-    def _buttons(self) -> None:
-        for label, act in (("Home", self._tab.home), ("Undo", self._tab.undo), ("All equilibria", self._tab.ghosts)):
-            self._button(label, act)
 
     def _button(self, label: str, act: Callable[[], object]) -> None:
         async def pressed(_: Any) -> None:
@@ -213,7 +226,8 @@ class Panel:
             separation = self._gui.add_slider("separation (deg)", 0.0, 120.0, STEP, 0.0, marks=())
 
         def go(_: float) -> None:
-            self._tab.mirror(float(np.radians(direction.value)), float(np.radians(separation.value)))
+            turned = mirror_rotations(float(np.radians(direction.value)), float(np.radians(separation.value)))
+            self._tab.change(lambda session: move(session, turned, session.equilibrium.translations), held=MIRROR)
 
         return [self._when_moved(slider, go) for slider in (direction, separation)]
 
@@ -227,9 +241,8 @@ class Panel:
 
             def go() -> None:
                 values = self._numbers(boxes)
-                if values is None:
-                    return
-                self._tab.go_to(np.radians(values[:n]).tolist(), (values[n:] / TO_MM).tolist())
+                if values is not None:
+                    self._tab.change(lambda session: move(session, np.radians(values[:n]), values[n:] / TO_MM))
 
             self._button("Move there", go)
         return boxes
@@ -253,7 +266,7 @@ class Panel:
         def lead() -> None:
             values = self._numbers(boxes)
             if values is not None:
-                self._tab.lead(values / TO_MM, self.least_margin, done=True)
+                self._tab.lead(values / TO_MM, done=True)
 
         self._button("Lead the tip there", lead)
         return margin, boxes
@@ -263,7 +276,8 @@ class Panel:
         self._when_moved(time, self._tab.scrub)
         self._button("Play / pause", self._tab.play)
         self._upload("Load a trajectory (CSV)", "trajectory", "text/csv")
-        self._check("record what the robot passes", False, self._tab.record)
+        change = self._tab.change
+        self._check("record what the robot passes", False, lambda on: change(lambda s: record(s, on), pause=False))
         self._button("Replay the recording", self._tab.replay)
         return time
 
@@ -285,14 +299,18 @@ class Panel:
         return box
 
     def _design_controls(self) -> list[tuple[Knob, Any]]:
-        out = []
-        for knob in knobs(self._view.robot):
-            value = knob.shown(self._view.robot)
+        change, robot, out = self._tab.change, self._view.robot, []
+        for knob in knobs(robot):
+            value = knob.shown(robot)
             slider = self._gui.add_slider(knob.label, knob.low, knob.high, knob.step, value, marks=())
             self._shown[id(slider)] = round(value, 4)
-            out.append((knob, self._when_moved(slider, partial(self._tab.turn, knob))))
+
+            def turn(at: float, knob: Knob = knob) -> None:
+                change(lambda session: redesign(session, with_knob(session.robot, knob, at)), key=knob.label)
+
+            out.append((knob, self._when_moved(slider, turn)))
         self._check("stability map", False, partial(self._tab.show, "map"))
-        self._button("Back to the robot as loaded", self._tab.reset_design)
+        self._button("Back to the robot as loaded", lambda: change(lambda session: redesign(session, robot)))
         self._button("Save robot as YAML", partial(self._tab.save, "robot"))
         return out
 
@@ -306,7 +324,7 @@ class Panel:
         ]
         for label, layer, on in layers:
             self._layers[layer] = self._check(label, on, partial(self._tab.show, layer))
-        self._button("Forget the trail", self._tab.forget_trail)
+        self._button("Forget the trail", lambda: self._tab.change(clear_trail, pause=False))
         self._upload("Load bodies (YAML, mesh, image)", "obstacles", BODIES)
         self._cut_controls()
         self._upload("Put another robot beside (YAML)", "beside", YAML)
@@ -357,8 +375,3 @@ def _ends(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
     low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
     return factor, low, high
-
-
-def _typed(value: float, digits: int) -> str:
-    """A number as one would type it."""
-    return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")

@@ -18,7 +18,8 @@ from ...robots.path_file import load_waypoints as load_path
 from ...robots.robot import Robot
 from ...stability import Path, Snap, follow
 from ...typing import Array
-from .session import Session, check, moved_to, record
+from ..plots.path import place_of
+from .session import Session, check, moved_to, record, strides
 
 TURN_SPEED = np.radians(45.0)
 """Speed (rad/s) of the fastest tube where a file gives no times."""
@@ -84,30 +85,24 @@ def without_times(robot: Robot, way: Way) -> Waypoints:
 
 
 def recorded(session: Session) -> Waypoints:
-    """What a session has recorded, as waypoints that are passed at the speeds of a file without times.
+    """What a session has recorded, where the robot stood still but once, as waypoints that are passed at the speeds of
+    a file without times.
 
     Raises:
         InputError: nothing was recorded, or the robot did not move.
     """
-    way = passed(session) if session.recording else None
-    if way is None or len(way.time) < 2:
-        raise InputError("nothing was recorded: tick 'record what the robot passes', and move it")
-    return way
-
-
-def passed(session: Session) -> Waypoints:
-    """The joint values of a recording that is not empty, where it stands still but once."""
-    rows = np.array(session.recording)
+    rows = np.array(session.recording or [np.zeros(2 * session.robot.n_tubes)])
     moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)
+    if moved.sum() < 2:
+        raise InputError("nothing was recorded: tick 'record what the robot passes', and move it")
     rotations, translations = np.split(rows[moved], 2, axis=1)
     return Waypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
 
 
 def paced(rotations: Array, translations: Array) -> Array:
     """(T,) times at which waypoints are passed at `TURN_SPEED` and `SLIDE_SPEED`, s."""
-    turn = np.abs(np.diff(rotations, axis=0)).max(1, initial=0.0) / TURN_SPEED
-    slide = np.abs(np.diff(translations, axis=0)).max(1, initial=0.0) / SLIDE_SPEED
-    return np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(turn, slide), 1e-3))])
+    seconds = strides(rotations, translations, turn=TURN_SPEED, slide=SLIDE_SPEED)
+    return np.concatenate([[0.0], np.cumsum(np.maximum(seconds, 1e-3))])
 
 
 @lru_cache(maxsize=4)
@@ -159,9 +154,4 @@ def state_at(playback: Playback, time: float) -> Equilibrium:
 def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, ...]:
     """The snaps of a trajectory that happen after `start` and not after `end`, s."""
     times = playback.waypoints.time
-    out = []
-    for snap in playback.path.snaps:
-        at = times[snap.index] + snap.fraction * (times[snap.index + 1] - times[snap.index])
-        if start < at <= end:
-            out.append(snap)
-    return tuple(out)
+    return tuple(snap for snap in playback.path.snaps if start < place_of(snap, times) <= end)

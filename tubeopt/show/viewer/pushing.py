@@ -11,8 +11,8 @@ from ...equilibrium.result import Equilibrium
 from ...errors import SolveError
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.load import Load
+from ...stability.following import push
 from ...stability.load_limit import LoadLimit, find_load_limit
-from ...stability.pushing import push
 from .session import Session, moved_to
 
 ARROW = 5.0
@@ -24,19 +24,16 @@ UP_TO = 10.0
 GRAVITY = 9.81
 """m/s^2."""
 
-DIRECTIONS = {
+DIRECTIONS: dict[str, tuple[float, float, float] | None] = {
     "none": None,
-    **{f"along {sign}{axis}": (sign, k) for k, axis in enumerate("xyz") for sign in ("+", "-")},
+    "along +x": (GRAVITY, 0.0, 0.0),
+    "along -x": (-GRAVITY, 0.0, 0.0),
+    "along +y": (0.0, GRAVITY, 0.0),
+    "along -y": (0.0, -GRAVITY, 0.0),
+    "along +z": (0.0, 0.0, GRAVITY),
+    "along -z": (0.0, 0.0, -GRAVITY),
 }
-
-
-def gravity_of(direction: str) -> tuple[float, float, float] | None:
-    """The acceleration of gravity in a direction of DIRECTIONS, m/s^2."""
-    found = DIRECTIONS[direction]
-    if found is None:
-        return None
-    x, y, z = (GRAVITY if found[0] == "+" else -GRAVITY) * np.eye(3)[found[1]]
-    return float(x), float(y), float(z)
+"""Choices of gravity, m/s^2."""
 
 
 def push_on(session: Session, load: Load) -> Session:

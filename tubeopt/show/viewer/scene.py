@@ -16,6 +16,7 @@ import scipy
 from ...bodies.corridors import Corridor
 from ...bodies.obstacles import HalfSpace, Obstacle
 from ...equilibrium.result import Equilibrium
+from ...robots.robot import Robot
 from ...stability import Snap
 from ...typing import Array
 from ...workspaces import Workspace
@@ -39,7 +40,8 @@ FORCE_COLOUR = (220, 120, 30)
 FORCE = "/force"
 SHORTEST_ARROW = 1e-6
 """Of a force that is drawn, m."""
-SWEPT_COLOUR = (120, 90, 200)
+MARK = 0.2
+"""Size of a mark that is dragged, over the longest curved part of a tube."""
 
 FRAMES, SNAP_SECONDS = 12, 0.36
 """Pictures of a snap, and how long it takes on the screen; a real one is over in milliseconds."""
@@ -56,8 +58,7 @@ class Scene:
     def __init__(self, api: Any, prefix: str = "/robot") -> None:
         self._api, self._prefix = api, prefix
         self._parts: dict[str, Any] = {}
-        self._layers: dict[str, list[Any]] = {}
-        self._contents: dict[str, tuple[Part, ...]] = {}
+        self._layers: dict[str, tuple[tuple[Part, ...], list[Any]]] = {}
         self._trail: Any = None
 
     def set_stage(self, equilibrium: Equilibrium) -> None:
@@ -109,23 +110,22 @@ class Scene:
     def layer(self, name: str, parts: Iterable[Part]) -> None:
         """Replace everything in a named layer."""
         self.clear(name)
-        self._contents[name] = tuple(parts)
-        self._layers[name] = [self._add(f"/{name}/{part.name}", part) for part in self._contents[name]]
+        shown = tuple(parts)
+        self._layers[name] = shown, [self._add(f"/{name}/{part.name}", part) for part in shown]
 
     def clear(self, name: str) -> None:
         """Take a layer away."""
-        self._contents.pop(name, None)
-        for handle in self._layers.pop(name, []):
+        for handle in self._layers.pop(name, ((), []))[1]:
             handle.remove()
 
     @property
     def contents(self) -> dict[str, tuple[Part, ...]]:
         """The surfaces of every layer that is shown now; points are none."""
-        return dict(self._contents)
+        return {name: parts for name, (parts, _) in self._layers.items()}
 
     def has(self, name: str) -> bool:
         """Whether a layer shows something."""
-        return bool(self._layers.get(name))
+        return name in self._layers and bool(self._layers[name][1])
 
     def show_cloud(self, found: Workspace) -> None:
         """The tips of a workspace as points coloured by margin."""
@@ -138,7 +138,7 @@ class Scene:
         cloud = self._api.add_point_cloud(
             "/workspace/tips", points, colours, point_size=size, point_shape="circle", precision="float32"
         )
-        self._layers["workspace"] = [cloud]
+        self._layers["workspace"] = (), [cloud]
 
     def show_force(self, tip: Array, head: Array) -> None:
         """The arrow of a force on the tip, hidden where it has no length, m."""
@@ -147,19 +147,6 @@ class Scene:
                 self._parts[FORCE].visible = False
         else:
             self._draw(FORCE, Part("force", arrow_surface(tip, head), FORCE_COLOUR))
-
-    def handle(self, name: str, place: Array, size: float, led: Callable[[Array, bool], None]) -> Any:
-        """Arrows of a size at a place, m; `led` is told where they are drawn (m), and whether they have been let go."""
-        arrows = self._api.add_transform_controls(
-            f"/{name}", scale=size * SCALE, disable_rotations=True, position=tuple(place * SCALE), depth_test=False
-        )
-
-        async def drawn(event: Any) -> None:
-            if event.phase != "start":
-                led(np.array(event.target.position) / SCALE, event.phase == "end")
-
-        arrows.on_update(drawn)
-        return arrows
 
     def _draw(self, name: str, part: Part) -> None:
         """Draw a part; what stands there with as many vertices is changed, and not made anew."""
@@ -187,6 +174,41 @@ class Scene:
         )
 
 
+class Mark:
+    """Arrows that may be put somewhere in the scene of a browser; `dragged` is told where the hand has them, m, and
+    whether they were let go."""
+
+    def __init__(self, api: Any, name: str, dragged: Callable[[Array, bool], None]) -> None:
+        self._api, self._name, self._dragged = api, name, dragged
+        self._arrows: Any = None
+
+    @property
+    def there(self) -> bool:
+        """Whether they are in the scene."""
+        return self._arrows is not None
+
+    def put(self, place: Array, robot: Robot, on: bool) -> None:
+        """Put them at a place, m, as large as suits the robot, or take them away."""
+        if self._arrows is not None:
+            self._arrows.remove()
+            self._arrows = None
+        if on:
+            size = MARK * max(tube.curved_length for tube in robot.tubes) * SCALE
+            self._arrows = self._api.add_transform_controls(
+                f"/{self._name}", scale=size, disable_rotations=True, position=tuple(place * SCALE), depth_test=False
+            )
+            self._arrows.on_update(self._drawn)
+
+    def follow(self, place: Array) -> None:
+        """Move them to a place, m, where they are in the scene."""
+        if self._arrows is not None:
+            self._arrows.position = tuple(place * SCALE)
+
+    async def _drawn(self, event: Any) -> None:
+        if event.phase != "start":
+            self._dragged(np.array(event.target.position) / SCALE, event.phase == "end")
+
+
 def ghost_parts(others: Sequence[Equilibrium]) -> list[Part]:
     """Other equilibria, translucent; stable ones blue, unstable ones red."""
     out = []
@@ -208,11 +230,6 @@ def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
         )
         for k, body in enumerate(obstacles)
     ]
-
-
-def swept_part(surface: Surface) -> Part:
-    """A swept volume."""
-    return Part("volume", surface, SWEPT_COLOUR, 0.25)
 
 
 SIDES = {

@@ -173,12 +173,18 @@ def _moved(session: Session, rotations: Array, translations: Array) -> Session:
     here = session.equilibrium
     if np.array_equal(rotations, here.rotations) and np.array_equal(translations, here.translations):
         return session
-    turn = float(np.abs(rotations - here.rotations).max()) / TRAIL_TURN
-    slide = float(np.abs(translations - here.translations).max()) / TRAIL_SLIDE
-    part = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(max(turn, slide)))))[:, None]
     ends = (here.rotations, rotations), (here.translations, translations)
+    (steps,) = strides(*map(np.array, ends), turn=TRAIL_TURN, slide=TRAIL_SLIDE)
+    part = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(steps))))[:, None]
     path = follow(session.robot, *((1 - part) * a + part * b for a, b in ends), start=here, load=here.load)
     return moved_along(session, path)
+
+
+def strides(rotations: Array, translations: Array, *, turn: float, slide: float) -> Array:
+    """(T-1,) how often the fastest tube turns by `turn` (rad) or slides by `slide` (m) from each of waypoints (T, n) to
+    the next."""
+    ways = (rotations, turn), (translations, slide)
+    return np.asarray(np.max([np.abs(np.diff(q, axis=0)).max(1, initial=0.0) / most for q, most in ways], axis=0))
 
 
 def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str]:

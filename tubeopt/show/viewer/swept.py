@@ -10,10 +10,12 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
+from ...inverse.outline import Outline
 from ...typing import Array
 from ..arm_surfaces import Centreline
 from ..surfaces import Surface
 from .playback import Playback, snaps_between, state_at
+from .session import strides
 
 STEP = np.radians(20.0)
 """Largest turn of a tube between shapes whose common hull is taken."""
@@ -28,6 +30,7 @@ SIDES = 10
 """Corners of each cross-section: the hull lies within 5 % of the radius inside the round tube."""
 
 MOST_SHAPES = 160
+COLOUR, OPACITY = (120, 90, 200), 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +73,8 @@ def swept_volume(playback: Playback) -> Swept:
 def _runs(playback: Playback) -> list[list[Equilibrium]]:
     """Shapes close together in time, in runs that no snap interrupts."""
     points = playback.waypoints
-    turn = np.abs(np.diff(points.rotations, axis=0)).max(1, initial=0.0) / STEP
-    slide = np.abs(np.diff(points.translations, axis=0)).max(1, initial=0.0) / SLIDE
-    count = np.maximum(np.ceil(np.maximum(turn, slide)), 1).astype(int)
+    steps = strides(points.rotations, points.translations, turn=STEP, slide=SLIDE)
+    count = np.maximum(np.ceil(steps), 1).astype(int)
     count = np.maximum(1, np.floor(count * min(1.0, MOST_SHAPES / max(count.sum(), 1)))).astype(int)
     times = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(points.time, points.time[1:], count, strict=False)]
     runs: list[list[Equilibrium]] = [[playback.path.equilibria[0]]]
@@ -89,7 +91,5 @@ def _rings(equilibrium: Equilibrium) -> Array:
     """(PIECES + 1, SIDES, 3) corners of cross-sections along the arm, as wide as the widest tube there, m."""
     line = Centreline(equilibrium)
     s = np.linspace(0.0, line.length, PIECES + 1)
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    outer = np.array([tube.outer_diameter / 2 for tube in equilibrium.robot.tubes]) + assembly.offset
-    radius = np.where(s[:, None] <= equilibrium.tube_end + 1e-9, outer, 0.0).max(1)
-    return np.asarray(line.position(s)[:, None] + radius[:, None, None] * line.ring(s, SIDES)[0])
+    radius = Outline(equilibrium).radius(s)[:, None, None]
+    return np.asarray(line.position(s)[:, None] + radius * line.ring(s, SIDES)[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,29 +12,26 @@ import numpy as np
 
 from ...bodies.plane import Plane
 from ...errors import InputError, SolveError
-from ...inverse.mirror import mirror_rotations
 from ...robots.file import load_robot
-from ...robots.load import Load
 from ...workspaces import workspace
+from ..arm_surfaces import Part
 from .beside import Beside, session_beside
 from .cut import cut_parts, cut_words
-from .designs import Knob, with_knob
 from .export import saved
 from .given import Given, load_bodies
 from .hand import Hand, Hands
 from .insights import Insights
-from .mark import ForceArrow, Mark
 from .panel import Panel
 from .playback import load_waypoints
 from .player import Player
 from .plots import torsion_plot
-from .pushing import push_on
-from .scene import Scene, animate, ghost_parts, look_from, swept_part
+from .push_panel import ForceArrow
+from .scene import Mark, Scene, animate, ghost_parts, look_from
 from .servo import pull
-from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
-from .swept import swept_volume
+from .session import Session, other_equilibria
+from .swept import COLOUR, OPACITY, swept_volume
 from .view import View
-from .wishes import MIRROR, Wishes
+from .wishes import Verb, Wishes
 from .words import others_words
 from .worker import Worker
 
@@ -60,16 +57,13 @@ class Tab(Wishes):
         self._plane: Plane | None = None
         self._beside: Beside | None = None
         self._given = Given()
-        self._pulling = self._pushing = self._driving = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
-        self._mark: int | str | None = None
+        self._held: int | str | None = None
         self.panel = Panel(client.gui, self, view)
         self._say = self.panel.say
-        self._target = Mark(
-            self.scene, "target", lambda place, done: self.lead(place, self.panel.least_margin, done=done)
-        )
-        self._arrow = ForceArrow(self.scene, self.panel.push, view, self)
+        self._target = Mark(client.scene, "target", lambda place, done: self.lead(place, done=done))
+        self._arrow = ForceArrow(client.scene, self.scene, self.panel.push, view)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
         self._player = Player(self.panel, lambda: self.session, self._change, self._do)
         self._worker = Worker(
@@ -79,25 +73,14 @@ class Tab(Wishes):
 
     # --- what the page asks for --------------------------------------------------------------------------------------
 
-    def slide(self, joint: int, value: float) -> None:
+    def change(self, verb: Verb, *, held: int | str | None = None, key: str | None = None, pause: bool = True) -> None:
         def go() -> None:
-            if joint < self.session.robot.n_tubes:
-                self._insights.tube = joint
-            self._change(lambda session: move_joint(session, joint, value), dragged=joint)
+            if isinstance(held, int) and held < self.session.robot.n_tubes:
+                self._insights.tube = held
+            self._change(verb, held)
 
-        self._by_hand(go)
-
-    def go_to(self, rotations: Sequence[float], translations: Sequence[float]) -> None:
-        self._by_hand(lambda: self._change(lambda session: move(session, rotations, translations)))
-
-    def mirror(self, direction: float, separation: float) -> None:
-        rotations = mirror_rotations(direction, separation)
-        self._by_hand(
-            lambda: self._change(lambda s: move(s, rotations, s.equilibrium.translations), dragged=MIRROR), key="mirror"
-        )
-
-    def home(self) -> None:
-        self._by_hand(lambda: self._change(go_home))
+        name = held if isinstance(held, str) else None
+        (self._by_hand if pause else self._do)(go, key=key or name)
 
     def undo(self) -> None:
         def go() -> None:
@@ -111,32 +94,19 @@ class Tab(Wishes):
 
         self._by_hand(go)
 
-    def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
-        def go() -> None:
-            self._pulling = not done
-            self._change(lambda session: pull(session, target, min_margin=margin, obstacles=self._obstacles).told)
+    def lead(self, target: np.ndarray, *, done: bool) -> None:
+        def led(session: Session) -> tuple[Session, str]:
+            return pull(session, target, min_margin=self.panel.least_margin, obstacles=self._obstacles).told
 
-        self._by_hand(go, key=None if done else "lead")
+        self.change(led, held=None if done else "lead")
 
     def drive(self, velocity: np.ndarray) -> None:
-        def go() -> None:
-            self._driving = bool(velocity.any())
-            self._change(lambda s: self._hand.lead(s, velocity, self.panel.least_margin, self._obstacles))
+        """Move the tip with a velocity (3,), a share of the greatest, for as long as messages keep coming."""
 
-        self._by_hand(go, key="drive")
+        def driven(session: Session) -> tuple[Session, str]:
+            return self._hand.lead(session, velocity, self.panel.least_margin, self._obstacles)
 
-    def push(self, force: np.ndarray, gravity: tuple[float, float, float] | None, *, done: bool) -> None:
-        def go() -> None:
-            self._pushing = not done
-            self._change(lambda session: push_on(session, Load(tuple(force.tolist()), gravity=gravity)))
-
-        self._by_hand(go, key=None if done else "push")
-
-    def turn(self, knob: Knob, value: float) -> None:
-        self._by_hand(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
-
-    def reset_design(self) -> None:
-        self._by_hand(lambda: self._change(lambda session: redesign(session, self._view.robot)))
+        self.change(driven, held="drive" if velocity.any() else None, key="drive")
 
     def ghosts(self) -> None:
         self._do(self._toggle_ghosts)
@@ -151,12 +121,6 @@ class Tab(Wishes):
                 self._show("obstacles", True)
 
         self._do(go, key="cut")
-
-    def forget_trail(self) -> None:
-        self._do(lambda: self._change(clear_trail))
-
-    def record(self, on: bool) -> None:
-        self._do(lambda: self._change(lambda session: record(session, on)))
 
     def load(self, what: str, name: str, content: bytes) -> None:
         self._do(lambda: self._load(what, name, content))
@@ -214,21 +178,20 @@ class Tab(Wishes):
         self.scene.set_stage(self.session.equilibrium)
         if self._obstacles:
             self._show("obstacles", True)
+        failed = ""
         if self._view.waypoints is not None:
             self._say("following the trajectory …")
             try:
                 self._player.take(self._view.waypoints)
             except (InputError, SolveError) as error:
-                self._say(f"the trajectory cannot be followed: {error}", bad=True)
-                self._refresh()
-                return
-        self._say(ADVISED)
+                failed = f"the trajectory cannot be followed: {error}"
+        self._say(failed or ADVISED, bad=bool(failed))
         self._refresh()
 
-    def _change(self, verb: Callable[[Session], Session | tuple[Session, str]], *, dragged: int | None = None) -> None:
+    def _change(self, verb: Verb, held: int | str | None = None) -> None:
         """Change the session; say why where that cannot be, or in which words the verb tells what stopped it, and show
-        what came of it unless more is to come."""
-        before = self.session
+        what came of it unless more is to come. What the hand does with the same thing `held` is one change."""
+        before, earlier, self._held = self.session, self._held, held
         try:
             changed = verb(before)
         except (InputError, SolveError) as error:
@@ -238,13 +201,8 @@ class Tab(Wishes):
         self.session, said = changed if isinstance(changed, tuple) else (changed, "")
         moved = self.session is not before
         if moved:
-            # What one hand does without letting go is one change.
-            hands = {"lead": self._pulling, "push": self._pushing, "drive": self._driving}
-            held = next((name for name, on in hands.items() if on), None)
-            mark = dragged if dragged is not None else held
-            if mark is None or mark != self._mark:
+            if held is None or held != earlier:
                 self._past.append(before)
-            self._mark = mark
             self.scene.clear("ghosts")
         if moved and self.session.last:
             animate(self._client, self.scene, self.session.last)
@@ -254,9 +212,9 @@ class Tab(Wishes):
         self._say(said, bad=bool(said))
         self._stale = True
         if not self._worker.waiting:
-            self._refresh(None if said else dragged)
+            self._refresh(None if said else held)
 
-    def _refresh(self, dragged: int | None = None) -> None:
+    def _refresh(self, held: int | str | None = None) -> None:
         """Show the session; the slider that is being dragged is left to the hand."""
         self._stale = False
         equilibrium = self.session.equilibrium
@@ -264,13 +222,13 @@ class Tab(Wishes):
             self.scene.show(equilibrium)
             if self._beside is not None and self._beside.visible and (words := self._beside.follow(self.session)):
                 self._say(words, bad=True)
-            if not self._pulling:
+            if self._held != "lead":
                 self._target.follow(equilibrium.tip_position)
-            self._arrow.show(equilibrium, held=self._pushing)
+            self._arrow.show(equilibrium, held=self._held == "push")
             self.scene.show_trail(self.session, self._trail)
             self.panel.show(self.session, self._insights.certificate, torsion_plot(equilibrium))
             self._insights.plot()
-        self.panel.sync(self.session, dragged)
+        self.panel.sync(self.session, held)
 
     def _toggle_ghosts(self) -> None:
         if self.scene.has("ghosts"):
@@ -303,8 +261,7 @@ class Tab(Wishes):
             self.scene.clear(layer)
         elif layer == "obstacles":
             if not self._obstacles:
-                self._say("no obstacles were loaded", bad=True)
-                return
+                raise InputError("no obstacles were loaded")
             reach = max(tube.length for tube in self.session.robot.tubes)
             parts = cut_parts(self._obstacles, reach, self._plane)
             self.scene.layer("obstacles", parts)
@@ -319,11 +276,10 @@ class Tab(Wishes):
 
     def _sweep(self) -> None:
         if self._player.playback is None:
-            self._say("there is no trajectory whose swept volume could be shown", bad=True)
-            return
+            raise InputError("there is no trajectory whose swept volume could be shown")
         self._say("joining shapes …")
         swept = swept_volume(self._player.playback)
-        self.scene.layer("swept", [swept_part(swept.surface)])
+        self.scene.layer("swept", [Part("volume", swept.surface, COLOUR, OPACITY)])
         self._say(f"the arm sweeps {swept.volume * 1e6:.2f} cm3 (hulls between {swept.shapes} shapes; snaps left out)")
 
     def _load(self, what: str, name: str, content: bytes) -> None:
@@ -354,8 +310,6 @@ class Tab(Wishes):
         if what == "picture":
             self._say("taking the picture …")
         try:
-            words = saved(what, self.session, self.scene, self._client, trail=self._trail, out=self._view.out)
-        except (InputError, SolveError, RuntimeError, OSError) as error:
-            self._say(str(error), bad=True)
-            return
-        self._say(words)
+            self._say(saved(what, self.session, self.scene, self._client, trail=self._trail, out=self._view.out))
+        except (RuntimeError, OSError) as error:
+            raise InputError(str(error)) from None

@@ -49,6 +49,11 @@ def readout(session: Session, certificate: float | None) -> str:
     )
 
 
+def typed(value: float, digits: int) -> str:
+    """A number as one would type it."""
+    return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
+
+
 def tube_colours(n_tubes: int) -> str:
     """Which tube has which colour, the innermost first."""
     marks = (

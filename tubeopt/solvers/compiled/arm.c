@@ -11,11 +11,6 @@ typedef struct {
 } Profile;
 
 typedef struct {
-    Tableau coarse, fine;
-    const double *twice, *twice_back; /* Lagrange basis integrated twice: of coarse at fine points, and back */
-} Method;
-
-typedef struct {
     double margin, residual, mesh_error, tip_error, energy, contraction, largest_change;
     long long pieces, points, sections, iterations, elements;
     double tip_rotations[N], tube_end[N], section_start[MOST_SECTIONS + 1];
@@ -138,8 +133,7 @@ static int softest(const Unknowns *q, const State *state, double *h, double *z) 
 }
 
 /* A direction z on the points of `coarse` carried over to those of `fine`, as y = Gamma V'' y says. */
-static void carry_over(const Method *method, const Unknowns *coarse, State *rough, const Unknowns *fine, Profile *arm,
-                       double *z) {
+static void carry_over(const Unknowns *coarse, State *rough, const Unknowns *fine, Profile *arm, double *z) {
     static const double none[N];
     double turned[MOST_UNKNOWNS], y[MOST_POINTS][N];
     times_factor(coarse, z, turned);
@@ -151,7 +145,7 @@ static void carry_over(const Method *method, const Unknowns *coarse, State *roug
                     rough->moment[x][i] += rough->slope[x][j * N + i] * turned[coarse->first[j] + coarse->place[x][j]];
         }
     integrate(coarse, none, rough, arm);
-    interpolate(coarse, arm, fine, method->twice, y);
+    interpolate(coarse, arm, fine, TO_FINE, y);
     to_unknowns(fine, none, y, z);
 }
 
@@ -173,16 +167,16 @@ static int all_coupled(const Unknowns *q) {
 
 /* Least eigenvalue of the second variation at a solved state, at most 1, and where it is less its direction z; not positive
    where it is not stable. Lanczos starts from the softest direction on the coarse points. */
-static double margin_of(const Method *method, const Unknowns *fine, const Unknowns *coarse, const double *alpha,
-                        const State *state, State *rough, Profile *arm, double *h, double *z) {
+static double margin_of(const Unknowns *fine, const Unknowns *coarse, const double *alpha, const State *state,
+                        State *rough, Profile *arm, double *h, double *z) {
     double y[MOST_POINTS][N];
     if (!fine->size || never_softens(fine, state, h)) return 1;
     integrate(fine, alpha, state, arm);
-    interpolate(fine, arm, coarse, method->twice_back, y);
+    interpolate(fine, arm, coarse, TO_COARSE, y);
     to_unknowns(coarse, alpha, y, rough->z);
     evaluate(coarse, alpha, rough);
     memset(z, 0, MOST_UNKNOWNS * sizeof(double));
-    if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
+    if (softest(coarse, rough, h, z)) carry_over(coarse, rough, fine, arm, z);
 #if GENERAL
     /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */
     double all[MOST_UNKNOWNS], part = (all_coupled(fine) ? 1e-3 : 0.3) * sqrt(dot(z, z, fine->size) / fine->size);
@@ -322,4 +316,20 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
         for (int i = 0; i < N; i++) out->point_rotation[x][i] += q->wound[x][i];
 #endif
     tips_and_lever(q, pulls, out, error);
+}
+
+/* The piece of a curve (last + 1 points) in which arc length s lies. */
+static int piece_at(const double *along, int last, double s) {
+    int k = 0;
+    while (k + 2 <= last && along[k + 1] <= s) k++;
+    return k;
+}
+
+/* The centreline between two of its points, at arc length s: cubic, with the tangents. */
+static void on_curve(const double *along, const double (*place)[3], const double (*frame)[9], int k, double s,
+                     double *out) {
+    double h = along[k + 1] - along[k], t = (s - along[k]) / h, u = 1 - t;
+    for (int r = 0; r < 3; r++)
+        out[r] = place[k][r] * (1 + 2 * t) * u * u + place[k + 1][r] * t * t * (3 - 2 * t) +
+                 h * t * u * (frame[k][3 * r + 2] * u - frame[k + 1][3 * r + 2] * t);
 }

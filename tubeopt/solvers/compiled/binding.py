@@ -127,13 +127,23 @@ def _pieces(table: Lengthwise, refinement: int) -> Any:
     return out
 
 
+def tube_rows(robot: Robot) -> Array:
+    """(7, n) numbers of the C struct Tubes of a robot; of tubes made of pieces, those that these tell are 0."""
+    home = robot.assembly(robot.home_translations)
+    own = (
+        np.zeros((3, robot.n_tubes))
+        if home.general
+        else (home.bending_stiffness, home.torsional_stiffness, home.curvature)
+    )
+    lengths = [tube.straight_length for tube in robot.tubes], [tube.length for tube in robot.tubes]
+    return np.array([*own, *lengths, home.offset, home.offset_angle])
+
+
 def _tubes(robot: Robot, pieces: Any = None) -> Array:
     """The C struct Tubes of a robot, and of tubes made of pieces where these are."""
-    home, none = robot.assembly(robot.home_translations), [0.0] * robot.n_tubes
-    own = [none] * 3 if pieces is not None else [home.bending_stiffness, home.torsional_stiffness, home.curvature]
-    lengths = [tube.straight_length for tube in robot.tubes], [tube.length for tube in robot.tubes]
-    out = np.concatenate([*own, *lengths, home.offset, home.offset_angle, [0.0, 0.0]])
-    out[-2:].view(np.int64)[:] = home.eccentric, 0 if pieces is None else ctypes.addressof(pieces)
+    out = np.append(tube_rows(robot), [0.0, 0.0])
+    eccentric = robot.assembly(robot.home_translations).eccentric
+    out[-2:].view(np.int64)[:] = eccentric, 0 if pieces is None else ctypes.addressof(pieces)
     return out
 
 
@@ -201,7 +211,7 @@ def solve_compiled(
     room = room_of(kernel)
     room.fields["loading"] = time.perf_counter() - began
     memory, alpha, shift, guess = _pack(rotations, translations, start)
-    status = kernel.functions.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
+    status = kernel.functions.solve(tubes, alpha, shift, guess, *room.at)
     room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
     return room.fields if status == SOLVED else None
 
@@ -304,5 +314,5 @@ def solve_many_compiled(
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (address(a) for a in (alpha, shift, table, declined))
     whole = (0, None) if arms is None else (arms.shape[2], address(arms))
-    kernel.functions.solve_many(tubes, kernel.method, count, *places, *whole, *room.at)
+    kernel.functions.solve_many(tubes, count, *places, *whole, *room.at)
     return table, declined.astype(bool)

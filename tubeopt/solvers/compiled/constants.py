@@ -27,6 +27,21 @@ HARDLY_SOFTER = 1e-6
 """1 / margin - 1 from which margins of tubes that rub need not be told from 1 as exactly: eigenvalues gather there."""
 
 
+def rule_constants(general: bool) -> str:
+    """The two rules of the kernel, and what carries over between them: the Lagrange basis integrated twice, for tubes
+    made of pieces once and twice, of the coarse points at the fine ones, and back."""
+    coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
+    kinds = (1, 2) if general else (2,)
+    tables = {
+        f"{name}_{part.upper()}": getattr(rule, part)
+        for name, rule in (("COARSE", coarse), ("FINE", fine))
+        for part in ("nodes", "weights", "matrix")
+    }
+    tables["TO_FINE"] = np.stack([coarse.lagrange(fine.nodes, integrals=k) for k in kinds])
+    tables["TO_COARSE"] = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in kinds])
+    return c_tables(tables)
+
+
 def general_constants() -> str:
     """Numbers of which the kernel for tubes made of pieces is made, as C."""
     fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)

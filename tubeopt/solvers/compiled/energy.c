@@ -8,6 +8,9 @@ typedef struct {
     const double *nodes, *weights, *matrix; /* (K), (K), (K, K) by rows */
 } Tableau;
 
+static const Tableau COARSE = {COARSE_DEGREE, COARSE_NODES, COARSE_WEIGHTS, COARSE_MATRIX};
+static const Tableau FINE = {MOST_DEGREE, FINE_NODES, FINE_WEIGHTS, FINE_MATRIX};
+
 typedef struct {
     const Layout *layout;
     const Tubes *tubes;

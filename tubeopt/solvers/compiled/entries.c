@@ -3,9 +3,9 @@
 CASADI_SYMBOL_EXPORT size_t workspace_size(void) { return sizeof(Workspace); }
 CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
 
-CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const Method *method, const double *alpha, const double *shift,
-                               const Guess *guess, Workspace *w, Answer *out) {
-    return solve_one(tubes, method, alpha, shift, guess, w, out);
+CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess,
+                               Workspace *w, Answer *out) {
+    return solve_one(tubes, alpha, shift, guess, w, out);
 }
 
 #if SLOPES
@@ -35,11 +35,11 @@ CASADI_SYMBOL_EXPORT int constrained(long long n, long long count, long long row
 /* Many configurations, each from tubes without torsion; `summary` (count, SUMMARY) gets tip position (3), tip frame by
    rows (9), tip rotations (n), margin, residual, mesh error, tip error, energy; `declined` (count) what is left over.
    `arms`, where not NULL, (count, 2, points, N) gets rotations and torsion at the shape points, as many as all have. */
-CASADI_SYMBOL_EXPORT void solve_many(const Tubes *tubes, const Method *method, long long count, const double *alpha,
-                                     const double *shift, double *summary, unsigned char *declined,
-                                     long long points, double *arms, Workspace *w, Answer *one) {
+CASADI_SYMBOL_EXPORT void solve_many(const Tubes *tubes, long long count, const double *alpha, const double *shift,
+                                     double *summary, unsigned char *declined, long long points, double *arms,
+                                     Workspace *w, Answer *one) {
     for (long long k = 0; k < count; k++, summary += 17 + N) {
-        declined[k] = solve_one(tubes, method, alpha + k * N, shift + k * N, NULL, w, one) != SOLVED;
+        declined[k] = solve_one(tubes, alpha + k * N, shift + k * N, NULL, w, one) != SOLVED;
         long long tip = one->pieces * STEPS, size = points * N;
         declined[k] |= arms && tip + 1 != points;
         if (declined[k]) continue;

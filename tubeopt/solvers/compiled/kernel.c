@@ -61,7 +61,7 @@ static int newton_from(double theta[][N], const double *alpha, Workspace *w, int
 }
 
 /* Descent on the coarse points from tubes without torsion (on the centreline), then Newton on the fine ones. */
-static int from_untwisted(const Method *method, const double *alpha, Workspace *w, int *iterations, double *ratio) {
+static int from_untwisted(const double *alpha, Workspace *w, int *iterations, double *ratio) {
     double theta[MOST_POINTS][N];
     memset(w->state.z, 0, sizeof w->state.z);
 #if ECCENTRIC
@@ -70,7 +70,7 @@ static int from_untwisted(const Method *method, const double *alpha, Workspace *
     const State *state = descend(&w->coarse, alpha, &w->state, &w->trial, w->matrix, COARSE_STEP, iterations);
     if (!state) return DECLINED;
     integrate(&w->coarse, alpha, state, &w->arm);
-    interpolate(&w->coarse, &w->arm, &w->fine, method->twice, theta);
+    interpolate(&w->coarse, &w->arm, &w->fine, TO_FINE, theta);
     return newton_from(theta, alpha, w, MOST_ITERATIONS, iterations, ratio);
 }
 
@@ -89,7 +89,7 @@ static int from_guess(const Guess *guess, const double *alpha, Workspace *w, int
 }
 
 /* Profile, residual, energy and margin of the solved state. */
-static void judge(const Method *method, const double *alpha, Workspace *w, Answer *out) {
+static void judge(const double *alpha, Workspace *w, Answer *out) {
     State *state = &w->state;
     integrate(&w->fine, alpha, state, &w->arm);
 #if ECCENTRIC
@@ -97,28 +97,28 @@ static void judge(const Method *method, const double *alpha, Workspace *w, Answe
     out->energy = state->energy + stretched_torsion(&w->fine, state, &w->stretch, &w->arm);
     out->margin = 1;
     if (!w->fine.size || never_stretched(&w->fine, state, &w->stretch)) return;
-    double most = most_softening(method, &w->fine, &w->coarse, alpha, &w->arm, &w->trial, w->matrix);
+    double most = most_softening(&w->fine, &w->coarse, alpha, &w->arm, &w->trial, w->matrix);
     out->margin = most < 0 ? -1 : stretched_margin(&w->fine, state, &w->stretch, most, w->matrix);
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;
-    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, state, &w->trial, &w->spare, w->matrix, w->mode);
+    out->margin = margin_of(&w->fine, &w->coarse, alpha, state, &w->trial, &w->spare, w->matrix, w->mode);
 #endif
 }
 
 /* The stable equilibrium at base rotations `alpha` and translations `shift`, from a guess or, where that is NULL, from
    tubes without torsion. */
-static int solve_one(const Tubes *tubes, const Method *method, const double *alpha, const double *shift,
-                     const Guess *guess, Workspace *w, Answer *out) {
+static int solve_one(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess, Workspace *w,
+                     Answer *out) {
     int iterations = 0, failed;
     if (!lay_out(tubes, shift, &w->layout)) return DECLINED;
-    if (!pose_unknowns(&w->fine, &w->layout, tubes, &method->fine, ECCENTRIC)) return DECLINED;
-    if (!pose_unknowns(&w->coarse, &w->layout, tubes, &method->coarse, 0)) return DECLINED;
+    if (!pose_unknowns(&w->fine, &w->layout, tubes, &FINE, ECCENTRIC)) return DECLINED;
+    if (!pose_unknowns(&w->coarse, &w->layout, tubes, &COARSE, 0)) return DECLINED;
     out->contraction = out->largest_change = 0;
     failed = guess ? from_guess(guess, alpha, w, &iterations, out)
-                   : from_untwisted(method, alpha, w, &iterations, &out->contraction);
+                   : from_untwisted(alpha, w, &iterations, &out->contraction);
     if (failed) return DECLINED;
-    judge(method, alpha, w, out);
+    judge(alpha, w, out);
     if (!(out->margin > 0)) return DECLINED;
     out->iterations = iterations;
     finish(&w->fine, &w->state, &w->arm, out);

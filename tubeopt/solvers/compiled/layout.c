@@ -38,16 +38,15 @@ static double fastest_growth(const double *kt, const double *moment, const doubl
 }
 
 /* Cut the arm at every transition and end in front of the plate; 0 where that cannot be. */
-static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *transition, double *cuts) {
+static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *cuts) {
     int count = 0, kept = 1;
     cuts[count++] = 0;
     for (int i = 0; i < N; i++) {
         if (!(shift[i] - t->straight[i] <= ROUND_OFF_LENGTH)) return 0; /* out of its actuator */
         double beta = fmin(shift[i] - t->straight[i], 0.0);
         l->transmission[i] = -beta;
-        transition[i] = beta + t->straight[i];
         l->end[i] = beta + t->whole[i];
-        cuts[count++] = fmax(transition[i], 0.0);
+        cuts[count++] = fmax(beta + t->straight[i], 0.0);
         cuts[count++] = fmax(l->end[i], 0.0);
 #if GENERAL
         l->held[i] = compliant(t->pieces, i, -beta);
@@ -65,6 +64,32 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *trans
     return kept;
 }
 
+/* The tubes on a section, of which `bent` are curved. */
+typedef struct {
+    int present[N], curved[N], bent;
+#if !GENERAL
+    double kb[N], m[N];
+#endif
+} Across;
+
+/* Those at arc length s. */
+static Across across(const Tubes *t, const Layout *l, double s) {
+    Across a = {.bent = 0};
+    for (int i = 0; i < N; i++) {
+        a.present[i] = s < l->end[i];
+#if GENERAL
+        int panel = panel_of(t->pieces, i, s + l->transmission[i]);
+        a.curved[i] = a.present[i] && t->pieces->bent[i * t->pieces->most + panel];
+#else
+        a.curved[i] = a.present[i] && s > t->straight[i] - l->transmission[i] && t->curvature[i] != 0;
+        a.kb[i] = a.present[i] ? t->kb[i] : 0;
+        a.m[i] = a.curved[i] ? t->kb[i] * t->curvature[i] : 0;
+#endif
+        a.bent += a.curved[i];
+    }
+    return a;
+}
+
 /* What a section asks of its pieces, per length: for coupling, bend, detail and natural twist; and its least sum of kb and
    largest m / kt. */
 typedef struct {
@@ -72,7 +97,7 @@ typedef struct {
 } Needs;
 
 #if GENERAL
-static Needs needs_of(const Tubes *t, const Layout *l, double start, double length, const int *present) {
+static Needs needs_of(const Tubes *t, const Layout *l, double start, double length, const Across *a) {
     Needs needs = {0, 0, 0, INFINITY, 0};
     for (int g = 0; g < 8; g++) {
         double s = start + length * SAMPLES[g], kb[N], m[N], kt[N], most = -INFINITY, least = INFINITY, sum = 0;
@@ -80,12 +105,12 @@ static Needs needs_of(const Tubes *t, const Layout *l, double start, double leng
             double place = s + l->transmission[i];
             int own = panel_of(t->pieces, i, place);
             size_t panel = i * t->pieces->most + own;
-            Section here = section_of(t->pieces, i, own, place, present[i]);
+            Section here = section_of(t->pieces, i, own, place, a->present[i]);
             kb[i] = here.stiffness;
             m[i] = fabs(here.moment);
             kt[i] = here.torsional;
             sum += kb[i];
-            if (!present[i]) continue;
+            if (!a->present[i]) continue;
             needs.finest = fmax(needs.finest, t->pieces->detail[panel] / DETAIL_PER_PIECE);
             if (!(m[i] > 0)) continue;
             needs.steepest = fmax(needs.steepest, m[i] / kb[i]);
@@ -102,14 +127,6 @@ static Needs needs_of(const Tubes *t, const Layout *l, double start, double leng
     return needs;
 }
 
-/* Pieces that a section, in which `bent` tubes are curved, needs without load. */
-static double general_need(const Tubes *t, const Layout *l, double start, double length, const int *present, int bent) {
-    Needs needs = needs_of(t, l, start, length, present);
-    double shape = fmax(needs.steepest / BEND_PER_PIECE, needs.finest);
-    if (bent < 2 && needs.finest > 0) shape *= KNOWN;
-    return length * fmax(needs.fastest / WAVES_PER_ELEMENT, shape);
-}
-
 /* Where the tubes are along a piece. */
 static void place_tubes(const Tubes *t, Layout *l, int p) {
     for (int i = 0; i < N; i++) {
@@ -121,58 +138,62 @@ static void place_tubes(const Tubes *t, Layout *l, int p) {
         l->at[p][i] = (2 * held - breaks[0] - breaks[1]) / (breaks[1] - breaks[0]);
     }
 }
+#else
+static Needs needs_of(const Tubes *t, const Layout *l, double start, double length, const Across *a) {
+    Needs needs = {fastest_growth(t->kt, a->m, a->kb), 0, 0, 0, 0};
+    for (int i = 0; i < N; i++) {
+        needs.softest += a->kb[i];
+        if (!a->curved[i]) continue;
+        needs.steepest = fmax(needs.steepest, fabs(t->curvature[i]));
+        needs.pull = fmax(needs.pull, fabs(a->m[i]) / t->kt[i]);
+    }
+    return needs;
+}
 #endif
 
+/* A section as `count` pieces of one length; 0 where there is no room for them. */
+static int add_pieces(const Tubes *t, Layout *l, int section, double from, double length, double count, const Across *a,
+                      int collocated) {
+    if (l->pieces + count > MOST_PIECES) return 0;
+    for (int j = 0; j < (int)count; j++) {
+        int p = l->pieces++;
+        l->length[p] = length / count;
+        l->start[p] = from + j * l->length[p];
+        l->section[p] = section;
+        l->collocated[p] = collocated;
+#if GENERAL
+        place_tubes(t, l, p);
+#else
+        memcpy(l->stiffness[p], a->kb, sizeof a->kb);
+        memcpy(l->moment[p], a->m, sizeof a->m);
+#endif
+        memcpy(l->present[p], a->present, sizeof a->present);
+        memcpy(l->curved[p], a->curved, sizeof a->curved);
+    }
+    return 1;
+}
+
 static int lay_out(const Tubes *t, const double *shift, Layout *l) {
-    double transition[N], cuts[MOST_CUTS];
-    int count = cuts_of(t, shift, l, transition, cuts);
+    double cuts[MOST_CUTS];
+    int count = cuts_of(t, shift, l, cuts);
     if (!count || count - 1 > MOST_SECTIONS) return 0;
     l->pieces = 0;
     l->sections = count - 1;
     for (int k = 0; k + 1 < count; k++) {
-        double length = cuts[k + 1] - cuts[k], middle = (cuts[k] + cuts[k + 1]) / 2;
-        int present[N], curved[N], bent = 0;
-#if !GENERAL
-        double kb[N], m[N], steepest = 0;
+        double length = cuts[k + 1] - cuts[k];
+        Across here = across(t, l, (cuts[k] + cuts[k + 1]) / 2);
+        Needs needs = needs_of(t, l, cuts[k], length, &here);
+        double shape = fmax(needs.steepest / BEND_PER_PIECE, needs.finest);
+#if GENERAL
+        if (here.bent < 2 && needs.finest > 0) shape *= KNOWN;
+#endif
+        double need = length * fmax(needs.fastest / WAVES_PER_ELEMENT, shape);
+        double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) : 1;
+#if GENERAL
+        if (need > 0) wanted *= 1 << t->pieces->refinement;
 #endif
         l->section_start[k] = cuts[k];
-        for (int i = 0; i < N; i++) {
-            present[i] = middle < l->end[i];
-#if GENERAL
-            int panel = panel_of(t->pieces, i, middle + l->transmission[i]);
-            curved[i] = present[i] && t->pieces->bent[i * t->pieces->most + panel];
-#else
-            curved[i] = present[i] && middle > transition[i] && t->curvature[i] != 0;
-            kb[i] = present[i] ? t->kb[i] : 0;
-            m[i] = curved[i] ? t->kb[i] * t->curvature[i] : 0;
-            if (curved[i]) steepest = fmax(steepest, fabs(t->curvature[i]));
-#endif
-            bent += curved[i];
-        }
-#if GENERAL
-        double need = general_need(t, l, cuts[k], length, present, bent);
-        double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) * (1 << t->pieces->refinement) : 1;
-#else
-        double need = fmax(fastest_growth(t->kt, m, kb) * length / WAVES_PER_ELEMENT, steepest * length / BEND_PER_PIECE);
-        double wanted = bent ? fmax(1.0, ceil(need - 1e-9)) : 1.0;
-#endif
-        if (l->pieces + wanted > MOST_PIECES) return 0;
-        int pieces = (int)wanted;
-        for (int j = 0; j < pieces; j++) {
-            int p = l->pieces++;
-            l->length[p] = length / pieces;
-            l->start[p] = cuts[k] + j * l->length[p];
-            l->section[p] = k;
-            l->collocated[p] = bent >= (t->eccentric ? 1 : 2);
-#if GENERAL
-            place_tubes(t, l, p);
-#else
-            memcpy(l->stiffness[p], kb, sizeof kb);
-            memcpy(l->moment[p], m, sizeof m);
-#endif
-            memcpy(l->present[p], present, sizeof present);
-            memcpy(l->curved[p], curved, sizeof curved);
-        }
+        if (!add_pieces(t, l, k, cuts[k], length, wanted, &here, here.bent >= (t->eccentric ? 1 : 2))) return 0;
     }
     return l->pieces > 0;
 }

@@ -28,15 +28,13 @@ import platformdirs
 from ...block.transcription.collocated import STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.piece import COARSE_STEPS, piece_function
-from ...block.transcription.tableau import tableau
 from ...block.transcription.whole_arm import SHAPE_RATIO
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
-from ...typing import Array
 from ..settings import NEWTON
-from .constants import COARSE_DEGREE, DEGREE, general_constants, slope_constants
+from .constants import COARSE_DEGREE, DEGREE, general_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
 from .remembered import note_of, remember, remembered
 from .text import HERE, c_text
@@ -100,9 +98,8 @@ class Kernel:
 
 @dataclass(frozen=True, eq=False)
 class Library(Kernel):
-    """That of robots with so many tubes, with the C struct Method, and whether it has derivatives."""
+    """That of robots with so many tubes, and whether it has derivatives."""
 
-    method: Any
     differentiable: bool
 
 
@@ -153,6 +150,7 @@ def kernel_text(
         "N": n,
         "STEPS": STEPS,
         "SHAPE_RATIO": SHAPE_RATIO if general else (STEPS / COARSE_STEPS) ** 6 - 1,
+        "COARSE_DEGREE": COARSE_DEGREE,
         "MOST_DEGREE": DEGREE,
         "MOST_PIECES": room.pieces,
         "MOST_UNKNOWNS": room.unknowns,
@@ -175,7 +173,7 @@ def kernel_text(
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     tables = general_constants() if general else "" if eccentric else slope_constants()
-    return tables + c_text(constants, generator, "kernel.c")
+    return rule_constants(general) + tables + c_text(constants, generator, "kernel.c")
 
 
 def compiler() -> list[str] | None:
@@ -287,43 +285,6 @@ def _answer(n: int, general: bool) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-class _Tableau(ctypes.Structure):
-    _fields_ = (("degree", ctypes.c_int), *((name, ctypes.c_void_p) for name in ("nodes", "weights", "matrix")))
-
-
-class _Method(ctypes.Structure):
-    _fields_ = (
-        ("coarse", _Tableau),
-        ("fine", _Tableau),
-        ("twice", ctypes.c_void_p),
-        ("twice_back", ctypes.c_void_p),
-    )
-
-
-def between_points(general: bool) -> tuple[Array, Array]:
-    """The Lagrange basis integrated twice, for tubes made of pieces once and twice: of the coarse points at the fine
-    ones, and back."""
-    coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
-    kinds = (1, 2) if general else (2,)
-    there = np.stack([coarse.lagrange(fine.nodes, integrals=k) for k in kinds])
-    back = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in kinds])
-    return there, back
-
-
-def _method(general: bool) -> Any:
-    coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
-    twice, back = between_points(general)
-    arrays = [np.ascontiguousarray(a) for t in (coarse, fine) for a in (t.nodes, t.weights, t.matrix)]
-    method = _Method(
-        _Tableau(COARSE_DEGREE, *(a.ctypes.data for a in arrays[:3])),
-        _Tableau(DEGREE, *(a.ctypes.data for a in arrays[3:])),
-        twice.ctypes.data,
-        back.ctypes.data,
-    )
-    method.keep = (arrays, twice, back)  # the structure points into them
-    return method
-
-
 @lru_cache(maxsize=8)
 def _tell_once(words: str) -> None:
     logging.getLogger("tubeopt").warning(words)
@@ -374,11 +335,11 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     if kernel is None:
         return None
     pointer, whole, functions = ctypes.c_void_p, ctypes.c_longlong, kernel.functions
-    functions.solve.argtypes = [pointer] * 7
-    functions.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
+    functions.solve.argtypes = [pointer] * 6
+    functions.solve_many.argtypes = [pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     functions.solve_many.restype = None
     functions.constrained.argtypes = [whole] * 3 + [pointer] * 3
     differentiable = not (eccentric or general)
     if differentiable:
         functions.differentiate.argtypes = [pointer] * 6
-    return Library(**vars(kernel), method=ctypes.byref(_method(general)), differentiable=differentiable)
+    return Library(**vars(kernel), differentiable=differentiable)

@@ -18,16 +18,26 @@ enum { SOLVED = 0, DECLINED = 1 };
 #include "four.c"
 #include "linear.c"
 
+/* Points per piece, and what does not depend on the robot: of the answer, of the growing of the load, of the check. */
+typedef struct {
+    int degree;
+    const double *nodes, *weights, *matrix; /* (K), (K), (K, K) */
+    const double *basis, *once, *twice;     /* (5, K) Lagrange basis at the shape points, integrated */
+} Rule;
+
+#define RULE_OF(k, degree) \
+    {degree, RULE##k##_nodes, RULE##k##_weights, RULE##k##_matrix, RULE##k##_basis, RULE##k##_once, RULE##k##_twice}
+static const Rule RULE[] = {RULE_OF(0, DEGREE), RULE_OF(1, ROUGH_DEGREE), RULE_OF(2, CHECK_DEGREE)};
+
 /* A robot under a load on a mesh: P pieces of K points. Tubes are `bent` on a piece where they have unknown rotations, and
    `felt` where their twist has any effect. */
 typedef struct {
-    long long pieces, degree, tip_tube;
+    long long pieces, tip_tube;
     double whole; /* length of the arm */
-    const double *weights, *matrix, *start, *length;         /* (K), (K, K), (P), (P) */
+    const double *start, *length;                            /* (P), (P) */
     const double *stiffness, *moment, *phase, *rate;         /* (P K, N); rate is 1 / kt */
     const double *bent, *felt, *held;                        /* (P, N), (P, N), (N): compliance behind the plate */
     const double *force, *base_force;                        /* (P K, 3), (3) */
-    const double *basis, *once, *twice;                      /* (5, K) Lagrange basis at the shape points, integrated */
     const double *ends_stiffness, *ends_moment, *ends_phase; /* (5 P, N) there */
     const double *ends_rate, *ends_twist, *ends_wound;
 } Problem;
@@ -46,11 +56,9 @@ typedef struct {
 #include "loaded_newton.c"
 #include "loaded_arm.c"
 
-/* One robot under one load on three rules with the same pieces: that of the answer, few points on which the load grows,
-   and more points, which tell the error. `to_...`: the Lagrange basis of the first, or of the few, at points of others. */
+/* One robot under one load on the three rules with the same pieces. */
 typedef struct {
     Problem problem, rough, check;
-    const double *to_rough, *to_check, *from_rough;
 } Rules;
 
 typedef struct {
@@ -64,10 +72,10 @@ CASADI_SYMBOL_EXPORT size_t workspace_size(void) { return sizeof(Workspace); }
 CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
 
 /* The margin on a finer rule, by the direction that is softest on the other: off by the square of what that is. */
-static double margin_beside(const Stage *stage, const Stage *check, const double *to_check, Workspace *w) {
+static double margin_beside(const Stage *stage, const Stage *check, Workspace *w) {
     int n = unknowns_of(check);
     double *to = w->room.basis[0], *image = w->room.basis[1];
-    carry_direction(stage, w->room.vector, check, to_check, to);
+    carry_direction(stage, w->room.vector, check, TO_CHECK, to);
     memcpy(image, to, n * sizeof(double));
     Softness of = {check, &w->other_step};
     memset(w->other_step.by.end, 0, sizeof w->other_step.by.end);
@@ -78,10 +86,10 @@ static double margin_beside(const Stage *stage, const Stage *check, const double
 }
 
 /* What a Newton step on a finer rule changes: of theta, of the tip and, where loads hardly soften, of the margin. */
-static int compare_finer(const Rules *rules, const double *alpha, Workspace *w, Answer *out) {
+static int compare_finer(const double *alpha, Workspace *w, Answer *out) {
     const Stage *stage = &w->stage;
     Stage *check = &w->check;
-    carry_over(stage, &w->state, check, rules->to_check, &w->other);
+    carry_over(stage, &w->state, check, TO_CHECK, &w->other);
     evaluate(check, &w->other, 1);
     if (!factorise(check, &w->other, 1, 1)) return DECLINED;
     newton_step(check, &w->other, alpha, 1, &w->other_step, 1);
@@ -94,7 +102,7 @@ static int compare_finer(const Rules *rules, const double *alpha, Workspace *w, 
     out->tip_error = sqrt(dot(gap, gap, 3));
     out->margin_error = 0;
     if (out->margin > HARDLY_SOFTENED)
-        out->margin_error = fabs(margin_beside(stage, check, rules->to_check, w) - out->margin);
+        out->margin_error = fabs(margin_beside(stage, check, w) - out->margin);
     return SOLVED;
 }
 
@@ -119,18 +127,18 @@ static void take_up(const Stage *s, const double *alpha, const double *theta, co
 
 /* The equilibrium under the whole load on the branch of the unloaded one in w->state, of this margin: grown on few points,
    what that changes carried over, and settled. Returns about the margin, NaN where this fails. */
-static double grow_roughly(const Rules *rules, const double *alpha, double margin, Workspace *w, Answer *out) {
+static double grow_roughly(const double *alpha, double margin, Workspace *w, Answer *out) {
     Stage *stage = &w->stage, *rough = &w->rough;
     State *here = &w->rough_state;
     double soft[MOST_UNKNOWNS];
-    carry_over(stage, &w->state, rough, rules->to_rough, here);
+    carry_over(stage, &w->state, rough, TO_ROUGH, here);
     for (int x = 0; x < rough->points; x++) memcpy(w->other.theta[x], here->theta[x], sizeof here->theta[x]);
     if (grow(rough, alpha, margin, &w->room, here, &w->trial, &w->step, out)) return NAN;
     margin = rough_margin(rough, 0, &w->step, &w->room);
-    carry_direction(rough, w->room.vector, stage, rules->from_rough, soft);
+    carry_direction(rough, w->room.vector, stage, FROM_ROUGH, soft);
     for (int x = 0; x < rough->points; x++)
         for (int i = 0; i < N; i++) here->theta[x][i] -= w->other.theta[x][i];
-    carry_over(rough, here, stage, rules->from_rough, &w->trial);
+    carry_over(rough, here, stage, FROM_ROUGH, &w->trial);
     for (int x = 0; x < stage->points; x++) {
         for (int i = 0; i < N; i++) w->state.theta[x][i] += w->trial.theta[x][i];
         memcpy(w->state.q[x], w->trial.q[x], sizeof w->state.q[x]);
@@ -142,13 +150,13 @@ static double grow_roughly(const Rules *rules, const double *alpha, double margi
 }
 
 static void prepare_all(const Rules *rules, Workspace *w) {
-    prepare(&w->stage, &rules->problem);
-    prepare(&w->rough, &rules->rough);
-    prepare(&w->check, &rules->check);
+    prepare(&w->stage, &rules->problem, RULE);
+    prepare(&w->rough, &rules->rough, RULE + 1);
+    prepare(&w->check, &rules->check, RULE + 2);
 }
 
-static int solve_prepared(const Rules *rules, const double *alpha, const double *turn, const double *theta,
-                          const double *curvature, double margin, Workspace *w, Answer *out) {
+static int solve_prepared(const double *alpha, const double *turn, const double *theta, const double *curvature,
+                          double margin, Workspace *w, Answer *out) {
     Stage *stage = &w->stage;
     double near = margin;
     take_up(stage, alpha, theta, turn, curvature, &w->state);
@@ -156,7 +164,7 @@ static int solve_prepared(const Rules *rules, const double *alpha, const double 
     out->iterations = 0;
     if (curvature) {
         if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return DECLINED;
-    } else if (isnan(near = grow_roughly(rules, alpha, margin, w, out))) {
+    } else if (isnan(near = grow_roughly(alpha, margin, w, out))) {
         take_up(stage, alpha, theta, turn, curvature, &w->state);
         if (grow(stage, alpha, margin, &w->room, &w->state, &w->trial, &w->step, out)) return DECLINED;
         anywhere(w->room.vector, unknowns_of(stage));
@@ -165,7 +173,7 @@ static int solve_prepared(const Rules *rules, const double *alpha, const double 
     lay_arm(stage, &w->state, alpha, out);
     out->margin = margin_of(stage, &w->state, near, EIGENVALUE_ERROR, &w->step, &w->room);
     if (!(out->margin > LEAST_STIFFNESS)) return DECLINED;
-    return compare_finer(rules, alpha, w, out);
+    return compare_finer(alpha, w, out);
 }
 
 /* The stable equilibrium under the whole load from that without load, without a `curvature`, or from one close by, each of
@@ -173,7 +181,7 @@ static int solve_prepared(const Rules *rules, const double *alpha, const double 
 CASADI_SYMBOL_EXPORT int solve_loaded(const Rules *rules, const double *alpha, const double *turn, const double *theta,
                                       const double *curvature, double margin, Workspace *w, Answer *out) {
     prepare_all(rules, w);
-    return solve_prepared(rules, alpha, turn, theta, curvature, margin, w, out);
+    return solve_prepared(alpha, turn, theta, curvature, margin, w, out);
 }
 
 /* Many rotations, each from its equilibrium without load, of `margin` (count) and `theta` (count, points, N). `summary`
@@ -186,8 +194,7 @@ CASADI_SYMBOL_EXPORT void solve_many_loaded(const Rules *rules, long long count,
     double none[N] = {0};
     prepare_all(rules, w);
     for (long long k = 0; k < count; k++, summary += 18 + N, compliance += 36) {
-        declined[k] = solve_prepared(rules, alpha + k * N, none, theta + k * w->stage.points * N, NULL, margin[k], w,
-                                     one) != SOLVED;
+        declined[k] = solve_prepared(alpha + k * N, none, theta + k * w->stage.points * N, NULL, margin[k], w, one) != SOLVED;
         if (declined[k]) continue;
         int tip = w->stage.pieces * STEPS;
         memcpy(summary, one->position[tip], 3 * sizeof(double));

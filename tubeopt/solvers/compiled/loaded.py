@@ -27,7 +27,7 @@ from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
 from .binding import address, room_of
 from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, Kernel, load_kernel
-from .text import c_text
+from .text import c_tables, c_text
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
 """Points per piece: of the answer, of the growing of the load, and of the check; and room of the kernel: other
@@ -100,29 +100,38 @@ def loaded_text(n: int, generator: ca.CodeGenerator, file: str, pieces: int = MO
         f"static const double {name}[3][4][4] = {str(table.tolist()).translate(braces)};\n"
         for name, table in tables.items()
     )
-    return arrays + c_text(defines, generator, file)
+    return _rules() + arrays + c_text(defines, generator, file)
+
+
+def _rules() -> str:
+    """The three rules, and what carries over between them: the Lagrange basis of one at the points of another."""
+    degrees = DEGREE, ROUGH_DEGREE, CHECK_DEGREE
+    whole, rough, check = rules = [tableau("gauss", degree) for degree in degrees]
+    tables: dict[str, Array] = {}
+    for k, rule in enumerate(rules):
+        own = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
+        own |= {name: rule.lagrange(ENDS, integrals=i) for i, name in enumerate(("basis", "once", "twice"))}
+        tables |= {f"RULE{k}_{name}": table for name, table in own.items()}
+    between = {"TO_ROUGH": (whole, rough), "TO_CHECK": (whole, check), "FROM_ROUGH": (rough, whole)}
+    return c_tables(tables | {name: one.lagrange(other.nodes) for name, (one, other) in between.items()})
 
 
 _POINTERS = (
-    *("weights", "matrix", "start", "length", "stiffness", "moment", "phase", "rate", "bent", "felt", "held"),
-    *("force", "base_force", "basis", "once", "twice"),
+    *("start", "length", "stiffness", "moment", "phase", "rate", "bent", "felt", "held", "force", "base_force"),
     *("ends_stiffness", "ends_moment", "ends_phase", "ends_rate", "ends_twist", "ends_wound"),
 )
 
 
 class _Problem(ctypes.Structure):
     _fields_ = (
-        *((name, ctypes.c_longlong) for name in ("pieces", "degree", "tip_tube")),
+        *((name, ctypes.c_longlong) for name in ("pieces", "tip_tube")),
         ("whole", ctypes.c_double),
         *((name, ctypes.c_void_p) for name in _POINTERS),
     )
 
 
 class _Rules(ctypes.Structure):
-    _fields_ = (
-        *((name, _Problem) for name in ("problem", "rough", "check")),
-        *((name, ctypes.c_void_p) for name in ("to_rough", "to_check", "from_rough")),
-    )
+    _fields_ = tuple((name, _Problem) for name in ("problem", "rough", "check"))
 
 
 @dataclass(frozen=True)
@@ -170,10 +179,7 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
     felt = np.cumsum(bent[::-1], axis=0)[::-1] > 0
     felt[:, tip_tube] = True
     rate, held = compliances(torsion)
-    basis, once, twice = (t.lagrange(ENDS, integrals=k) for k in range(3))
     arrays = {
-        "weights": t.weights,
-        "matrix": t.matrix,
         "start": mesh.start,
         "length": mesh.length,
         "stiffness": torsion.stiffness,
@@ -183,9 +189,6 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
         "bent": bent,
         "felt": felt,
         "held": held,
-        "basis": basis,
-        "once": once,
-        "twice": twice,
         "ends_stiffness": ends.stiffness,
         "ends_moment": ends.moment,
         "ends_phase": ends.phase,
@@ -194,7 +197,7 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
         "ends_wound": ends.wound,
     }
     kept = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
-    out: Any = _Problem(pieces, t.degree, tip_tube, length, **{name: address(array) for name, array in kept.items()})
+    out: Any = _Problem(pieces, tip_tube, length, **{name: address(array) for name, array in kept.items()})
     out.keep = kept
     return out
 
@@ -202,18 +205,15 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
 @lru_cache(maxsize=64)
 def _structure(rules: LoadedRules) -> Any:
     """The C struct Rules."""
-    chosen = rules.problem, rules.rough, rules.check
-    whole, few, many = (problem.mesh.tableau.degree for problem in chosen)
-    bases = between_rules(whole, few), between_rules(whole, many), between_rules(few, whole)
     parts, kept = [], []
-    for problem in chosen:
+    for problem in (rules.problem, rules.rough, rules.check):
         template = _template(problem.torsion, problem.tip_tube, problem.torsion.assembly.total_length)
         part = _Problem.from_buffer_copy(template)
         part.force, part.base_force = address(problem.force), address(problem.base_force)
         parts.append(part)
         kept.append((template, problem))
-    out: Any = _Rules(*parts, *map(address, bases))
-    out.keep = kept, bases  # the structure points into them
+    out: Any = _Rules(*parts)
+    out.keep = kept  # the structure points into them
     return out
 
 
@@ -276,12 +276,6 @@ def solve_many_loaded_compiled(
     places = (address(a) for a in (*given, ends, summary, compliance, declined))
     kernel.functions.solve_many_loaded(ctypes.byref(_structure(rules)), count, *places, *room.at)
     return summary, compliance, declined.astype(bool)
-
-
-@lru_cache(maxsize=8)
-def between_rules(degree: int, finer: int) -> Array:
-    """(finer, degree) values at the points of the finer rule."""
-    return np.ascontiguousarray(tableau("gauss", degree).lagrange(tableau("gauss", finer).nodes))
 
 
 def _answered(answer: dict[str, Any], points: int, m: int) -> LoadedAnswer:

@@ -63,11 +63,12 @@ static void lay_point(const Stage *s, const State *state, const Torsion *torsion
     const Problem *p = s->problem;
     int degree = s->degree, end = e * (STEPS + 1) + k;
     double h = p->length[e], fraction = (double)k / STEPS, direction[N], natural[2], quaternion[4], columns[9];
-    const double *basis = p->basis + k * degree, *once = p->once + k * degree, *twice = p->twice + k * degree;
+    const Rule *rule = s->rule;
+    const double *basis = rule->basis + k * degree, *once = rule->once + k * degree, *twice = rule->twice + k * degree;
     out->arc_length[at] = p->start[e] + h * fraction;
     for (int i = 0; i < N; i++) {
         double mean = 0, torque = torsion->twist[e][i], even = fraction * torque, uneven = 0;
-        for (int b = 0; b < degree; b++) mean += p->weights[b] * p->rate[(e * degree + b) * N + i];
+        for (int b = 0; b < degree; b++) mean += rule->weights[b] * p->rate[(e * degree + b) * N + i];
         for (int b = 0; b < degree; b++) {
             int x = e * degree + b;
             torque += h * once[b] * torsion->per_length[x][i];

@@ -20,6 +20,7 @@ typedef struct {
 
 typedef struct {
     const Problem *problem;
+    const Rule *rule;
     int pieces, degree, points, assembled;
     double enough, chord; /* steps, rad, below which Newton's method ends, or keeps its factors */
     double weight[MOST_POINTS], soft[MOST_POINTS]; /* B, 1 / sqrt(B K) */
@@ -67,9 +68,10 @@ ALWAYS_INLINE void add_transposed(double scale, const double *a, const double *b
 }
 
 /* Weights, softness and the twist of the tubes: what rotations and load do not change. */
-static void prepare(Stage *s, const Problem *p) {
-    int k = s->degree = (int)p->degree;
+static void prepare(Stage *s, const Problem *p, const Rule *rule) {
+    int k = s->degree = rule->degree;
     s->problem = p;
+    s->rule = rule;
     s->pieces = (int)p->pieces;
     s->points = s->pieces * k;
     s->enough = k == ROUGH_DEGREE ? ROUGH_STEP : 0;
@@ -77,7 +79,7 @@ static void prepare(Stage *s, const Problem *p) {
     for (int x = 0; x < s->points; x++) {
         double total = 0;
         for (int i = 0; i < N; i++) total += p->stiffness[x * N + i];
-        s->weight[x] = p->length[x / k] * p->weights[x % k];
+        s->weight[x] = p->length[x / k] * rule->weights[x % k];
         s->soft[x] = 1 / sqrt(s->weight[x] * total);
     }
     for (int i = 0; i < N; i++) s->root_spring[i] = sqrt(p->held[i]);
@@ -92,10 +94,10 @@ static void prepare(Stage *s, const Problem *p) {
             rows += piece->count[i];
             double whole = 0;
             for (int b = 0; b < k; b++) {
-                double rate = p->rate[(e * k + b) * N + i], root = sqrt(rate * h / p->weights[b]);
-                whole += h * p->weights[b] * rate;
-                for (int a = 0; a < k && bent; a++) piece->turn[i][a][b] = p->matrix[a * k + b] * root;
-                piece->passed[i][b] = p->weights[b] * root;
+                double rate = p->rate[(e * k + b) * N + i], root = sqrt(rate * h / rule->weights[b]);
+                whole += h * rule->weights[b] * rate;
+                for (int a = 0; a < k && bent; a++) piece->turn[i][a][b] = rule->matrix[a * k + b] * root;
+                piece->passed[i][b] = rule->weights[b] * root;
             }
             if (!bent) piece->passed[i][0] = sqrt(whole);
         }
@@ -112,7 +114,7 @@ OF_DEGREE void invert(const Stage *s, const State *state, int e, Piece *piece, i
     for (int b = 0; b < k; b++)
         for (int a = 0; a < k; a++) {
             const double *u = state->curvature[e * k + b];
-            double scale = -half * s->problem->matrix[a * k + b];
+            double scale = -half * s->rule->matrix[a * k + b];
             double entry[4] = {a == b, scale * u[0], scale * u[1], 0};
             memcpy(m[b][a], entry, sizeof entry);
         }
@@ -153,7 +155,7 @@ static void orient(Stage *s, State *state) {
                 piece->spread[c][r] = 0;
                 for (int a = 0; a < k; a++) piece->spread[c][r] += piece->inverse[a][c][r];
             }
-            add_product(half * s->problem->weights[c], piece->spread[c], rate, piece->carried);
+            add_product(half * s->rule->weights[c], piece->spread[c], rate, piece->carried);
             product(state->begin[e], piece->spread[c], state->stage[e * k + c]);
         }
         product(state->begin[e], piece->carried, state->begin[e + 1]);
@@ -172,14 +174,14 @@ OF_DEGREE void feel(const Stage *s, State *state, int k) {
             double right[4], rate[4] = {0, state->curvature[x][0], state->curvature[x][1], 0};
             for (int r = 0; r < 4; r++) right[r] = dot(state->form[x][r], state->stage[x], 4);
             add_transposed(1, right, piece->spread[c], before);
-            add_transposed(half * s->problem->weights[c], ahead, rate, right);
+            add_transposed(half * s->rule->weights[c], ahead, rate, right);
             for (int a = 0; a < k; a++) add_transposed(1, right, piece->inverse[a][c], multiplier[a]);
         }
         for (int b = 0; b < k; b++) {
             int x = e * k + b;
             for (int r = 0; r < 4; r++) {
-                double sum = s->problem->weights[b] * ahead[r];
-                for (int a = 0; a < k; a++) sum += s->problem->matrix[a * k + b] * multiplier[a][r];
+                double sum = s->rule->weights[b] * ahead[r];
+                for (int a = 0; a < k; a++) sum += s->rule->matrix[a * k + b] * multiplier[a][r];
                 state->multiplier[x][r] = half * sum;
             }
             for (int j = 0; j < 2; j++) {

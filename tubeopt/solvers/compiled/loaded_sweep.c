@@ -24,7 +24,7 @@ typedef struct {
 /* dQ_c / du_b and the same of Q at the end. */
 OF_DEGREE void spread_bending(const Stage *s, const State *state, int e, Piece *piece, int k) {
     double half = s->problem->length[e] / 2;
-    const double *matrix = s->problem->matrix, *weights = s->problem->weights;
+    const double *matrix = s->rule->matrix, *weights = s->rule->weights;
     for (int b = 0; b < k; b++) {
         double through[MOST_DEGREE][4] = {{0}};
         for (int a = 0; a < k; a++)

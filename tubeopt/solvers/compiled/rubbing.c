@@ -38,7 +38,6 @@ typedef struct {
 
 typedef struct {
     const Tubes *tubes;
-    const Method *method;
     Friction friction;
     Room *room;
     int margins; /* whether they are wanted of all states, not only where steps are long */
@@ -49,43 +48,31 @@ typedef struct {
 /* --- where tubes rub ------------------------------------------------------------------------------------------------- */
 
 /* Cut the pieces of a layout finer where pairs rub, and let `curved` tell which rotations are unknown there. */
-static int lay_out_rubbing(const Friction *f, Layout *l) {
-    static const Layout nothing;
+static int lay_out_rubbing(const Tubes *t, const Friction *f, Layout *l) {
     double overlap[N] = {0};
     for (int p = 0; p < l->pieces; p++)
         for (int i = 0; i + 1 < N; i++)
             if (l->present[p][i + 1] && f->torque[i] > 0) overlap[i] += l->length[p];
-    Layout fine = nothing;
-    memcpy(fine.transmission, l->transmission, sizeof l->transmission);
-    memcpy(fine.end, l->end, sizeof l->end);
-    memcpy(fine.section_start, l->section_start, sizeof l->section_start);
-    fine.sections = l->sections;
+    Layout fine = *l;
+    fine.pieces = 0;
     for (int p = 0, next; p < l->pieces; p = next) {
-        int unknown[N] = {0}, bent = 0, any = 0, count;
+        Across here = {.bent = 0}; /* `curved` tells the unknowns */
+        int any = 0;
         double longest = INFINITY;
         for (next = p; next < l->pieces && l->section[next] == l->section[p];) next++;
-        for (int i = 0; i < N; i++) bent += l->curved[p][i];
-        for (int i = 0; i < N; i++) unknown[i] = bent >= 2 && l->curved[p][i];
+        for (int i = 0; i < N; i++) here.bent += l->curved[p][i];
+        for (int i = 0; i < N; i++) here.curved[i] = here.bent >= 2 && l->curved[p][i];
         for (int i = 0; i + 1 < N; i++) {
             if (!(l->present[p][i + 1] && f->torque[i] > 0)) continue;
-            unknown[i] = unknown[i + 1] = 1;
+            here.curved[i] = here.curved[i + 1] = 1;
             longest = fmin(longest, overlap[i] / f->pieces);
         }
-        for (int i = 0; i < N; i++) any |= unknown[i];
+        for (int i = 0; i < N; i++) any |= here.curved[i];
         double whole = l->length[p] * (next - p), wanted = fmax(next - p, ceil(whole / longest - 1e-9));
-        if (fine.pieces + wanted > MOST_PIECES) return 0;
-        count = (int)wanted;
-        for (int j = 0; j < count; j++) {
-            int at = fine.pieces++;
-            fine.length[at] = whole / count;
-            fine.start[at] = l->start[p] + j * fine.length[at];
-            fine.section[at] = l->section[p];
-            fine.collocated[at] = any;
-            memcpy(fine.stiffness[at], l->stiffness[p], sizeof l->stiffness[p]);
-            memcpy(fine.moment[at], l->moment[p], sizeof l->moment[p]);
-            memcpy(fine.present[at], l->present[p], sizeof l->present[p]);
-            memcpy(fine.curved[at], unknown, sizeof unknown);
-        }
+        memcpy(here.present, l->present[p], sizeof here.present);
+        memcpy(here.kb, l->stiffness[p], sizeof here.kb);
+        memcpy(here.m, l->moment[p], sizeof here.m);
+        if (!add_pieces(t, &fine, l->section[p], l->start[p], whole, wanted, &here, any)) return 0;
     }
     *l = fine;
     return 1;
@@ -95,8 +82,8 @@ static int lay_out_rubbing(const Friction *f, Layout *l) {
 static int begin_held(const Motion *m, const double *shift, Held *h) {
     const Friction *f = &m->friction;
     Unknowns *q = &h->q;
-    if (!lay_out(m->tubes, shift, &h->layout) || !lay_out_rubbing(f, &h->layout)) return 0;
-    if (!pose_unknowns(q, &h->layout, m->tubes, &m->method->fine, 0)) return 0;
+    if (!lay_out(m->tubes, shift, &h->layout) || !lay_out_rubbing(m->tubes, f, &h->layout)) return 0;
+    if (!pose_unknowns(q, &h->layout, m->tubes, &FINE, 0)) return 0;
     h->rows = 0;
     for (int i = 0; i + 1 < N; i++)
         for (int x = 0; x < q->points; x++) {
@@ -390,14 +377,7 @@ CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
 /* Position at `behind` the tip, cubic between the shape points; on the plate's axis where that is behind the plate. */
 static void station_at(const Answer *a, int tip, double behind, double *out) {
     double s = a->arc_length[tip] - behind, inside = fmax(s, 0);
-    int k = 0;
-    while (k + 1 < tip && a->arc_length[k + 1] <= inside) k++;
-    double h = a->arc_length[k + 1] - a->arc_length[k], t = (inside - a->arc_length[k]) / h, u = 1 - t;
-    for (int c = 0; c < 3; c++) {
-        double v = a->frame[k][3 * c + 2], w = a->frame[k + 1][3 * c + 2];
-        out[c] = (1 + 2 * t) * u * u * a->position[k][c] + t * t * (3 - 2 * t) * a->position[k + 1][c];
-        out[c] += h * t * u * (v * u - w * t);
-    }
+    on_curve(a->arc_length, a->position, a->frame, piece_at(a->arc_length, tip, inside), inside, out);
     out[2] += fmin(s, 0);
 }
 
@@ -406,11 +386,10 @@ static void station_at(const Answer *a, int tip, double behind, double *out) {
    `out` (count, 3 stations + 9 + N + 4) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes
    there, margin (0 where `sizes` says that it is not wanted), length, the heat since row 0, and the violation of the laws
    of friction. -1 where the state is not one of these tubes. */
-CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const Method *method, const double *friction, double pieces,
-                                   long long count, const double *alpha, const double *shift, const long long *sizes,
-                                   double *z, double *torque, signed char *sign, const double *behind, double *out,
-                                   Room *w) {
-    Motion m = {tubes, method, {friction, pieces}, w, (int)sizes[3], 0, 0};
+CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const double *friction, double pieces, long long count,
+                                   const double *alpha, const double *shift, const long long *sizes, double *z,
+                                   double *torque, signed char *sign, const double *behind, double *out, Room *w) {
+    Motion m = {tubes, {friction, pieces}, w, (int)sizes[3], 0, 0};
     Held *h = &w->held[0];
     int stations = (int)sizes[2], width = 3 * stations + 9 + N + 4;
     if (!begin_held(&m, shift, h) || h->q.size != sizes[0] || h->rows != sizes[1]) return -1;

@@ -53,7 +53,7 @@ def _kernel(n: int) -> Kernel | None:
     kernel = load_kernel((n, "rubbing"), lambda: rubbing_source(n), np.dtype([]))
     if kernel is not None:
         pointer, whole = ctypes.c_void_p, ctypes.c_longlong
-        kernel.functions.rub.argtypes = [*[pointer] * 3, ctypes.c_double, whole, *[pointer] * 9]
+        kernel.functions.rub.argtypes = [*[pointer] * 2, ctypes.c_double, whole, *[pointer] * 9]
         kernel.functions.rub.restype = whole
     return kernel
 
@@ -95,7 +95,7 @@ def rub_compiled(
     out, behind = np.zeros((len(joints), 3 * len(behind) + 13 + n)), np.ascontiguousarray(behind)
     places = [address(array) for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out)]
     pieces = PIECES * 2.0**friction.refinement
-    given = plain[2], plain[0].method, address(capacity), pieces, len(joints)
+    given = plain[2], address(capacity), pieces, len(joints)
     count = kernel.functions.rub(*given, *places, room_of(kernel).at[0])
     if count < 0:
         return None

@@ -124,10 +124,10 @@ static int stable_softened(const Unknowns *coarse, const State *rough, double so
 
 /* What 1 - mu of the margin mu cannot exceed, at most 1, and is not far below: FAR_BELOW more than what, by the coarse
    points, the same rotations have on the centreline. -1 where mu there is not above -FAR_BELOW. */
-static double most_softening(const Method *method, const Unknowns *all, const Unknowns *coarse, const double *alpha,
-                             const Profile *arm, State *rough, double *h) {
+static double most_softening(const Unknowns *all, const Unknowns *coarse, const double *alpha, const Profile *arm,
+                             State *rough, double *h) {
     double theta[MOST_POINTS][N], z[MOST_UNKNOWNS];
-    interpolate(all, arm, coarse, method->twice_back, theta);
+    interpolate(all, arm, coarse, TO_COARSE, theta);
     to_unknowns(coarse, alpha, theta, rough->z);
     evaluate(coarse, alpha, rough);
     if (!stable_softened(coarse, rough, 1 / (1 + FAR_BELOW), h)) return -1;

@@ -4,12 +4,9 @@ takes longer than to factor it, and on a busy machine, where a thread waits for 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from functools import lru_cache, wraps
-from typing import Any, ParamSpec, TypeVar
-
-P = ParamSpec("P")
-R = TypeVar("R")
+from contextlib import ContextDecorator
+from functools import lru_cache
+from typing import Any
 
 _LOCK = threading.Lock()
 _BEFORE: list[tuple[Any, int]] = []
@@ -27,9 +24,10 @@ def _libraries() -> list[Any]:
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)
 
 
-class one_blas_thread:  # noqa: N801
-    """Linear algebra runs in one thread inside of the block, and in as many as before after it. For all threads of the
-    process, since libraries know no other way; blocks may lie within each other and beside each other."""
+class _OneThread(ContextDecorator):
+    """Linear algebra runs in one thread inside of the block, or of a function, and in as many as before after it. For
+    all threads of the process, since libraries know no other way; blocks may lie within each other and beside each
+    other."""
 
     def __enter__(self) -> None:
         with _LOCK:
@@ -47,12 +45,5 @@ class one_blas_thread:  # noqa: N801
                     one.set_num_threads(count)
 
 
-def small(function: Callable[P, R]) -> Callable[P, R]:
-    """The function with linear algebra in one thread: for those that solve many small problems."""
-
-    @wraps(function)
-    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
-        with one_blas_thread():
-            return function(*args, **kwargs)
-
-    return alone
+small = _OneThread()
+"""For blocks, and as the decorator of functions, that solve many small problems."""

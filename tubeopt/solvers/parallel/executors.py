@@ -12,7 +12,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -21,6 +21,7 @@ from multiprocessing.connection import wait as wait_for_end
 from typing import Any, Generic, TypeVar
 
 from ...errors import InputError, SolveError
+from ...typing import Progress
 from .common import COMMON, NotLoadedError, common_data, packed, unpacked, using
 
 A = TypeVar("A")
@@ -110,6 +111,19 @@ def executor(workers: int = 0, *, scheduler: str | None = None, common: object =
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def run_all(
+    function: Callable[[A], B], items: Sequence[A], pool: Executor, progress: Progress | None = None
+) -> list[B]:
+    """`function` of every item, in order."""
+    answers = map(function, items) if isinstance(pool, SerialExecutor) else pool.map(function, items)
+    out = []
+    for answer in answers:
+        out.append(answer)
+        if progress is not None:
+            progress(len(out), len(items))
+    return out
 
 
 def _processes(count: int, common: object) -> ProcessPoolExecutor:
