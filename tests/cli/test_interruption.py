@@ -56,12 +56,25 @@ class Interrupt:
 sys.meta_path.insert(0, Interrupt())
 """
 AFTER = "import atexit; atexit.register(signal.raise_signal, signal.SIGINT)"
+INTO_ANOTHER = """
+import tubeopt.cli.app as app
+def solve(*arguments, **options):
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        raise SystemError("a result with an exception set") from None
+app.program = lambda: solve
+"""
 
 
 @pytest.mark.parametrize(
     ("when", "code", "printed", "told"),
-    [(BEFORE, 130, "", "error: interrupted; nothing was saved\n"), (AFTER, 0, f"tubeopt {__version__}\n", "")],
-    ids=["while Python imports", "while Python leaves"],
+    [
+        (BEFORE, 130, "", "error: interrupted; nothing was saved\n"),
+        (AFTER, 0, f"tubeopt {__version__}\n", ""),
+        (INTO_ANOTHER, 130, "", "error: interrupted; nothing was saved\n"),
+    ],
+    ids=["while Python imports", "while Python leaves", "in compiled code that makes another error of it"],
 )
 def test_ctrl_c_waits_until_it_can_be_told_and_undoes_nothing(when: str, code: int, printed: str, told: str) -> None:
     hear = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"

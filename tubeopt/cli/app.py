@@ -23,7 +23,7 @@ from typer.main import get_command
 from .. import __version__
 from .commands import COMMANDS, Asked, flowing
 from .failures import INTERRUPTED, complain, failure
-from .interruption import awake, interruptible, kept, stop_workers
+from .interruption import awake, interrupted, interruptible, kept, stop_workers
 from .messages import LEVELS, listening, log_level
 
 
@@ -128,8 +128,10 @@ def _code(typed: Sequence[str], heard: Sequence[int]) -> object:
             if heard:
                 raise KeyboardInterrupt
             return program()(typed, prog_name="tubeopt", standalone_mode=False)
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) or interrupted():
+            return INTERRUPTED
+        raise
 
 
 def main(arguments: Sequence[str] | None = None, heard: Sequence[int] = ()) -> NoReturn:

@@ -15,6 +15,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from types import FrameType
 
 from ..files.files import remove_unfinished
 from .failures import INTERRUPTED, complain
@@ -24,6 +25,7 @@ PATIENCE = 1.2
 
 _KEPT: list[Callable[[], str]] = []
 _OWN: list[bool] = []
+_HEARD: list[int] = []
 
 
 @contextlib.contextmanager
@@ -48,6 +50,7 @@ def kept() -> str:
 def interruptible(as_json: bool) -> Iterator[threading.Lock]:
     """End the process where Ctrl-C does not end the block by itself; who takes the lock says so, and nobody else."""
     _KEPT.clear()
+    _HEARD.clear()
     telling = threading.Lock()
     if threading.current_thread() is not threading.main_thread():
         yield telling
@@ -83,11 +86,21 @@ def awake() -> Iterator[None]:
     if before is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
         yield
         return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def _interrupt(number: int, frame: FrameType | None) -> None:
+        _HEARD.append(number)
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGINT, _interrupt)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def interrupted() -> bool:
+    """Whether Ctrl-C was heard: what a command raises after it may be what compiled code makes of it."""
+    return bool(_HEARD)
 
 
 @contextlib.contextmanager
