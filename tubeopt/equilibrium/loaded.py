@@ -14,9 +14,9 @@ from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
-from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
+from ..solvers.compiled.loaded import LoadedAnswer, solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.ipopt import solve_loaded_ipopt
-from ..solvers.loaded import LoadedAnswer, turn_of
+from ..solvers.newton import turn_of
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
