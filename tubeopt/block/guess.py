@@ -63,15 +63,9 @@ def _bending_of(near: Near, start: Array, inside: Array) -> tuple[Array, Array]:
     if near.load is None:
         return np.zeros((2, len(start))), np.zeros((2, len(inside)))
     assembly = near.robot.assembly(near.translations)
-    if assembly.general:
-        here = assembly.cross_sections(near.point, near.point)
-        kb, moment = here.stiffness, here.moment
-        theta = near.point_rotation - assembly.wound(near.point) + here.phase
-    else:
-        section = np.searchsorted(assembly.start, near.point, side="right") - 1
-        kb, theta = assembly.bending_stiffness * assembly.present[section], near.point_rotation
-        moment = kb * assembly.curvature * assembly.curved[section]
-    unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, moment)[0]
+    here = assembly.cross_sections(near.point, near.point)
+    theta, kb = near.point_rotation - here.wound + here.phase, here.stiffness
+    unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, here.moment)[0]
     known = (near.point_curvature - unloaded) * kb.sum(1)[:, None]
     return tuple(np.array([np.interp(s, near.point, row) for row in known.T]) for s in (start, inside))  # type: ignore[return-value]
 

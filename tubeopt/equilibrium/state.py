@@ -25,7 +25,7 @@ def arm_of(solution: Solution) -> Arm:
     problem, t = solution.problem, solution.problem.mesh.tableau
     mesh, torsion = problem.mesh, solution.arm
     shape = evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
-    pieces = mesh.start, mesh.length, problem.piece_stiffness, problem.piece_moment
+    pieces = mesh.start, mesh.length, *problem.on_pieces
     inner = arms.rotations_at(problem, torsion, tuple(t.nodes.tolist()))
     return _arm(t, problem.assembly, pieces, (torsion.rotation, torsion.twist, inner), shape)
 
@@ -80,8 +80,8 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
     start = equilibrium.arc_length[:-1:steps]
     length = equilibrium.arc_length[steps::steps] - start
     section = np.searchsorted(assembly.start, start + length / 2) - 1
-    stiffness = assembly.bending_stiffness * assembly.present[section]
-    moment = (assembly.bending_stiffness * assembly.curvature) * assembly.curved[section]
+    here = assembly.of_sections(section)
+    stiffness, moment = here.stiffness, here.moment
     index = shape_points(len(start))
     theta, slope = equilibrium.rotation.T[index], equilibrium.torsion.T[index[:, 1:-1]]
     inner = _hermite(how.family, how.degree) @ np.concatenate([theta, length[:, None, None] * slope], axis=1)

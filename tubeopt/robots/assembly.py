@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from ..errors import InputError
-from ..typing import Array, Mask
+from ..typing import Array, Index, Mask
 from .lengthwise import CrossSections, Lengthwise, lengthwise
 from .tubes import Tube
 
@@ -57,11 +57,18 @@ class Assembly:
         return self.lengthwise is not None
 
     def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
-        """The tubes at arc lengths (X,), m, where one is made of pieces; `inside` (X,) lie in the same sections, away
-        from their ends, which tells what is meant where a breakpoint lies."""
-        assert self.lengthwise is not None
+        """The tubes at arc lengths (X,), m; `inside` (X,) lie in the same sections, away from their ends, which tells
+        what is meant where a breakpoint lies."""
+        if self.lengthwise is None:
+            return self.of_sections(np.searchsorted(self.start, inside, side="right") - 1)
         place, near = (s[:, None] + self.transmission for s in (arc_length, inside))
         return self.lengthwise.at(place, near, inside[:, None] < self.end)
+
+    def of_sections(self, section: Index) -> CrossSections:
+        """The tubes in sections (X,), where none is made of pieces."""
+        kb = self.bending_stiffness * self.present[section]
+        moment, none = kb * self.curvature * self.curved[section], np.zeros_like(kb)
+        return CrossSections(kb, moment, none, np.broadcast_to(self.torsional_stiffness, kb.shape), none, none)
 
     def wound(self, arc_length: Array) -> Array:
         """(X, n) natural turn of the tubes up to arc lengths (X,) from where they are held, rad; 0 without pieces."""

@@ -79,7 +79,7 @@ class Least:
 def pair_of(problem: ReducedProblem) -> Pair | None:
     """The two tubes of a problem that are coupled; None where there are more, or fewer, or none is made of pieces."""
     coupled = np.unique(problem.tube)
-    if len(coupled) != 2 or problem.here is None or problem.phase is None:
+    if len(coupled) != 2 or not problem.assembly.general:
         return None
     i, j = (int(tube) for tube in coupled)
     compliance = sum(problem.factor[part, part] @ problem.factor[part, part].T for part in problem.by_tube)
@@ -139,7 +139,6 @@ def farthest_fold(pair: Pair) -> float:
     """A turn of the first tube against the second (rad) on which a snap is met from any stable equilibrium, if there is
     any: the joints turn by a whole turn while the tips do, and are ahead of them by an amount that repeats."""
     problem = pair.problem
-    assert problem.here is not None
     lever = ahead(problem.mesh, problem.here)[:, list(pair.tubes)].sum(1)
     x = np.linspace(0.0, 2 * np.pi, 8 * FIRST)
     leads = np.sin(_differences(pair, x)) @ (pair.coupling * lever)
