@@ -325,22 +325,22 @@ def _judge(
     tips = np.array([e.tip_position for e in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     passed = np.diff([step.at for step in passage.steps]) * (t[-1] - t[0])
-    tip_rate = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0))
+    tip_rate, tip_step = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0)), float(moved.max(initial=0.0))
     picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.verified).astype(int))]
     again = max(_again(e) for e in picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
+    turning, moving = ([float(each.max(initial=0.0)) for each in kind] for kind in rates)
     if again > follower.effort.agreement * follower.length:
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
     faults += out_of_range(space, alpha, shift)
     if rate_limits is not None:
         faults += too_fast(space, rates, tip_rate, rate_limits)
-    largest = (float(kind[order].max(initial=0.0)) for order in range(2) for kind in rates)
     return Proof(
         snap=passage.snap,
         least_margin=passage.margin,
         least_clearance=passage.clearance,
         measured_clearance=passage.measured,
-        paces=Paces(*largest, float(moved.max(initial=0.0)), tip_rate, float(moved.sum())),
+        paces=Paces(turning[0], moving[0], turning[1], moving[1], tip_step, tip_rate, float(moved.sum())),
         reintegration=again,
         statistics=ProofStatistics(follower.count + 1, passage.steps[-1].at),
         end=steps[-1],
