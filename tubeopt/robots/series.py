@@ -61,7 +61,8 @@ class Series:
 
     @cached_property
     def _arrays(self) -> tuple[Array, Array]:
-        return np.array(self.breaks), padded(self.coefficients)
+        width = max(map(len, self.coefficients))
+        return np.array(self.breaks), np.array([[*panel, *[0.0] * (width - len(panel))] for panel in self.coefficients])
 
     def __hash__(self) -> int:
         return self._hash
@@ -104,14 +105,6 @@ class Series:
 
 Quantity = float | Series
 """A quantity that is constant along its stretch, or a series of it."""
-
-
-def padded(coefficients: Sequence[Sequence[float]], width: int = 1) -> Array:
-    """(k, largest) coefficients of all panels, with zeros to the same number, at least `width`."""
-    out = np.zeros((len(coefficients), max(width, *(len(panel) for panel in coefficients))))
-    for row, panel in zip(out, coefficients, strict=True):
-        row[: len(panel)] = panel
-    return out
 
 
 def vary(quantities: Iterable[Any]) -> bool:
@@ -228,11 +221,12 @@ def spline(arc_length: Array, values: Array) -> Series:
 
 def _of_polynomials(polynomials: Any) -> Series:
     """Exactly the same polynomials in Chebyshev's."""
-    table = []
-    for own, length in zip(polynomials.c.T, np.diff(polynomials.x).tolist(), strict=True):
-        whole = chebyshev.chebinterpolate(lambda x, c=own, h=length: np.polyval(c, (x + 1) / 2 * h), len(own) - 1)
-        table.append(tuple(whole.tolist()))
-    return Series(tuple(polynomials.x.tolist()), tuple(table))
+
+    def values(x: Array) -> Any:
+        return np.polyval(polynomials.c, (x[:, None] + 1) / 2 * np.diff(polynomials.x))
+
+    table = chebyshev.chebinterpolate(values, len(polynomials.c) - 1).T
+    return Series(tuple(polynomials.x.tolist()), tuple(map(tuple, table.tolist())))
 
 
 def expand(function: Callable[[float], ArrayLike], length: float, name: str, size: int) -> tuple[Quantity, ...]:

@@ -96,15 +96,14 @@ def loaded_newton(
 
 
 def descend(
-    problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
+    problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON
 ) -> NewtonResult[Evaluation]:
     """Newton on the energy with the Hessian made positive and steps shortened until the energy falls.
 
     For tubes off the centreline, which have no such energy, call it on the concentric problem.
     """
-    iterations = settings.descent_iterations if iterations is None else iterations
     state = evaluate(problem, rotations, z)
-    for iteration in range(1, iterations + 1):
+    for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)
         size = _turn(problem, step)
         if size <= settings.last_step:
@@ -119,7 +118,7 @@ def descend(
                 break
             step, slope = step / 2, slope / 2
         state = trial
-    return NewtonResult(state, False, iterations, 0.0)
+    return NewtonResult(state, False, settings.descent_iterations, 0.0)
 
 
 def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
