@@ -137,17 +137,15 @@ def bundles(equilibrium: Equilibrium) -> list[Bundle]:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A surface with a name, a colour and an opacity.
-
-    `lift`, m: how much nearer to whom it faces it counts where facets are sorted by depth, so that a surface stays
-    outside of what touches it from within.
-    """
+    """A surface with a name, a colour and an opacity."""
 
     name: str
     surface: Surface
     colour: Colour
     opacity: float = 1.0
     lift: float = 0.0
+    """How much nearer to whom it faces it counts where facets are sorted by depth, m: a surface stays outside of what
+    touches it from within."""
 
 
 def _mixed(colour: Colour, other: float, part: float) -> Colour:

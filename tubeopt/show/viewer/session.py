@@ -47,27 +47,24 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A robot and its history.
-
-    Attributes:
-        equilibrium: where the robot is.
-        log: what happened so far, first to last.
-        last: the snaps of the last motion, in their order; empty where it had none.
-        trail: (k, 4) tips (m) that the robot has passed, with the margin there, oldest first.
-        recording: joint values (2n,) that were passed since recording began, None where nothing is recorded.
-        recorded_from: where it began.
-    """
+    """A robot and its history."""
 
     equilibrium: Equilibrium
+    """Where the robot is."""
     log: tuple[Event, ...] = ()
+    """What happened so far, first to last."""
     last: tuple[Snap, ...] = ()
+    """The snaps of the last motion, in their order."""
     trail: Array | None = None
+    """(k, 4) tips (m) that the robot has passed, with the margin there, oldest first."""
     recording: tuple[Array, ...] | None = None
+    """Joint values (2n,), rad and m, that were passed since recording began; None where nothing is recorded."""
     recorded_from: Equilibrium | None = None
+    """Where the recording began."""
 
     @property
     def robot(self) -> Robot:
-        """The robot."""
+        """As it is now: a redesign changes it."""
         return self.equilibrium.robot
 
     @property
