@@ -14,7 +14,7 @@ from ...errors import SolveError
 from ...files.units import TO_MM
 from ...stability import Path, Snap
 from ...typing import Array
-from .style import FAINT, INK, Axes, Figure, headed, name_above, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, headed, legend_beside, name_above, new_figure, number, picture
 
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 """Coordinates of the tip and their colours; from the palette of Okabe and Ito (2008)."""
@@ -59,7 +59,7 @@ def plot_path(path: Path) -> Figure:
     below.xaxis.get_major_locator().set_params(integer=True)
     for axes in (above, below):
         axes.grid(axis="y")
-    above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.4)
+    legend_beside(above)
     headed(figure, _heading(path))
     return figure
 
