@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -46,7 +47,7 @@ def plot_path(path: Path) -> Figure:
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for k, (name, colour) in enumerate(COORDINATES):
-        draw_broken(above, parts, lambda e, k=k: float(e.tip_position[k]) * TO_MM, colour, label=name)
+        draw_broken(above, parts, partial(_coordinate, k), colour, label=name)
     draw_broken(below, parts, lambda e: e.margin, INK)
     _mark_snaps(above, below, path)
     below.axhline(0, color=FAINT, lw=0.7)
@@ -62,6 +63,11 @@ def plot_path(path: Path) -> Figure:
     legend_beside(above)
     headed(figure, _heading(path))
     return figure
+
+
+def _coordinate(axis: int, equilibrium: Equilibrium) -> float:
+    """Of the tip, mm."""
+    return float(equilibrium.tip_position[axis]) * TO_MM
 
 
 def place_of(snap: Snap, values: Array) -> float:

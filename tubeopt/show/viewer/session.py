@@ -86,12 +86,6 @@ def space_of(robot: Robot) -> JointSpace:
     return joint_space(robot)
 
 
-def joint_names(robot: Robot) -> list[str]:
-    """What each of the independent joints is called: "rotation of tube 1", ..., "translation of tube 1", ..."""
-    names = [f"rotation of tube {i + 1}" for i in range(robot.n_tubes)]
-    return names + [f"translation of {carriage_name(tubes)}" for tubes in space_of(robot).carriages]
-
-
 def open_session(robot: Robot, rotations: ArrayLike | None = None, translations: ArrayLike | None = None) -> Session:
     """A session that begins where a robot settles by itself at given joint values; by default at home.
 
@@ -125,9 +119,7 @@ def check(
     for k in np.flatnonzero((q < space.lower - slack) | (q > space.upper + slack)):
         unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
         low, high = space.lower[k] * factor, space.upper[k] * factor
-        raise InputError(
-            f"{joint_names(robot)[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}"
-        )
+        raise InputError(f"{space.names[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}")
     gap = space.rows @ q - space.least
     worst = np.minimum(space.rows @ here - space.least, 0.0) if here is not None else np.zeros_like(gap)
     short = [space.row_names[k] for k in np.flatnonzero(gap < worst - 1e-9 * space.length)]
@@ -195,7 +187,7 @@ def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str
     reached = min(max(value, low), high)
     words = ""
     if abs(reached - value) > 1e-9:
-        words = f"{joint_names(robot)[joint]} is stopped: {lower if value < low else upper}"
+        words = f"{space_of(robot).names[joint]} is stopped: {lower if value < low else upper}"
     q[joint] = reached
     rotations, translations = space_of(robot).split(q)
     return move(session, rotations, translations), words
