@@ -34,27 +34,17 @@ D = TypeVar("D")
 class Part(Entry):
     """An entry that describes an object of the library, and is valid where that object can be built."""
 
+    of: ClassVar[type[Any]]
+    """The dataclass whose fields are among its keys."""
+
     def build(self) -> Any:
-        """The object, in SI."""
-        raise NotImplementedError
+        """The object, in SI: what those fields make."""
+        return self.of(**values(self.of, self))
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
         self.build()
         return self
-
-
-class _Described(Part):
-    """An entry made by `entry_of`."""
-
-    of: ClassVar[type[Any]]
-    finish: ClassVar[Callable[[Any, Any], Any] | None] = None
-
-    def build(self) -> Any:
-        """The object that the keys describe, in SI."""
-        made = self.of(**values(self.of, self))
-        finish = type(self).finish
-        return made if finish is None else finish(self, made)
 
 
 @dataclass(frozen=True)
@@ -70,32 +60,22 @@ class Described:
     write: Callable[[Any], Any]
 
 
-def entry_of(
-    what: type[Any],
-    *,
-    base: type[Entry] = _Described,
-    extra: Mapping[str, Any] | None = None,
-    finish: Callable[[Any, Any], Any] | None = None,
-) -> Any:
+def entry_of(what: type[Any], *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None) -> Any:
     """The model of what a file says about a dataclass whose fields describe themselves.
 
     Args:
         base: what it derives from; by default an entry whose `build` makes the dataclass. Keys that it has stay.
         extra: further keys, as `pydantic.create_model` takes them; they stand before the others.
-        finish: (entry, object) -> the object as those further keys want it; may raise ValueError or InputError.
     """
     keys: dict[str, Any] = {
         field.key: (field.annotation, _default(field))
         for field in described(what)
         if field.key not in {*(extra or {}), *base.model_fields}
     }
-    doc = (what.__doc__ or "").partition("\n\n")[0]
-    name = what.__name__ if base is _Described else base.__name__
-    model = create_model(
-        name, __base__=base, __doc__=doc if base is _Described else base.__doc__, **(extra or {}), **keys
-    )
-    if base is _Described:
-        model.of, model.finish = what, finish  # type: ignore[attr-defined]
+    told = what if base is Part else base
+    doc = (told.__doc__ or "").partition("\n\n")[0]
+    model = create_model(told.__name__, __base__=base, __doc__=doc, **(extra or {}), **keys)
+    model.of = what  # type: ignore[attr-defined]
     return model
 
 
@@ -119,7 +99,8 @@ else:
 
 
 def asking(what: Any) -> Callable[[type[E]], type[E]]:
-    """Give an entry, besides its own keys, those of a dataclass; `values` of the entry makes its fields of them."""
+    """Give an entry, besides its own keys, those of a dataclass: `values` of the entry makes its fields of them, and
+    `build` of a part the dataclass."""
     return lambda base: entry_of(what, base=base)
 
 

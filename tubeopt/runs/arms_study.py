@@ -12,8 +12,9 @@ from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..files.checked import NotNegative, Positive, Whole
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, plan_arms
+from ..typing import Progress
 from .anatomy_file import BasePart
-from .base import Progress, Started, Study
+from .base import Started, Study
 from .obstacle_file import Bodies, Place, Surrounded
 from .plan_study import Aimed, RatesEntry
 
@@ -88,7 +89,7 @@ class ArmsStudy(Surrounded, Study):
             [arm.start for arm in self.arms],
             [arm.goal(self.around) for arm in self.arms],
             obstacles=self.bodies,
-            min_margin=float(self.min_margin),
+            min_margin=self.si("min_margin"),
             rate_limits=self.rates.build(),
             options=PlanOptions(**self.in_si("objective", "time_limit_s", "clearance_mm", "seed")),
         )

@@ -34,8 +34,8 @@ from ..design.parameters import TUBE_FIELDS
 from ..design.requirements import Requirement
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
-from ..files.fields import EntryOf, Part, asking, described, extended, values
-from ..files.units import DEG, MM, PER_M, UNITS, to_si, unit_of
+from ..files.fields import EntryOf, Part, asking, described, extended
+from ..files.units import MM, PER_M, UNITS, to_si, unit_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.file import AnyRobot, Range
 from ..robots.pieces import Slots
@@ -116,7 +116,7 @@ class FreeEntry(Part):
             tie,
             tuple(j - 1 for j in self.pieces),
             self.coefficients,
-            None if self.torsion_share is None else float(self.torsion_share),
+            self.si("torsion_share"),
             None if self.slots is None else self.slots.build(),
         )
 
@@ -156,7 +156,7 @@ class CorridorEntry(Part):
 
     def build(self) -> Avoid:
         """The requirement in SI."""
-        return Avoid((Corridor(**values(Corridor, self)),), deployed=self.deployed)
+        return Avoid((super().build(),), deployed=self.deployed)
 
 
 class AvoidEntry(Part):
@@ -168,7 +168,7 @@ class AvoidEntry(Part):
 
     def build(self) -> Avoid:
         """The requirement in SI."""
-        return Avoid(self.obstacles, to_si(self.clearance_mm, MM), self.deployed)
+        return Avoid(self.obstacles, self.si("clearance_mm"), self.deployed)
 
 
 NUMBERS = [(kind, one) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for one in described(kind)]
@@ -197,8 +197,7 @@ class Requirements(Part):
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
         out += _built(self.coverage)
         if self.poses:
-            rotations = tuple(tuple(to_si(x, DEG) for x in pose.rotations_deg) for pose in self.poses)
-            translations = tuple(tuple(to_si(x, MM) for x in pose.translations_mm) for pose in self.poses)
+            rotations, translations = (tuple(pose.si(key) for pose in self.poses) for key in PoseEntry.model_fields)
             out.append(Poses(rotations, translations))
         return (*out, *_built(self.corridor, self.avoid))
 
@@ -221,7 +220,3 @@ class TolerancesEntry(Part):
     """Errors of manufacture: standard deviations, or half widths where uniform."""
 
     samples: Annotated[Whole, Field(ge=2)] = 500
-
-    def build(self) -> Tolerances:
-        """The tolerances in SI."""
-        return Tolerances(**values(Tolerances, self))

@@ -26,9 +26,9 @@ from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, Whole, in_file
 from ..files.fields import EntryOf
-from ..files.units import MM, to_si
 from ..stability import ASSUMING
-from .base import Count, Progress, RobotPath, Study
+from ..typing import Progress
+from .base import Count, RobotPath, Study
 from .design_parts import FreeEntry, Requirements, TolerancesEntry, task_of
 from .region_part import RegionAnswer, RegionEntry
 from .stock_file import load_stock
@@ -116,7 +116,7 @@ class DesignStudy(Study):
         if self.pareto_margins is not None:
             front_tasks(task, [float(m) for m in self.pareto_margins])
         if self.stock is not None:
-            stock_choices(task, self.stock.file, to_si(self.stock.clearance_mm, MM))
+            stock_choices(task, self.stock.file, self.stock.si("clearance_mm"))
         if isinstance(self.objective, RegionEntry):
             if self.stock is not None or self.pareto_margins is not None:
                 raise ValueError("objective reach_share is searched without derivatives; it has no stock or front")

@@ -18,7 +18,7 @@ from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.sensors import SENSORS, Sensor
 from ..shaping.heating.spec import HeatingSpec
-from .base import Progress
+from ..typing import Progress
 from .heating_study import HeatedTube
 
 
@@ -59,26 +59,23 @@ class LedHeatingStudy(HeatedTube):
     def _buildable(self) -> Self:
         self._sensor()
         rig = self.set_up()
-        pwm_frequency(self._wiring(), rig, self._wanted())
+        pwm_frequency(self._wiring(), rig, self.si("pwm_Hz"))
         hall_slope(self._wiring(), rig.circuit)
         return self
 
     def _sensor(self) -> Sensor:
         kind = SENSORS[choice("sensor", self.sensor, READS)]
-        return kind() if self.bias_K is None else kind(bias=float(self.bias_K))
+        return kind() if self.bias_K is None else kind(bias=self.si("bias_K"))
 
     def _wiring(self) -> Wiring:
         return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter))
-
-    def _wanted(self) -> float | None:
-        return None if self.pwm_Hz is None else float(self.pwm_Hz)
 
     def run(self, progress: Progress | None = None) -> LedHeating:
         """The plan for the board's pulses, the law, and what becomes of it on uncertain rigs."""
         tell = progress or (lambda done, total: None)
         tell(0, 2)
         rig, wiring = self.set_up(), self._wiring()
-        frequency = pwm_frequency(wiring, rig, self._wanted())
+        frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
         rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
         plan = plan_heating(self.heated(), rig, self.spec())
         tell(1, 2)

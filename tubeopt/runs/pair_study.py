@@ -15,15 +15,15 @@ from ..design import DesignTask, Objective, SearchedPair, search_pair
 from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..files.units import MM, TO_MM, to_si
+from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
 from ..stability import ASSUMING
-from ..typing import Array
+from ..typing import Array, Progress
 from .anatomy_file import AnatomyKey, BasePart
 from .arms_study import PlacedPart, shared
-from .base import Count, Progress, Study
+from .base import Count, Study
 from .design_parts import FreeEntry, Requirements, task_of
-from .obstacle_file import Place, point
+from .obstacle_file import Place
 from .region_part import FEW, HARDLY, MOST, SearchPart, hurried
 
 PLANNED = 4
@@ -85,8 +85,8 @@ class BallPart(Entry):
         """(count, 3) random places in it, as thick everywhere, m."""
         random = np.random.default_rng(seed)
         way = random.normal(size=(count, 3))
-        far = to_si(self.radius_mm, MM) * random.random((count, 1)) ** (1 / 3)
-        return np.asarray(point(self.centre_mm) + far * way / np.linalg.norm(way, axis=1, keepdims=True))
+        far = self.si("radius_mm") * random.random((count, 1)) ** (1 / 3)
+        return np.asarray(self.si("centre_mm") + far * way / np.linalg.norm(way, axis=1, keepdims=True))
 
 
 class PairStudy(Study, SearchPart):

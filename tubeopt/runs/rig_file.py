@@ -13,7 +13,7 @@ from pydantic import Field
 from ..errors import InputError, nearest
 from ..files.checked import Positive, check_kind
 from ..files.csv_file import CsvTable, read_csv, refuse
-from ..files.fields import Part, entry_of, to_data
+from ..files.fields import Part, asking, entry_of, to_data
 from ..files.units import MM, decimal, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
@@ -27,21 +27,21 @@ SPRING_BACK_TOLERANCE = 5.0
 """Spring-back, percent, up to which a trial counts as set."""
 
 
-def _charged(entry: Any, battery: Battery) -> Battery:
-    """The battery as its voltage at rest tells, where that is given."""
-    if entry.voltage_V is None:
-        return battery
-    if "state_of_charge_percent" in entry.model_fields_set:
-        raise ValueError("gives both state_of_charge_percent and voltage_V; it must give one of them")
-    return replace(battery, state_of_charge=battery.charge_at(float(entry.voltage_V)))
+@asking(Battery)
+class BatteryEntry(Part):
+    """A lead-acid battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load."""
 
+    voltage_V: Positive | None = Field(None, description="at rest, in place of state_of_charge_percent")
 
-BatteryEntry = entry_of(
-    Battery,
-    extra={"voltage_V": (Positive | None, Field(None, description="at rest, in place of state_of_charge_percent"))},
-    finish=_charged,
-)
-"""The lead-acid battery."""
+    def build(self) -> Battery:
+        """The battery in SI, charged as its voltage at rest tells where that is given."""
+        battery: Battery = super().build()
+        if self.voltage_V is None:
+            return battery
+        if "state_of_charge_percent" in self.model_fields_set:
+            raise ValueError("gives both state_of_charge_percent and voltage_V; it must give one of them")
+        return replace(battery, state_of_charge=battery.charge_at(self.si("voltage_V")))
+
 
 RigEntry = entry_of(Rig, extra={"kind": (Literal["rig"], ...), "battery": (BatteryEntry, ...)})
 """A rig that heats tubes from a battery."""

@@ -61,11 +61,11 @@ def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:
     """
     joints = check(JointsFile, load_yaml(path), path)
     n = robot.n_tubes
-    given = {"rotations_deg": joints.rotations_deg, "translations_mm": joints.translations_mm}
+    given = {key: joints.si(key) for key in JointsFile.model_fields}
     problems = [
         f"{key} has {len(values)} numbers; it must be {n} (one per tube)"
         for key, values in given.items()
         if values is not None and len(values) != n
     ]
     refuse(path, problems)
-    return joints_of(robot, joints.rotations_deg, joints.translations_mm)
+    return joints_of(robot, *given.values())
