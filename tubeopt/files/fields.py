@@ -49,15 +49,21 @@ class Part(Entry):
 
 @dataclass(frozen=True)
 class Described:
-    """A field that is a key.   annotation: what pydantic checks.   read, write: from there to SI and back."""
+    """A field that is a key."""
 
     name: str
+    """In the dataclass."""
     key: str
+    """In the file."""
     about: str
     annotation: Any
+    """What pydantic checks."""
     default: Any
+    """In the unit of the file; MISSING where the key must be there."""
     read: Callable[[Any], Any]
+    """From the file to SI."""
     write: Callable[[Any], Any]
+    """And back."""
 
 
 def entry_of(what: type[Any], *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None) -> Any:
@@ -134,13 +140,9 @@ def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
 # --- the fields ------------------------------------------------------------------------------------------------------
 
 
+@functools.lru_cache(maxsize=256)
 def described(what: Any) -> tuple[Described, ...]:
     """The fields of a dataclass that are keys, in order."""
-    return _keys(what)
-
-
-@functools.lru_cache(maxsize=256)
-def _keys(what: Any) -> tuple[Described, ...]:
     return tuple(_described(field) for field in marked(what))
 
 

@@ -48,13 +48,15 @@ Row = Annotated[list[Number], Field(min_length=1)]
 
 @dataclass(frozen=True)
 class Ranged:
-    """A key that holds the least and greatest value of a free dimension: the field, its unit, what is said of it, and
-    whether the tubes are scaled by one factor."""
+    """A key that holds the least and greatest value of a free dimension."""
 
     field: str
+    """The dimension."""
     unit: str
     about: str
+    """What is said of it."""
     scaled: bool = False
+    """Whether the tubes are scaled by one factor."""
 
 
 OF_PIECES = (

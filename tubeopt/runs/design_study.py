@@ -66,16 +66,18 @@ class StockStudy(Entry):
 
 @dataclass(frozen=True, eq=False)
 class DesignAnswer(Displayed):
-    """A design, and what was asked besides: its spread in manufacture, the front it lies on, the choice from stock,
-    what it reaches of a region."""
+    """A design, and what was asked besides, None where it was not."""
 
     solution: DesignSolution
     """The design."""
     tolerance: ToleranceAnalysis | None
-    """Its spread in manufacture, None where that was not asked for."""
+    """Its spread in manufacture."""
     front: ParetoFront | None
+    """On which it lies."""
     stock: StockChoice | None
+    """The choice from stock."""
     region: RegionAnswer | None = None
+    """What it reaches of a region."""
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -21,25 +21,27 @@ from .mold_study import MoldPath
 
 @dataclass(frozen=True, eq=False)
 class TubeParts:
-    """Mold and schedules of one tube.
-
-    number: of the tube, from 1.   made: the two as planned together.   mold, heating: each as its own command says it.
-    """
+    """Mold and schedules of one tube."""
 
     number: int
+    """Of the tube, from 1."""
     made: TubeFabrication
+    """The two as planned together."""
     mold: RobotMold
+    """As the command for molds says it."""
     heating: Heating
+    """As the command for heatings says it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fabrication(Displayed):
-    """Everything that it takes to make a robot's tubes.   left_out: tubes that are not, in words."""
+    """Everything that it takes to make a robot's tubes."""
 
     robot: Robot
     parts: tuple[TubeParts, ...]
     """One for each tube that is made."""
     left_out: tuple[str, ...]
+    """Tubes that are not made, in words."""
 
 
 class FabricationStudy(Study):

@@ -24,7 +24,7 @@ from .heating_study import HeatedTube
 
 @dataclass(frozen=True, eq=False)
 class LedHeating(Displayed):
-    """A heating that a sensor leads, and the board that runs it.   frequency: Hz, of the board's pulses."""
+    """A heating that a sensor leads, and the board that runs it."""
 
     plan: HeatingPlan
     """The schedule."""
@@ -33,6 +33,7 @@ class LedHeating(Displayed):
     wiring: Wiring
     """Board, pins and parts."""
     frequency: float
+    """Hz, of the board's pulses."""
 
 
 @asking(HeatingSpec)

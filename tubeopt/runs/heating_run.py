@@ -48,17 +48,18 @@ SILENCE = 5
 
 @dataclass(frozen=True)
 class HeatingRun(Displayed):
-    """A heating that was run.
-
-    rows: what the rig reported, slot by slot. reason: why it ended. log: where it was written. name: of the rig.
-    window: degC, that is to be kept in the hold, as the rig says it; None where it does not.
-    """
+    """A heating that was run."""
 
     rows: tuple[dict[str, Any], ...]
+    """What the rig reported, slot by slot."""
     reason: str
+    """Why it ended."""
     log: Path | None = None
+    """Where it was written."""
     name: str = "rig"
+    """Of the rig."""
     window: tuple[float, float] | None = None
+    """degC, that is to be kept in the hold, as the rig says it; None where it does not."""
 
     @property
     def done(self) -> bool:

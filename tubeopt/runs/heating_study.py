@@ -27,17 +27,17 @@ from .rig_file import load_rig
 
 @dataclass(frozen=True, eq=False)
 class Heating(Displayed):
-    """A plan, its tables by the battery's charge, and its band over uncertain rigs, None where that was not asked for.
-
-    scale: by which its duties were scaled to the most likely success.
-    """
+    """A plan, and what becomes of it."""
 
     plan: HeatingPlan
     tables: tuple[HeatingPlan, ...] = ()
+    """The same for other charges of the battery."""
     band: Band | None = None
+    """Over uncertain rigs; None where that was not asked for."""
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     """What the band is over."""
     scale: float = 1.0
+    """By which the duties were scaled to the most likely success."""
 
 
 def heating_of(

@@ -41,16 +41,18 @@ class Postures(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One target of a table: the answer, or why there is none, with the closest pose where it is known.
-
-    number: of the target in the table, from 1; 7.25 is a quarter of the way from 7 to 8, put in between by `follow`.
-    """
+    """One target of a table, and the answer."""
 
     number: float
+    """Of the target, from 1; 7.25 is a quarter of the way from 7 to 8, put in between by `follow`."""
     position: Array
+    """(3,) m."""
     direction: Array | None
+    """(3,), of any length."""
     solution: InverseSolution | None
+    """The answer, or the closest pose where it is known."""
     problem: str
+    """Why there is no answer."""
 
     @property
     def given(self) -> bool:

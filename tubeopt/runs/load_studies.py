@@ -27,7 +27,7 @@ PUSH = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Bearing(Displayed):
-    """How much of a load a robot bears at given joint values; limit None: all that was looked at, `up_to` times it."""
+    """How much of a load a robot bears at given joint values."""
 
     robot: Robot
     rotations: Array
@@ -36,7 +36,9 @@ class Bearing(Displayed):
     """(n,) m"""
     load: Load
     limit: LoadLimit | None
+    """None where it bears all that was looked at."""
     up_to: float
+    """Times the load that was looked at."""
 
 
 class LoadLimitStudy(Posed, LoadedStudy):

@@ -84,10 +84,12 @@ def save_springback(calibration: Calibration, path: str | PathLike[str]) -> None
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Trials of spring-back: (N,) radii of molds and of the tubes that came out, m."""
+    """Trials of spring-back."""
 
     mold_radius: Array
+    """(N,) m."""
     obtained_radius: Array
+    """(N,) m, of the tubes that came out."""
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:

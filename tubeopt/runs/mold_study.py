@@ -26,12 +26,13 @@ from .mold_file import load_mold_spec, load_springback
 
 @dataclass(frozen=True, eq=False)
 class Ranking(Displayed):
-    """Mold materials for a tube, best first.   heat: the heating that they are for."""
+    """Mold materials for a tube."""
 
     ratings: tuple[MaterialRating, ...]
-    """One for each material."""
+    """One for each material, best first."""
     tube: Tube
     heat: HeatSpec
+    """The heating that they are for."""
 
 
 MoldPath = Annotated[

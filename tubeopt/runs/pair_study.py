@@ -32,20 +32,22 @@ PLANNED = 4
 
 @dataclass(frozen=True, eq=False)
 class PairAnswer(Displayed):
-    """Two robots sized together, and what they hold of a region.
-
-    search: how they were found.   before, after: what the robots that were given, and the designs, hold of places that
-    were not searched with, over larger roadmaps.   proved, planned: motions of both arms to some pairs of them.
-    names: what the arms are called.   plates: where they stand for the designs.
-    """
+    """Two robots sized together, and what they hold of a region."""
 
     search: SearchedPair
+    """How they were found."""
     before: PairShare
+    """What the robots that were given hold of places that were not searched with, over larger roadmaps."""
     after: PairShare
+    """The same of the designs."""
     proved: int
+    """Of the motions that were planned."""
     planned: int
+    """Motions of both arms to some pairs of these places."""
     names: tuple[str, str]
+    """What the arms are called."""
     plates: tuple[Frame, Frame]
+    """Where they stand for the designs."""
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -47,19 +47,20 @@ MOST = 1000
 
 @dataclass(frozen=True, eq=False)
 class RegionAnswer(Displayed):
-    """What a design reaches of a region.
-
-    search: how it was found.   before, after: what the robot that was given, and the design, reach of places that were
-    not searched with, over larger roadmaps.   proved, planned: plans to some of those that the design reaches.
-    base: where the plate stands for the design, in the frame of the plate as it was given.
-    """
+    """What a design reaches of a region."""
 
     search: SearchedDesign
+    """How it was found."""
     before: ReachShare
+    """What the robot that was given reaches of places that were not searched with, over larger roadmaps."""
     after: ReachShare
+    """The same of the design."""
     proved: int
+    """Of the plans."""
     planned: int
+    """Plans to some of the places that the design reaches."""
     base: Frame
+    """Where the plate stands for the design, in the frame of the plate as it was given."""
 
     @property
     def words(self) -> str:

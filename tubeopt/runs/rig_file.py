@@ -93,6 +93,9 @@ def rig_to_dict(rig: Rig) -> dict[str, Any]:
 
 # --- logs and trials --------------------------------------------------------------------------------------------------
 
+EMPTY = ("",)
+"""Cells of readings that were not taken."""
+
 LOG_COLUMNS = ("time_s", "duty", "temperature_degC", "voltage_V", "current_A")
 PLACED = re.compile(r"temperature_([-+]?[0-9.]+)_mm_degC")
 """Columns of several thermometers, each with its place."""
@@ -116,7 +119,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
     placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
     needed = LOG_COLUMNS[:2]
     table.expect(needed, (*LOG_COLUMNS[2:], *placed))
-    values = {name: table.numbers([name], ONE, gaps=name not in needed)[:, 0] for name in table.columns}
+    values = {name: table.numbers([name], ONE, gaps=() if name in needed else EMPTY)[:, 0] for name in table.columns}
     table.check()
     places = ({"temperature_degC": position} if "temperature_degC" in values else {}) | placed
     columns = [values[name] for name in places]
@@ -154,7 +157,7 @@ def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
     table.expect(("time_s",), placed)
     if not placed:
         refuse(path, ["there is no column of temperatures; there must be one for every place, called by it in mm"])
-    time, seen = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=True)
+    time, seen = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=EMPTY)
     table.check()
     return time[:, 0], np.array([to_si(decimal(parse_number(name)), MM) for name in placed]), seen + ZERO_CELSIUS
 

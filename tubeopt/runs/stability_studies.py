@@ -66,15 +66,14 @@ class EquilibriaStudy(Posed, LoadedStudy):
 
 @dataclass(frozen=True, eq=False)
 class Way(Displayed):
-    """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one.
-
-    start, end: (rotations (n,), translations (n,)), rad and m.
-    """
+    """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one."""
 
     robot: Robot
     """That moves."""
     start: tuple[Array, Array]
+    """Rotations (n,) rad and translations (n,) m."""
     end: tuple[Array, Array]
+    """The same there."""
     snap: Snap | None
     arrived: Equilibrium | None
     """The equilibrium at the end; None where it snaps before."""
@@ -143,18 +142,18 @@ class FollowStudy(LoadedStudy):
 
 @dataclass(frozen=True, eq=False)
 class Certification(Displayed):
-    """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
-
-    robot_file: what the commands that repeat it name.
-    force: a force on the tip, N, and forced: the certificate for all dead forces up to it; None where not asked for.
-    """
+    """The verdict on a robot."""
 
     robot: Robot
     verdict: Verdict
+    """At the translations of the least certificate in `box` where a box was asked for."""
     box: WorstCertificate | None
     robot_file: str = "ROBOT.yaml"
+    """What the commands that repeat it name."""
     force: float | None = None
+    """N, on the tip; None where not asked for."""
     forced: float | None = None
+    """Certificate for all dead forces up to it."""
 
     @property
     def finding(self) -> Finding:

@@ -22,10 +22,12 @@ DIRECTION = ("direction_x", "direction_y", "direction_z")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """T targets: position (T, 3) m, direction (T, 3) of any length, or None."""
+    """T targets."""
 
     position: Array
+    """(T, 3) m."""
     direction: Array | None
+    """(T, 3), of any length."""
 
 
 def load_targets(path: str | PathLike[str]) -> Targets:
