@@ -57,6 +57,11 @@ class Quantity(Generic[A]):
         return self.key.removesuffix(f"_{self.unit}") if self.unit else self.key
 
     @property
+    def name(self) -> str:
+        """Of its row."""
+        return self.about if self.label is None else self.label
+
+    @property
     def sign(self) -> str:
         """Its unit as a table writes it."""
         return SIGNS.get(self.unit, self.unit)
@@ -124,8 +129,15 @@ def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:
 def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
     """An answer as names and values for a person."""
     known = record(answer, quantities)
-    told = ((q.about if q.label is None else q.label, q.text(answer, known)) for q in quantities)
+    told = ((q.name, q.text(answer, known)) for q in quantities)
     return [(name, text) for name, text in told if text is not None]
+
+
+def columns(parts: Iterable[B], quantities: Sequence[Quantity[B]]) -> tuple[list[str], list[list[str]]]:
+    """Parts of an answer for a person: names of the quantities that have words or a format, and a row for each part."""
+    shown = [quantity for quantity in quantities if quantity.words or quantity.form]
+    known = ((part, record(part, quantities)) for part in parts)
+    return [q.name for q in shown], [[q.text(part, told) or "" for q in shown] for part, told in known]
 
 
 _AS_IT_IS = frozenset([bool, str, dict, type(None)])
