@@ -66,17 +66,20 @@ class Described:
     """And back."""
 
 
-def entry_of(what: type[Any], *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None) -> Any:
+def entry_of(
+    what: type[Any], *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None, names: Collection[str] = ()
+) -> Any:
     """The model of what a file says about a dataclass whose fields describe themselves.
 
     Args:
+        names: of the fields; by default all.
         base: what it derives from; by default an entry whose `build` makes the dataclass. Keys that it has stay.
         extra: further keys, as `pydantic.create_model` takes them; they stand before the others.
     """
     keys: dict[str, Any] = {
         field.key: (field.annotation, _default(field))
         for field in described(what)
-        if field.key not in {*(extra or {}), *base.model_fields}
+        if field.key not in {*(extra or {}), *base.model_fields} and (not names or field.name in names)
     }
     told = what if base is Part else base
     doc = (told.__doc__ or "").partition("\n\n")[0]
@@ -104,10 +107,10 @@ else:
             return entry_of(what)
 
 
-def asking(what: Any) -> Callable[[type[E]], type[E]]:
-    """Give an entry, besides its own keys, those of a dataclass: `values` of the entry makes its fields of them, and
-    `build` of a part the dataclass."""
-    return lambda base: entry_of(what, base=base)
+def asking(what: Any, *names: str) -> Callable[[type[E]], type[E]]:
+    """Give an entry, besides its own keys, those of a dataclass, or of its fields with these names: `values` makes its
+    fields of them, and `build` of a part the dataclass."""
+    return lambda base: entry_of(what, base=base, names=names)
 
 
 def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
@@ -116,10 +119,11 @@ def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
 
 
 def values(what: type[Any], entry: Any) -> dict[str, Any]:
-    """The fields of a dataclass in SI, from the keys of an entry; those whose key is empty by default are left out."""
+    """The fields of a dataclass in SI, from the keys of an entry; those without a key, or with an empty one, are left
+    out."""
     read = {}
     for field in described(what):
-        given = getattr(entry, field.key)
+        given = getattr(entry, field.key, None)
         if given is not None:
             read[field.name] = field.read(given)
     return read

@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
-from ..errors import InputError, choice, finite, instance, positive
+from ..errors import InputError, choice, finite, instance, positive, whole
 from .units import unit_of
 
 M = TypeVar("M")
@@ -171,6 +171,11 @@ def check_fields(what: Any, owner: str = "") -> None:
             continue
         if field.kind is float:
             object.__setattr__(what, field.name, _checked(label, value, field.first(Range) or Range()))
+        elif field.kind is int:
+            object.__setattr__(what, field.name, whole(label, value))
+            _checked(label, value, field.first(Range) or Range())
+        elif field.kind is bool:
+            instance(label, value, bool)
         elif words is not None and field.kind is str:
             choice(label, value, words.words)
         elif isinstance(field.kind, type) and dataclasses.is_dataclass(field.kind):
@@ -180,6 +185,8 @@ def check_fields(what: Any, owner: str = "") -> None:
 def _checked(label: str, value: Any, allowed: Range) -> float:
     bounded = allowed.above == 0 or allowed.least == 0
     number = positive(label, value, zero=allowed.least == 0) if bounded else finite(label, value)
+    if allowed.least is not None and number < allowed.least:
+        raise InputError(f"{label} is {number:g}; it must be at least {allowed.least:g}")
     if allowed.most is not None and number > allowed.most:
         raise InputError(f"{label} is {number:g}; it must be at most {allowed.most:g}")
     return number

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from ..bodies.anatomy import Anatomy
 from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
-from ..files.fields import EntryOf
+from ..files.fields import EntryOf, asking, values
 from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
@@ -98,6 +98,7 @@ class Aimed(Started):
         return TipGoal(place, None if self.tip_direction is None else np.array(self.si("tip_direction")))
 
 
+@asking(PlanOptions)
 class PlanStudy(Aimed, Surrounded, LoadedStudy):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
@@ -111,7 +112,6 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     )
 
     kind: Literal["plan"]
-    modulo_turns: bool = Field(False, description="goal rotations may be reached with any number of whole turns")
     tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
         None, description="a curve for the tip; it begins where inverse kinematics puts the robot"
     )
@@ -120,23 +120,9 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     leader: bool = Field(False, description="deploy to the goal so that the arm stays close to the path of its tip")
     begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
     entry: EntryPart | None = Field(None, description="where else the plate may stand, and how it may point")
-    clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
-    max_tip_force_mN: NotNegative = Field(
-        Decimal(0),
-        description="margin and clearance under any force on the tip of up to this size, in any direction",
-        examples=["F"],
-    )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
     cut: CutPart | None = Field(None, description="a plane along which a picture cuts the bodies open")
     rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
-    search: Literal["auto", "rrt_connect", "optimal"] = Field(
-        "auto", description="how a way is looked for: auto, rrt_connect or optimal"
-    )
-    objective: Literal["length", "time", "effort", "margin", "none"] = Field(
-        "length", description="of the smoothing: length, time, effort, margin or none"
-    )
-    time_limit_s: Positive = Field(Decimal(60), description="for search and smoothing")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of the search", examples=["K"])
 
     @model_validator(mode="after")
     def _one_goal(self) -> Self:
@@ -160,7 +146,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
                 raise ValueError(
                     "entry is given with leader, tip_path_mm or a load; it is for plans to a goal without one"
                 )
-        if self.pushing() is not None and self.max_tip_force_mN:
+        if self.pushing() is not None and self.si("max_tip_force_mN"):
             raise ValueError("max_tip_force_mN is given beside a load; a plan holds under one load, or under any force")
         return self
 
@@ -173,12 +159,11 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
         return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
 
     def _found(self, progress: Progress | None) -> Trajectory:
-        asked = self.in_si("search", "objective", "time_limit_s", "clearance_mm", "modulo_turns", "seed")
         common: dict[str, Any] = {
             "obstacles": self.bodies,
             "min_margin": self.si("min_margin"),
             "rate_limits": self.rates.build(),
-            "options": PlanOptions(max_force=self.si("max_tip_force_mN"), **asked),
+            "options": PlanOptions(**values(PlanOptions, self)),
         }
         robot, start, goal = self.robot, self.start, self.goal(self.around)
         if self.tip_path_mm is not None:
