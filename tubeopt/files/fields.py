@@ -67,7 +67,7 @@ class Described:
 
 
 def entry_of(
-    what: type[Any], *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None, names: Collection[str] = ()
+    what: Any, *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None, names: Collection[str] = ()
 ) -> Any:
     """The model of what a file says about a dataclass whose fields describe themselves.
 
@@ -118,7 +118,7 @@ def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
     return lambda base: create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
 
 
-def values(what: type[Any], entry: Any) -> dict[str, Any]:
+def values(what: Any, entry: Any) -> dict[str, Any]:
     """The fields of a dataclass in SI, from the keys of an entry; those without a key, or with an empty one, are left
     out."""
     read = {}
@@ -136,7 +136,7 @@ def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
     """
     return {
         field.key: field.write(getattr(what, field.name))
-        for field in described(type(what))
+        for field in described(what.__class__)
         if field.name not in leave_out and getattr(what, field.name) is not None
     }
 

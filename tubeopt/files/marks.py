@@ -163,7 +163,7 @@ def check_fields(what: Any, owner: str = "") -> None:
     Raises:
         InputError: a number out of its range, a word that is not allowed, a part of another kind.
     """
-    for field in marked(type(what)):
+    for field in marked(what.__class__):
         value = getattr(what, field.name)
         label = f"{field.name} of {owner}" if owner else field.name
         words = field.first(OneOf)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Literal
@@ -35,11 +34,12 @@ from ..design.requirements import Requirement
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
 from ..files.fields import EntryOf, Part, asking, described, extended
-from ..files.units import MM, PER_M, UNITS, to_si, unit_of
+from ..files.units import unit_of
 from ..robots.concentric import ConcentricRobot
-from ..robots.file import AnyRobot, Range
+from ..robots.file import Range
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube
+from .base import Count, RobotPath
 from .obstacle_file import Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
@@ -102,20 +102,19 @@ class FreeEntry(Part):
 
     def build(self) -> Free:
         """The free dimension in SI."""
-        given = [(key, getattr(self, key)) for key in RANGES if getattr(self, key) is not None]
+        given = [key for key in RANGES if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(f"gives {len(given)} ranges; it must give one of {', '.join(RANGES)}")
-        (key, (low, high)) = given[0]
-        one = RANGES[key]
+        key = given[0]
+        one, (low, high) = RANGES[key], self.si(key)
         if one.scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
-        tie, unit = "scaled" if one.scaled else "equal" if self.equal else "each", UNITS.get(one.unit, PER_M)
         return Free(
             one.field,
             tuple(i - 1 for i in self.tubes),
-            to_si(low, unit),
-            to_si(high, unit),
-            tie,
+            low,
+            high,
+            "scaled" if one.scaled else "equal" if self.equal else "each",
             tuple(j - 1 for j in self.pieces),
             self.coefficients,
             self.si("torsion_share"),
@@ -133,11 +132,11 @@ class LengthEntry(Part):
 
     def build(self) -> Length:
         """The requirement in SI."""
-        limit = self.at_least_mm if self.at_most_mm is None else self.at_most_mm
-        if limit is None or None not in (self.at_most_mm, self.at_least_mm):
+        least, most = self.si("at_least_mm"), self.si("at_most_mm")
+        if (least is None) == (most is None):
             raise ValueError("must give one of at_most_mm and at_least_mm")
         field = "length" if self.length == "overall" else f"{self.length}_length"
-        return Length(field, self.tube - 1, to_si(limit, MM), self.at_most_mm is None)
+        return Length(field, self.tube - 1, least or most, most is None)
 
 
 class PoseEntry(Entry):
@@ -208,13 +207,33 @@ def _built(*entries: Part | None) -> list[Requirement]:
     return [entry.build() for entry in entries if entry is not None]
 
 
-def task_of(
-    robot: AnyRobot, free: Sequence[FreeEntry], keep: Requirements, aims: Sequence[Objective], name: str, ordered: bool
-) -> DesignTask:
-    """The task in SI; raises InputError where its parts do not fit together."""
-    if not isinstance(robot, ConcentricRobot):
-        raise InputError("robot must be a concentric robot; its tubes are what is designed")
-    return DesignTask(robot, tuple(entry.build() for entry in free), keep.build(), tuple(aims), name, ordered)
+class Designed(Entry):
+    """A robot that is designed: what may change, and what must hold."""
+
+    name: str = Field("", description="of the design")
+    robot: RobotPath
+    free: Annotated[list[FreeEntry], Field(min_length=1)]
+    requirements: Requirements
+    ordered: bool = Field(
+        True, description="whether the tubes are in order at home and at all translations that the task names"
+    )
+
+    def task_for(self, *aims: Objective) -> DesignTask:
+        """The task in SI; raises InputError where its parts do not fit together."""
+        if not isinstance(self.robot, ConcentricRobot):
+            raise InputError("robot must be a concentric robot; its tubes are what is designed")
+        free = tuple(entry.build() for entry in self.free)
+        return DesignTask(self.robot, free, self.requirements.build(), aims, self.name, self.ordered)
+
+
+class Tried(Entry):
+    """How many designs a search begins with."""
+
+    starts: Count = Field(1, description="dimensions from which to start: those that are given, and random ones")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
+    turns: Annotated[Whole, Field(ge=0)] = Field(
+        6, description="random full turns per translations on which no certified robot may snap"
+    )
 
 
 @asking(Tolerances)

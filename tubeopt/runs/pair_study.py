@@ -22,7 +22,7 @@ from ..typing import Array, Progress
 from .anatomy_file import AnatomyKey, BasePart
 from .arms_study import PlacedPart, shared
 from .base import Count, Study
-from .design_parts import FreeEntry, Requirements, task_of
+from .design_parts import Designed, Tried
 from .obstacle_file import Place
 from .region_part import FEW, HARDLY, MOST, SearchPart, hurried
 
@@ -62,19 +62,15 @@ class PairAnswer(Displayed):
         return tuple(told)
 
 
-class PairPart(PlacedPart):
+class PairPart(Designed, PlacedPart):
     """One of the two robots: where it stands, from where it begins, what may change, and what must hold."""
 
+    name: str = Field("", description="what messages and pictures call it; by default the robot's name")
     base: BasePart = Field(description="where its plate stands in the frame that both share")
-    free: Annotated[list[FreeEntry], Field(min_length=1)]
-    requirements: Requirements
-    ordered: bool = Field(
-        True, description="whether the tubes are in order at home and at all translations that the task names"
-    )
 
     def task(self) -> DesignTask:
         """What may change of it, and what must hold; raises InputError where that makes no task."""
-        return task_of(self.robot, self.free, self.requirements, [Objective("change")], self.name, self.ordered)
+        return self.task_for(Objective("change"))
 
 
 class BallPart(Entry):
@@ -91,7 +87,7 @@ class BallPart(Entry):
         return np.asarray(self.si("centre_mm") + far * way / np.linalg.norm(way, axis=1, keepdims=True))
 
 
-class PairStudy(Study, SearchPart):
+class PairStudy(Study, SearchPart, Tried):
     """The two robots, sized together, whose tips hold the most pairs of places of a region without touching."""
 
     doing = "designing"
@@ -113,11 +109,6 @@ class PairStudy(Study, SearchPart):
         16, description="other places of it, by which what comes of it is judged"
     )
     points: Count = Field(80, description="of the roadmap of every robot that is looked at")
-    starts: Count = Field(1, description="dimensions from which to start: the robots' own, and random ones")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
-    turns: Annotated[Whole, Field(ge=0)] = Field(
-        6, description="random full turns per translations on which no certified robot may snap"
-    )
 
     @model_validator(mode="after")
     def _a_pair(self) -> Self:
