@@ -25,31 +25,36 @@ class Assembly:
     Inside a section the same pieces of tubes are present and the same ones are curved. Tube i runs at the fixed offset
     `offset[i]` from the centreline in direction `offset_angle[i]` (0 for concentric tubes).
 
-    Attributes:
-        bending_stiffness, torsional_stiffness: (n,) EI and GJ, N m^2.
-        curvature: (n,) precurvature of the curved parts, 1/m. Where a tube is made of pieces these three have no
-            number, and refuse every use with an InputError: `lengthwise` tells them.
-        offset, offset_angle: (n,) m, rad.
-        transmission: (n,) |beta_i|, the length from where tube i is held to the plate, m.
-        transition, end: (n,) arc length where each tube begins to curve, and where it ends, m; < 0 behind the plate.
-        start, length: (m,) arc length where each section begins, and its length, m.
-        present, curved: (m, n) whether tube i is there, and whether it is curved there.
-        lengthwise: precurvature and stiffness along the tubes, where one of them is made of pieces; else None.
+    Where a tube is made of pieces, stiffnesses and curvature have no number, and refuse every use with an InputError:
+    `lengthwise` tells them.
     """
 
     bending_stiffness: Array
+    """(n,) EI, N m^2."""
     torsional_stiffness: Array
+    """(n,) GJ, N m^2."""
     curvature: Array
+    """(n,) precurvature of the curved parts, 1/m."""
     offset: Array
+    """(n,) m."""
     offset_angle: Array
+    """(n,) rad."""
     transmission: Array
+    """(n,) |beta_i|, the length from where tube i is held to the plate, m."""
     transition: Array
+    """(n,) arc length where each tube begins to curve, m; < 0 behind the plate."""
     end: Array
+    """(n,) where it ends."""
     start: Array
+    """(m,) arc length where each section begins, m."""
     length: Array
+    """(m,) m."""
     present: Mask
+    """(m, n) whether tube i is there."""
     curved: Mask
+    """(m, n) whether it is curved there."""
     lengthwise: Lengthwise | None = None
+    """Precurvature and stiffness along the tubes, where one of them is made of pieces; else None."""
 
     @property
     def general(self) -> bool:

@@ -74,12 +74,10 @@ class Kernel:
     answer: np.dtype[np.void]
     workspace_size: int
 
-
-@dataclass(frozen=True, eq=False)
-class Library(Kernel):
-    """That of robots with so many tubes, and whether it has derivatives."""
-
-    differentiable: bool
+    @property
+    def differentiable(self) -> bool:
+        """Whether it has derivatives: that of concentric tubes of one curvature."""
+        return hasattr(self.functions, "differentiate")
 
 
 def cache_directory() -> Path:
@@ -297,7 +295,7 @@ def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) 
 
 
 @lru_cache(maxsize=16)
-def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
+def library(n: int, eccentric: bool, general: bool = False) -> Kernel | None:
     """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
     what = "general" if general else "eccentric" if eccentric else "concentric"
     kernel = load_kernel((n, what), lambda: source(n, eccentric, general), _answer(n, general))
@@ -308,7 +306,6 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     functions.solve_many.argtypes = [pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     functions.solve_many.restype = None
     functions.constrained.argtypes = [whole] * 3 + [pointer] * 3
-    differentiable = not (eccentric or general)
-    if differentiable:
+    if kernel.differentiable:
         functions.differentiate.argtypes = [pointer] * 6
-    return Library(**vars(kernel), differentiable=differentiable)
+    return kernel
