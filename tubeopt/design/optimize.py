@@ -51,39 +51,36 @@ class DesignStatistics:
 
 @dataclass(frozen=True, eq=False)
 class DesignSolution(Displayed):
-    """A design that meets its task.
-
-    Attributes:
-        task: what was asked.
-        robot: the design.
-        certificate: least mu_cert over the translations, and over the box, for which the task demands one, else at
-            home.
-        equilibria: of the task poses, solved again by forward kinematics, in the order of the requirements.
-        objective: value in its own sign, SI; with several objectives their weighted sum as minimised.
-        objectives: value of each, by kind (own ones by their words), SI.
-        dimensions: every free dimension before and after.
-        sensitivities: limits that bind, and what easing them would buy, the dearest first.
-        ranking: designs of all starts.
-        rounds: how often worst cases were added, and `added` which.
-        verification: all promises, checked again.
-        seconds: of the whole computation.
-    """
+    """A design that meets its task."""
 
     _brief = ("robot", "certificate", "objectives", "status")
 
     task: DesignTask
+    """What was asked."""
     robot: ConcentricRobot
+    """The design."""
     certificate: float
+    """Least mu_cert over the translations, and over the box, for which the task demands one, else at home."""
     equilibria: tuple[Equilibrium, ...]
+    """Of the task poses, solved again by forward kinematics, in the order of the requirements."""
     objective: float
+    """Value in its own sign, SI; with several objectives their weighted sum as minimised."""
     objectives: dict[str, float]
+    """Value of each, by kind (own ones by their words), SI."""
     dimensions: tuple[Dimension, ...]
+    """Every free dimension before and after."""
     sensitivities: tuple[Sensitivity, ...]
+    """Limits that bind, and what easing them would buy, the dearest first."""
     ranking: Ranking
+    """Designs of all starts."""
     rounds: int
+    """How often worst cases were added."""
     added: Added
+    """Which."""
     verification: Verification
+    """All promises, checked again."""
     seconds: float
+    """Of the whole computation."""
 
     @property
     def value(self) -> ConcentricRobot:

@@ -56,34 +56,36 @@ GRADED = (*TUBE_FIELDS, "bending_stiffness", "torsional_stiffness")
 class Free:
     """A dimension of some tubes that the design may choose.
 
-    field: one of `FIELDS`.  tubes: from 0, inner to outer.  lower, upper: SI; for "scaled", factors.
-    tie: "each" gives every tube its own value, "equal" one value to all, "scaled" multiplies all by one factor.
-
     Of the fields that begin with "piece_" every piece has its own value, or with "equal" all of them one; the lengths
     of the pieces stay, and a tube of one curvature is one piece. The curvature bends what a piece has in proportion; a
     shape is a polynomial, the sum of c_k T_k(x) with Chebyshev's T_k and x = -1 .. 1 along the piece, of curvature
     about its x axis; the turn of the bend plane is counted from the direction that the piece has, and the factors of
     its stiffnesses from those that it has.
 
-    pieces: from 0, from the straight part to the tip; () are all.  coefficients: of a shape.
-    torsion_share: with a bending factor b the torsion factor is 1 - torsion_share (1 - b): what the workshop measured
-        on its slots. None leaves the torsional stiffness as it is.
-    slots: where they are cut that leave a bending factor, for the strain of what they leave; None are those that the
-        pieces have.
-
     Raises:
         InputError: unknown field or tie, no tube, bounds that are not finite or crossed.
     """
 
     field: str
+    """One of `FIELDS`."""
     tubes: tuple[int, ...]
+    """From 0, inner to outer."""
     lower: float
+    """SI; for "scaled", a factor."""
     upper: float
+    """SI; for "scaled", a factor."""
     tie: str = "each"
+    """By "each" every tube gets its own value, by "equal" all get one, "scaled" multiplies all by one factor."""
     pieces: tuple[int, ...] = ()
+    """From 0, from the straight part to the tip; () are all."""
     coefficients: int = 1
+    """Of a shape."""
     torsion_share: float | None = None
+    """With a bending factor b the torsion factor is 1 - torsion_share (1 - b): what the workshop measured on its slots.
+    None leaves the torsional stiffness as it is."""
     slots: Slots | None = None
+    """Where they are cut that leave a bending factor, for the strain of what they leave; None are those that the pieces
+    have."""
 
     def __post_init__(self) -> None:
         choice("field of a free dimension", self.field, FIELDS)
@@ -130,19 +132,18 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class DesignSpace:
-    """The D unknowns of a design, one per free value; `unknowns` name the dimension and the tubes of each.
-
-    spots: of which pieces each unknown is, if of any; `robot_tubes` are then all made of such.
-    start, lower, upper, scale: (D,) in SI (factors where scaled); scale is the size of a change that matters.
-    """
+    """The D unknowns of a design, one per free value: (D,) in SI, factors where scaled."""
 
     robot_tubes: tuple[Tube, ...]
     unknowns: tuple[tuple[str, tuple[int, ...], bool], ...]
+    """The dimension of each, its tubes, and whether it is scaled."""
     start: Array
     lower: Array
     upper: Array
     scale: Array
+    """The size of a change that matters."""
     spots: tuple[Spot, ...] = ()
+    """Of which pieces each unknown is, if of any; `robot_tubes` are then all made of such."""
 
     @property
     def of_pieces(self) -> tuple[tuple[str, Spot], ...]:

@@ -29,15 +29,14 @@ class FrontPoint:
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Designs in order of the margin demanded, up to the greatest that is feasible.
-
-    objective: its kind.  ended: the first margin demanded that no design near the front keeps, None where all do.
-    """
+    """Designs in order of the margin demanded, up to the greatest that is feasible."""
 
     task: DesignTask
     objective: str
+    """The kind of what is traded for it."""
     points: tuple[FrontPoint, ...]
     ended: float | None
+    """The first margin demanded that no design near the front keeps, None where all do."""
 
 
 def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:

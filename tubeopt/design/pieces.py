@@ -37,12 +37,14 @@ Place = tuple[int, int]
 
 @dataclass(frozen=True)
 class Spot:
-    """Of which pieces an unknown is. `order`: the number of the coefficient, for a shape.  `torsion_share`: by how much
-    less torsional stiffness is left, per bending stiffness that slots take, where the one follows the other."""
+    """Of which pieces an unknown is."""
 
     pieces: tuple[Place, ...]
     order: int = 0
+    """Of a shape: the number of the coefficient."""
     torsion_share: float | None = None
+    """By how much less torsional stiffness is left, per bending stiffness that slots take, where the one follows the
+    other."""
 
 
 Given = Mapping[Place, Mapping[tuple[str, int], tuple[float, float | None]]]

@@ -51,12 +51,14 @@ LEAST_SIZE = 1e-3
 
 @dataclass(frozen=True)
 class Added:
-    """What exchange has added to a task: translations of the certificate (.., n), points on joint paths
-    (first, second, fraction), points of each workspace box."""
+    """What exchange has added to a task."""
 
     translations: tuple[tuple[float, ...], ...] = ()
+    """(.., n) of the certificate, m."""
     vias: tuple[tuple[int, int, float], ...] = ()
+    """Points on joint paths: first and second pose, fraction."""
     points: tuple[tuple[tuple[float, ...], ...], ...] = ()
+    """Of each workspace box, m."""
 
 
 class Lately:
@@ -72,24 +74,24 @@ class Lately:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A task with what exchange has added, laid out as unknowns and rows.
-
-    own: for every requirement, the poses that are its own.  depth_pose: that of the objective reach_radius.
-    stated: every requirement as expressions; aims: the objectives that are expressions.
-    elastic: whether every group of rows has a slack, of which the sum is minimised in place of the objective.
-    """
+    """A task with what exchange has added, laid out as unknowns and rows."""
 
     task: DesignTask
     added: Added
     layout: Layout
     own: tuple[tuple[int, ...], ...]
+    """For every requirement, the poses that are its own."""
     stated: tuple[tuple[Statement, ...], ...]
+    """Every requirement as expressions."""
     aims: dict[AnyObjective, Expression]
+    """The objectives that are expressions."""
     depth_pose: int | None
+    """That of the objective reach_radius."""
     lower: Array
     upper: Array
     scale: Array
     elastic: bool = False
+    """Whether every group of rows has a slack, of which the sum is minimised in place of the objective."""
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately, init=False, repr=False)
 

@@ -58,21 +58,22 @@ class WantedOfPair(_Asked, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Searched(Displayed):
-    """What was found for what has no derivative.
-
-    Attributes:
-        wanted: what was asked.   before, after: its value of what was given, and of what was found.
-        own: (k,) its own numbers.   tried: designs, or pairs, that were looked at.   seconds: of all.
-    """
+    """What was found for what has no derivative."""
 
     _brief = ("wanted", "before", "after", "tried")
 
     wanted: str
+    """What was asked."""
     before: float
+    """Its value of what was given."""
     after: float
+    """Its value of what was found."""
     own: Array = field(repr=False)
+    """(k,) its own numbers."""
     tried: int
+    """Designs, or pairs, that were looked at."""
     seconds: float
+    """Of all."""
 
     @property
     def statistics(self) -> int:

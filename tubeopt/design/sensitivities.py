@@ -17,15 +17,15 @@ from .statements import Limit
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How the objective changes with one limit that binds, to first order.
-
-    limit: what is limited.  derivative: of the objective with respect to the limit, SI, in the objective's own sign
-    (with several objectives: of their weighted sum, as minimised).  sentence: the same in words.
-    """
+    """How the objective changes with one limit that binds, to first order."""
 
     limit: Limit
+    """What is limited."""
     derivative: float
+    """Of the objective with respect to the limit, SI, in the objective's own sign (with several objectives: of their
+    weighted sum, as minimised)."""
     sentence: str
+    """The same in words."""
 
 
 def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:

@@ -98,16 +98,16 @@ def _worse(one: Attempt) -> tuple[bool, float]:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """What became of all starts.
-
-    designs: feasible ones, the best first, each once.  found: from how many starts each was reached.
-    failures: how many starts ended infeasible, by the limit violated most.  failed: where, the least violated first.
-    """
+    """What became of all starts."""
 
     designs: tuple[Attempt, ...]
+    """Feasible ones, the best first, each once."""
     found: tuple[int, ...]
+    """From how many starts each was reached."""
     failures: dict[str, int]
+    """How many starts ended infeasible, by the limit violated most."""
     failed: tuple[Attempt, ...]
+    """Where, the least violated first."""
 
     @property
     def starts(self) -> int:

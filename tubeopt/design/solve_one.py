@@ -39,18 +39,19 @@ Report = Callable[[str, float], object]
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """Where a solve from one start ended.
-
-    x (X,) SI; objective: as minimised; violation: largest, in steps of its limit; worst: words of the limit that is
-    violated most, "" where none is; optimum: IPOPT's answer, None where feasibility was not reached.
-    """
+    """Where a solve from one start ended."""
 
     program: Program
     x: Array
+    """(X,) SI."""
     objective: float
+    """As minimised."""
     violation: float
+    """Largest, in steps of its limit."""
     worst: str
+    """Words of the limit that is violated most; "" where none is."""
     optimum: Optimum | None
+    """IPOPT's answer; None where feasibility was not reached."""
 
     @property
     def feasible(self) -> bool:

@@ -49,14 +49,13 @@ PoseKind = FreePose | FixedPose | Via
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What the unknowns x (X,) are: D dimensions, 2 n joint values of each of F free poses, auxiliary numbers.
-
-    poses: task poses in order, then via points.  certified: (T, n) translations of the certificate, m.
-    """
+    """What the unknowns x (X,) are: D dimensions, 2 n joint values of each of F free poses, auxiliary numbers."""
 
     space: DesignSpace
     poses: tuple[PoseKind, ...]
+    """Task poses in order, then via points."""
     certified: tuple[tuple[float, ...], ...]
+    """(T, n) translations of the certificate, m."""
     auxiliary: tuple[str, ...]
 
     @property

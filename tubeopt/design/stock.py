@@ -50,18 +50,16 @@ class StockTube:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One choice of sizes, inner to outer.
-
-    bound: the best objective that the requirements on dimensions alone allow, as minimised.  objective: what a design
-    reaches, in its own sign, SI, None where it was pruned or infeasible.  status: "design", "infeasible" with what
-    failed, or "pruned".
-    """
+    """One choice of sizes, inner to outer."""
 
     sizes: tuple[StockTube, ...]
     bound: float
+    """The best objective that the requirements on dimensions alone allow, as minimised."""
     objective: float | None
+    """What a design reaches, in its own sign, SI, None where it was pruned or infeasible."""
     robot: ConcentricRobot | None
     status: str
+    """One of "design", "infeasible" with what failed, and "pruned"."""
 
 
 @dataclass(frozen=True, eq=False)

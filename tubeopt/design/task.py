@@ -39,13 +39,6 @@ from .settings import DEFAULT_SOLVER, DesignSolver
 class DesignTask(Displayed):
     """What to design.
 
-    robot: where to start.  free: dimensions that may change.  requirements: all of which must hold.
-    objective: one, or several that are added with their weights.  name: what to call it.
-    ordered: whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it,
-        none withdrawn past the plate) at home, over certified boxes, and at all translations that requirements and
-        objectives name; in poses whose joint values are found they always are.
-    solver: how hard it is searched for.
-
     Raises:
         InputError: parts that do not fit together: tubes that are not there, translations of another number of tubes,
             a requirement or objective that speaks of task poses where there are none, nothing free or wanted, an order
@@ -53,12 +46,21 @@ class DesignTask(Displayed):
     """
 
     robot: ConcentricRobot
+    """Where to start."""
     free: tuple[Free, ...]
+    """Dimensions that may change."""
     requirements: tuple[Requirement, ...] = ()
+    """All of which must hold."""
     objective: AnyObjective | tuple[AnyObjective, ...] = field(default_factory=lambda: Objective("change"))
+    """One, or several that are added with their weights."""
     name: str = ""
+    """What to call it."""
     ordered: bool = True
+    """Whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it, none
+    withdrawn past the plate) at home, over certified boxes, and at all translations that requirements and objectives
+    name; in poses whose joint values are found they always are."""
     solver: DesignSolver = DEFAULT_SOLVER
+    """How hard it is searched for."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):

@@ -53,37 +53,35 @@ Change = Callable[[Setup, Setup, Sequence[int], float, bool], None]
 
 @dataclass(frozen=True)
 class Effect:
-    """One kind of deviation from the drawing.
-
-    Attributes:
-        meaning: in words, with I for the number.   unit: "", "1/m", "rad", "m", "s", "N" or "m/N".
-        each: what its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
-            eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot),
-            "pair" of tubes that rub, "xyz", "xy", or "" for a single parameter.
-        span: range of the parameter.
-        change: sets the parameter.
-        common: whether a parameter for all at once, without a number, is known as well.
-        first: the lowest number that there is.
-        needs: what the data must have: "time", "way" (rows in order of time), "orientation", "plate" (a registration
-            that does not fit the plate's pose itself), or "".
-        sets: names of what it sets, by which effects contradict each other.
-        history: whether it makes the tip depend on how its configuration was reached.
-        compared: whether a model comparison tries it: "always", "asked" (by name only, since it takes long) or "never".
-        drives: whether it changes nothing but joint values.
-    """
+    """One kind of deviation from the drawing."""
 
     meaning: str
+    """In words, with I for the number."""
     unit: str
+    """One of "", "1/m", "rad", "m", "s", "N" and "m/N"."""
     each: str
+    """What its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
+    eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot), "pair" of
+    tubes that rub, "xyz", "xy", or "" for a single parameter."""
     span: Range
+    """Range of the parameter."""
     change: Change
+    """Sets the parameter."""
     common: bool = False
+    """Whether a parameter for all at once, without a number, is known as well."""
     first: int = 1
+    """The lowest number that there is."""
     needs: str = ""
+    """What the data must have: "time", "way" (rows in order of time), "orientation", "plate" (a registration that does
+    not fit the plate's pose itself), or ""."""
     sets: tuple[str, ...] = ()
+    """Names of what it sets, by which effects contradict each other."""
     history: bool = False
+    """Whether it makes the tip depend on how its configuration was reached."""
     compared: str = "always"
+    """Whether a model comparison tries it: "always", "asked" (by name only, since it takes long) or "never"."""
     drives: bool = False
+    """Whether it changes nothing but joint values."""
 
 
 def _put(name: str, how: Callable[[float, Array], Array | float] = lambda value, _: value) -> Change:

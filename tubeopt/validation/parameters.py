@@ -23,27 +23,28 @@ COUNTED = {"carriage": "carriages", "spring": "carriages that yield", "pair": "p
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number to be estimated.
-
-    Attributes:
-        name, kind, index: as chosen ("curvature_2"), its kind ("curvature"), its number from 0 (None: all).
-        unit: "", "1/m", "rad", "m", "s", "N" or "m/N".
-        start, low, high: value of the robot as given, and the range that is searched.
-        scale: a change of this size is a large one.
-        prior: how far the drawing may be off, one standard deviation.
-        which: places in the setup that it sets.
-    """
+    """A number to be estimated."""
 
     name: str
+    """As chosen: "curvature_2"."""
     kind: str
+    """That of its effect: "curvature"."""
     index: int | None
+    """Its number, from 0; None: all."""
     unit: str
+    """As of its effect; "" for a factor on all curvatures."""
     start: float
+    """Value of the robot as given."""
     low: float
+    """Least that is searched."""
     high: float
+    """Greatest that is searched."""
     scale: float
+    """A change of this size is a large one."""
     prior: float
+    """How far the drawing may be off, one standard deviation."""
     which: tuple[int, ...]
+    """Places in the setup that it sets."""
 
     @property
     def effect(self) -> Effect:

@@ -34,46 +34,46 @@ from .subsets import Effects, HeldOutSets, Slopes, slopes_around
 
 @dataclass(frozen=True)
 class Step:
-    """One effect of a comparison, at the state to which it was added, or would be next.
-
-    effect: its kind.   parameters: their names.   kept: whether it pays.
-    gain: part by which the held-out error falls.   certainty: gain over its standard error between folds.
-    held_out: tip errors with it, m.   held_out_axis: root mean square of the angles, rad, or None.
-    rivals: effects that would have predicted as well in its place: these data do not tell which of them it is.
-    """
+    """One effect of a comparison, at the state to which it was added, or would be next."""
 
     effect: str
+    """Its kind."""
     parameters: tuple[str, ...]
+    """Their names."""
     kept: bool
+    """Whether it pays."""
     gain: float
+    """Part by which the held-out error falls."""
     certainty: float
+    """Gain over its standard error between folds."""
     held_out: ErrorSummary
+    """Tip errors with it, m."""
     held_out_axis: float | None
+    """Root mean square of the angles, rad, or None."""
     rivals: tuple[str, ...] = ()
+    """Effects that would have predicted as well in its place: these data do not tell which of them it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Displayed):
-    """Effects in the order in which they pay.
-
-    Attributes:
-        start: held-out tip errors of the robot as given, only registered.   start_axis: its angles, rad, or None.
-        steps: the effects that were kept, in order.
-        dropped: effects of sets on the way to the last that others made useless; `refused` tells what they would bring.
-        refused: those that do not pay beside the kept ones, the best first.
-        fit: with the kept effects; None where none pays.
-        folds: how many there are.
-        remarks: what was noticed when the measurements were read, in words.
-    """
+    """Effects in the order in which they pay."""
 
     start: ErrorSummary
+    """Held-out tip errors of the robot as given, only registered."""
     start_axis: float | None
+    """Its angles, rad, or None."""
     steps: tuple[Step, ...]
+    """The effects that were kept, in order."""
     dropped: tuple[str, ...]
+    """Effects of sets on the way to the last that others made useless; `refused` tells what they would bring."""
     refused: tuple[Step, ...]
+    """Those that do not pay beside the kept ones, the best first."""
     fit: Fit | None
+    """With the kept effects; None where none pays."""
     folds: int
+    """How many there are."""
     remarks: tuple[str, ...]
+    """What was noticed when the measurements were read, in words."""
 
     @property
     def chosen(self) -> tuple[str, ...]:

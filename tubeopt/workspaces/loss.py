@@ -32,22 +32,22 @@ CHUNK = 256
 
 @dataclass(frozen=True, eq=False)
 class SnappingLoss(Displayed):
-    """Voxels of edge `size` (m) by what reaches them.
-
-    equilibria, unstable: how many were computed, and how many of them are unstable.
-    held: (V, 3) index of the voxels with a stable equilibrium.   lost: (W, 3) of those with at least `SURE` equilibria,
-        all of them unstable.
-    held_volume, lost_volume: m^3.   early_loss: lost_volume from the first half of the equilibria.
-    """
+    """Voxels by what reaches them."""
 
     robot: Robot
     """Whose workspace it is."""
     size: float
+    """Edge of the voxels, m."""
     equilibria: int
+    """How many were computed."""
     unstable: int
+    """How many of them are unstable."""
     held: Keys
+    """(V, 3) index of the voxels with a stable equilibrium."""
     lost: Keys
+    """(W, 3) of those with at least `SURE` equilibria, all of them unstable."""
     early_loss: float
+    """`lost_volume` from the first half of the equilibria, m^3."""
 
     @property
     def held_volume(self) -> float:
@@ -186,14 +186,14 @@ def _edge(robot: Robot, table: Array, samples: int, reached: Workspace | None) -
 
 @dataclass(frozen=True, eq=False)
 class Equilibria:
-    """B equilibria.   rotations: (B, n) of the joints, rad.   tip_position: (B, 3) m.   stable: (B,).
-
-    tip_direction: (B, 3) unit vectors.
-    """
+    """B equilibria."""
 
     rotations: Array
+    """(B, n) of the joints, rad."""
     tip_position: Array
+    """(B, 3) m."""
     tip_direction: Array
+    """(B, 3) unit vectors."""
     stable: Mask
 
 

@@ -25,21 +25,22 @@ _HALF = 1 << (_BITS - 1)
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Cubes of edge `size` (m) that hold at least one tip; cube i spans index[i] * size to (index[i] + 1) * size.
-
-    samples: how many tips in all.   index: (V, 3).   count: (V,) tips in each, `early` of them of the first half
-        of the samples (of a grid, of a random half).
-    directions: (V,) patches of the sphere of directions, of `PATCHES`, in which tips point.
-    margin: (V,) largest stability margin of a tip.
-    """
+    """Cubes of edge `size` that hold at least one tip; cube i spans index[i] * size to (index[i] + 1) * size."""
 
     size: float
+    """m."""
     samples: int
+    """How many tips in all."""
     index: Keys
+    """(V, 3)."""
     count: Keys
+    """(V,) tips in each."""
     early: Keys
+    """(V,) of them of the first half of the samples; of a grid, of a random half."""
     directions: Keys
+    """(V,) patches of the sphere of directions, of `PATCHES`, in which tips point."""
     margin: Array
+    """(V,) largest stability margin of a tip."""
 
     def __len__(self) -> int:
         return len(self.index)
