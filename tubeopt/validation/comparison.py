@@ -93,6 +93,7 @@ class Validation(Displayed):
     robot: Robot
     """Its calibration makes joint values of the readings."""
     measurements: Measurements
+    """What it is held against."""
     registration: Registration
     """How measured points came into the plate frame."""
     measured: Array

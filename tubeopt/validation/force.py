@@ -116,7 +116,9 @@ class ForceRecord(Displayed):
     """Forces at the tip over the N rows of a recording."""
 
     robot: Robot
+    """That was pushed."""
     measurements: Measurements
+    """Where its arm was seen."""
     noise: float
     """Of a measured coordinate, m."""
     estimates: tuple[ForceEstimate | None, ...]

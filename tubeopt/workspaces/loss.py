@@ -195,6 +195,7 @@ class Equilibria:
     tip_direction: Array
     """(B, 3) unit vectors."""
     stable: Mask
+    """(B,)."""
 
 
 def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
