@@ -173,8 +173,8 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
     """How far, in steps of the limits, the robot at x stays from reaching a point within what poses must keep."""
     space = program.layout.space
     fixed = tuple(
-        Free(field, tubes, value, value, "scaled" if scaled else "equal")
-        for (field, tubes, scaled), value in zip(space.unknowns, x.tolist(), strict=False)
+        Free(one.field, one.tubes, value, value, "scaled" if one.scaled else "equal")
+        for one, value in zip(space.unknowns, x.tolist(), strict=False)
     )
     target = Target((point[0], point[1], point[2]), tolerance)
     keep = tuple(

@@ -330,14 +330,14 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
     """Free dimensions before and after, tube by tube."""
     space, tubes = program.layout.space, program.layout.space.tubes(x[: program.layout.designs])
     out = []
-    for k, ((field, chosen, _), name) in enumerate(zip(space.unknowns, space.names, strict=True)):
-        unit, factor = UNITS[field]
+    for k, (one, name) in enumerate(zip(space.unknowns, space.names, strict=True)):
+        unit, factor = UNITS[one.field]
         gap = 1e-5 * space.scale[k]
         bound = "lower" if x[k] <= space.lower[k] + gap else "upper" if x[k] >= space.upper[k] - gap else ""
-        if space.spots and space.spots[k].pieces:
+        if one.pieces:
             out.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
             continue
-        for i in chosen:
-            before, after = (getattr(some[i], field) * factor for some in (space.robot_tubes, tubes))
-            out.append(Dimension(f"{NAMES[field]} of tube {i + 1}", unit, before, after, bound))
+        for i in one.tubes:
+            before, after = (getattr(some[i], one.field) * factor for some in (space.robot_tubes, tubes))
+            out.append(Dimension(f"{NAMES[one.field]} of tube {i + 1}", unit, before, after, bound))
     return tuple(out)

@@ -83,10 +83,10 @@ def _bounds(found: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
     """Bounds of the dimensions, with what they cost."""
     space = found.program.layout.space
     out = []
-    for k, (name, (field, _, scaled)) in enumerate(zip(space.names, space.unknowns, strict=True)):
+    for k, (name, one) in enumerate(zip(space.names, space.unknowns, strict=True)):
         price = float(multipliers[k])
         most = price < 0
-        unit, factor = ("", 1.0) if scaled else UNITS[field]
+        unit, factor = ("", 1.0) if one.scaled else UNITS[one.field]
         value = float((space.upper if most else space.lower)[k])
         words = f"{'upper' if most else 'lower'} bound of the {name}"
         near = abs(found.x[k] - value) <= 1e-4 * space.scale[k]

@@ -114,7 +114,7 @@ class State:
         """(n, X) change of every dimension and stiffness."""
         space, x = self.layout.space, self.x[: self.layout.designs]
         designs = space.slopes(x)
-        if space.spots:
+        if space.pieced:
             designs["curvature"] = space.bend_slopes(self.tubes, x)
         return {name: np.pad(part, ((0, 0), (0, self.layout.size - part.shape[1]))) for name, part in designs.items()}
 
@@ -164,22 +164,21 @@ class State:
 
     def _pose(self, solved: Solution) -> Pose | PiecePose:
         space = self.layout.space
-        return PiecePose(solved, self.tubes, self._piece_changes) if space.spots else Pose(solved)
+        return PiecePose(solved, self.tubes, self._piece_changes) if space.pieced else Pose(solved)
 
     def _piece_changes(self, here: Linearised) -> list[Change]:
         """What every unknown piece changes along a solved arm."""
-        parts = self.layout.space.of_pieces
-        given = given_of(parts, self.x[: self.layout.designs].tolist())
-        straight = self.slopes["straight_length"]
+        unknowns, straight = self.layout.space.unknowns, self.slopes["straight_length"]
+        given = given_of(unknowns, self.x[: self.layout.designs].tolist())
         return [
-            change_of(here, field, spot, given) if spot.pieces else here.held(straight[:, column])
-            for column, (field, spot) in enumerate(parts)
+            change_of(here, one, given) if one.pieces else here.held(straight[:, column])
+            for column, one in enumerate(unknowns)
         ]
 
     @cached_property
     def _reshaped(self) -> Array:
         """(L - 2 n, X) change of what a pose is differentiated by beside its joint values."""
-        if self.layout.space.spots:
+        if self.layout.space.pieced:
             return np.eye(self.layout.designs, self.layout.size)
         return np.concatenate([self.slopes[name] for name in DIMENSIONS])
 

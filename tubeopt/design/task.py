@@ -117,10 +117,9 @@ def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
         field: np.array([getattr(tube, field) for tube in task.robot.tubes])
         for field in ("straight_length", "curved_length")
     }
-    for (name, tubes, scaled), bound in zip(space.unknowns, getattr(space, side), strict=True):
-        if name in found:
-            for i in tubes:
-                found[name][i] = float(bound) * (found[name][i] if scaled else 1.0)
+    for one, bound in zip(space.unknowns, getattr(space, side), strict=True):
+        for i in one.tubes if one.field in found else ():
+            found[one.field][i] = float(bound) * (found[one.field][i] if one.scaled else 1.0)
     return found
 
 
@@ -188,7 +187,7 @@ def _check_pieces(task: DesignTask) -> None:
             "snap_free names errors of curvature or stiffness; for tubes made of pieces nothing is proved of them: ask "
             "for a larger margin, and look at tolerances"
         )
-    if not task.space.spots:
+    if not task.space.pieced:
         return
     for one in task.requirements:
         if isinstance(one, StrokeForce):
@@ -220,7 +219,7 @@ def _check_pieces(task: DesignTask) -> None:
 
 def _check_slots(space: DesignSpace) -> None:
     """A limit of strain must know where slots are: they strain what they leave more than a whole tube."""
-    free = {place for name, spot in space.of_pieces if name == "piece_bending_factor" for place in spot.pieces}
+    free = {place for one in space.unknowns if one.field == "piece_bending_factor" for place in one.pieces}
     for i, tube in enumerate(space.robot_tubes):
         for j, piece in enumerate(tube.pieces):
             if piece.slots is None and (slots_unknown(tube, piece) or (i, j) in free):
