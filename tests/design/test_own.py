@@ -37,8 +37,8 @@ from tubeopt.design import (
     Target,
     Wall,
 )
-from tubeopt.design.aims import aim
 from tubeopt.design.lookup import at_state
+from tubeopt.design.objectives import aim
 from tubeopt.design.program import Program, compile_task, state_at
 from tubeopt.design.rechecks import check_own, numbers_of
 from tubeopt.typing import Array

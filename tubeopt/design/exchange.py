@@ -18,7 +18,7 @@ from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
 from .parameters import Free
 from .pose import Twist
-from .program import Added, Program, compile_task, corners, state_at
+from .program import Added, Program, compile_task, corners, robot_at, state_at
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
 from .solve_one import to_feasibility, violation
 from .starts import with_joints
@@ -40,13 +40,6 @@ class Motion:
     margin: Array
     equilibria: Sequence[Equilibrium]
     snap: float | None
-
-
-def robot_at(program: Program, x: Array) -> ConcentricRobot:
-    """The robot at x; raises InputError where its tubes do not fit into one another."""
-    task = program.task
-    tubes = program.layout.space.tubes(x[: program.layout.designs])
-    return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
 
 
 def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:

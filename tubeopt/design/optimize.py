@@ -17,10 +17,10 @@ from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
-from .exchange import carry, certified_at, robot_at, violations
+from .exchange import carry, certified_at, violations
 from .objectives import key_of
 from .parameters import NAMES, UNITS
-from .program import Added, Program, compile_task, objective_value, recompiled, state_at
+from .program import Added, Program, compile_task, recompiled
 from .rechecks import Check
 from .relaxation import InfeasibleDesignError, smallest_relaxations
 from .remarks import Dimension, remarks
@@ -217,7 +217,7 @@ def _bearing(
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
         best = found[0].designs[0]
-        value, check = _under_force(best.program, robot_at(best.program, best.x), one)
+        value, check = _under_force(best.program, best.robot, one)
         known[floor] = found, check
         return value
 
@@ -298,12 +298,10 @@ def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began:
     `began`, from which it is timed, are told with it."""
     ranking, rounds = found
     best = ranking.designs[0]
-    program, x = best.program, best.x
-    robot = robot_at(program, x)
+    program, x, robot = best.program, best.x, best.robot
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
-    state = state_at(program, x)
-    values = {key_of(one): objective_value(program, state, one)[0] for one in task.objectives}
+    values = {key_of(one): best.value(one) for one in task.objectives}
     certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(

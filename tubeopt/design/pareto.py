@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from ..typing import Progress
-from .exchange import robot_at
 from .objectives import key_of
 from .optimize import infeasible, settle
-from .program import compile_task, objective_value, recompiled, state_at
+from .program import compile_task, recompiled
 from .requirements import SnapFree, SnapFreeInUse
 from .solve import multistart, solve
 from .solve_one import Attempt
@@ -94,8 +93,7 @@ def pareto_front(
             if not points:
                 raise
             return ParetoFront(task, key_of(one), tuple(points), margin)
-        value = objective_value(found.program, state_at(found.program, found.x), one)[0]
-        points.append(FrontPoint(margin, value, robot_at(found.program, found.x)))
+        points.append(FrontPoint(margin, found.value(one), found.robot))
         here = found
         if progress is not None:
             progress(k + 1, len(tasks))

@@ -15,12 +15,12 @@ import numpy as np
 
 from ..block.quantities import Expression, PoseNumber, Quantity
 from ..errors import InputError, SolveError
+from ..robots.concentric import ConcentricRobot
 from ..solvers.smooth import Values
 from ..typing import Array
-from .aims import aim
 from .lookup import at_state
 from .objectives import POSED as OF_POSES
-from .objectives import AnyObjective, Objective, key_of
+from .objectives import AnyObjective, Objective, aim, key_of
 from .pose import Twist
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
@@ -335,6 +335,13 @@ def state_at(program: Program, x: Array) -> State:
     if known is None or not np.array_equal(known.x, x):
         known = program.lately.state = State(program.layout, x.copy(), program.guesses)
     return known
+
+
+def robot_at(program: Program, x: Array) -> ConcentricRobot:
+    """The robot at x; raises InputError where its tubes do not fit into one another."""
+    task = program.task
+    tubes = program.layout.space.tubes(x[: program.layout.designs])
+    return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
 
 
 def evaluate(program: Program, x: Array) -> tuple[State, list[Rows], tuple[Array, Array]] | None:

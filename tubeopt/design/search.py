@@ -17,10 +17,9 @@ from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Of, Progress
-from .exchange import robot_at
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
-from .program import Program, compile_task
+from .program import Program, compile_task, robot_at
 from .requirements import SnapFree
 from .solve import multistart, rank
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation

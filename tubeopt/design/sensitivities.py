@@ -11,7 +11,7 @@ from ..typing import Array
 from .cells import cell_at, cell_rows
 from .parameters import UNITS
 from .program import stack, state_at, total_objective
-from .solve_one import Attempt, rows_at
+from .solve_one import Attempt, prices, rows_at
 from .statements import Limit
 
 
@@ -34,19 +34,14 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
     if multipliers is None:
         return ()
     groups, _ = rows_at(found.program, found.x)
-    prices: list[tuple[Limit, float]] = []
-    first = 0
-    for group in groups:
-        count = len(group.values)
-        price = float(multipliers[0][first : first + count].sum())
-        prices.append((group.limit, price / group.limit.size))
-        first += count
-    prices += _bounds(found, multipliers[1])
-    effect = [price * limit.size for limit, price in prices]
+    per_step = zip(groups, prices(groups, multipliers[0]), strict=True)
+    costs = [(group.limit, price / group.limit.size) for group, price in per_step]
+    costs += _bounds(found, multipliers[1])
+    effect = [price * limit.size for limit, price in costs]
     largest = max(effect, default=0.0)
     order = np.argsort(effect)[::-1]
     least = found.program.task.solver.least_price * max(largest, 1e-300)
-    return tuple(_sensitivity(found, *prices[k]) for k in order if effect[k] > least > 0)
+    return tuple(_sensitivity(found, *costs[k]) for k in order if effect[k] > least > 0)
 
 
 def _multipliers(found: Attempt) -> tuple[Array, Array] | None:

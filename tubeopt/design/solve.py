@@ -14,7 +14,7 @@ from ..typing import Array, Progress
 from .cells import improve_by_cells
 from .collocation import collocate
 from .program import Program
-from .solve_one import Attempt, Report, attempt, cubed, improve, rows_at, to_feasibility, violation
+from .solve_one import Attempt, Report, attempt, cubed, improve, prices, rows_at, to_feasibility, violation
 from .starts import start_values, with_joints
 
 METHODS = ("reduced", "collocation")
@@ -62,7 +62,8 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
     """Relative gain of the objective, to first order, were the cubes to hold the balls; without prices inf where a cube
     binds, and 0 where none does."""
     solver = program.task.solver
-    balls = [group for group in rows_at(program, found.x)[0] if group.vector is not None]
+    groups, _ = rows_at(program, found.x)
+    balls = [group for group in groups if group.vector is not None]
     near = any((cubed(one).values < solver.rim * one.limit.value / one.limit.size).any() for one in balls)
     if not near:
         return 0.0
@@ -70,14 +71,12 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
         return np.inf if any(one.slack is not None and one.slack[0] > solver.least_slack for one in balls) else 0.0
     if not found.feasible or found.optimum is None or not found.optimum.success:
         return np.inf
-    gain, first = 0.0, 0
-    for group in rows_at(program, found.x)[0]:
-        last = first + len(group.values)
-        if group.vector is not None:
-            price = float(found.optimum.multipliers[first:last].sum())
-            gain += price * (np.sqrt(3) - 1) * group.limit.value / group.limit.size
-        first = last
-    return float(gain / max(abs(found.objective), 1e-3))
+    gains = [
+        price * (np.sqrt(3) - 1) * group.limit.value / group.limit.size
+        for group, price in zip(groups, prices(groups, found.optimum.multipliers), strict=True)
+        if group.vector is not None
+    ]
+    return float(sum(gains) / max(abs(found.objective), 1e-3))
 
 
 def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
