@@ -21,13 +21,18 @@ from .setup import Setup, members
 
 @dataclass(frozen=True)
 class Span:
-    """Start, least and greatest value, a change that is large, and how far the drawing may be off (one sigma)."""
+    """The range of a number that is estimated."""
 
     start: float
+    """Value of the robot as given."""
     low: float
+    """Least that is searched."""
     high: float
+    """Greatest that is searched."""
     scale: float
+    """A change of this size is a large one."""
     prior: float
+    """How far the drawing may be off, one standard deviation."""
 
 
 @dataclass(frozen=True)

@@ -137,14 +137,20 @@ class Measurements:
     @property
     def stations(self) -> Array:
         """(K,) distances behind the tip at which there are sensors, m, the foremost first."""
-        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
-        return np.unique(np.round(behind / SAME_PLACE)) * SAME_PLACE
+        return np.unique(np.round(self._behind / SAME_PLACE)) * SAME_PLACE
+
+    @property
+    def _behind(self) -> Array:
+        return np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
+
+    def _at(self, station: float) -> Array:
+        """(N, s, 3) positions of the sensors at a station."""
+        return np.asarray(self.sensors[:, np.abs(self._behind - station) < SAME_PLACE])
 
     @property
     def station_position(self) -> Array:
         """(N, K, 3) mean over the sensors of each station that were seen, m; NaN where none was."""
-        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
-        return np.stack([_mean(self.sensors[:, np.abs(behind - at) < SAME_PLACE]) for at in self.stations], axis=1)
+        return np.stack([_mean(self._at(station)) for station in self.stations], axis=1)
 
     @property
     def tip_position(self) -> Array:
@@ -154,9 +160,7 @@ class Measurements:
     @property
     def sensor_spread(self) -> Array:
         """(N,) root mean square distance of the foremost sensors from their mean, m; 0 for one sensor."""
-        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
-        front = self.sensors[:, np.abs(behind - self.stations[0]) < SAME_PLACE]
-        squares = ((front - self.tip_position[:, None]) ** 2).sum(2)
+        squares = ((self._at(self.stations[0]) - self.tip_position[:, None]) ** 2).sum(2)
         return np.asarray(np.sqrt(np.nansum(squares, axis=1) / np.maximum(np.isfinite(squares).sum(1), 1)))
 
     def rows(self, index: ArrayLike) -> Measurements:

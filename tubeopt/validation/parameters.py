@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from .effects import EFFECTS, KINDS, Context, Effect
+from .effects import EFFECTS, KINDS, Context, Effect, Span
 from .measurements import Measurements
 from .registration import FITS_PLATE
 from .setup import Setup, members
@@ -22,7 +22,7 @@ COUNTED = {"carriage": "carriages", "spring": "carriages that yield", "pair": "p
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Parameter(Span):
     """A number to be estimated."""
 
     name: str
@@ -33,16 +33,6 @@ class Parameter:
     """Its number, from 0; None: all."""
     unit: str
     """As of its effect; "" for a factor on all curvatures."""
-    start: float
-    """Value of the robot as given."""
-    low: float
-    """Least that is searched."""
-    high: float
-    """Greatest that is searched."""
-    scale: float
-    """A change of this size is a large one."""
-    prior: float
-    """How far the drawing may be off, one standard deviation."""
     which: tuple[int, ...]
     """Places in the setup that it sets."""
 
@@ -124,10 +114,8 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
     if missing:
         raise InputError(f"parameter {name!r} {missing}")
     index = None if number is None else numbers_of(context, effect).index(number) + effect.first - 1
-    span = effect.span(context, index)
     unit = "" if index is None and kind == "curvature" else effect.unit
-    which = _places(context, effect, index)
-    return Parameter(name, kind, index, unit, span.start, span.low, span.high, span.scale, span.prior, which)
+    return Parameter(*astuple(effect.span(context, index)), name, kind, index, unit, _places(context, effect, index))
 
 
 def _known(kind: str, number: str | None) -> bool:
