@@ -22,7 +22,7 @@ from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .program import Added, Program, compile_task, recompiled
 from .rechecks import Check
-from .relaxation import InfeasibleDesignError, smallest_relaxations
+from .relaxation import InfeasibleDesignError, best_of
 from .remarks import Dimension, remarks
 from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
@@ -191,9 +191,7 @@ def _searched(
     retries = task.solver.retries
     if not ranking.designs and starts < retries:
         ranking = search(compile_task(task, added), starts=retries)
-    if not ranking.designs:
-        raise infeasible(ranking)
-    best, rounds = settle(ranking.designs[0], report, method)
+    best, rounds = settle(best_of(ranking), report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
     return replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds
 
@@ -274,23 +272,7 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
             raise SolveError(f"after {rounds} rounds of adding worst cases there are still some: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
-        following = solve(program, start, report, method)
-        if not following.feasible:
-            raise infeasible(rank([following]))
-        found = following
-
-
-def infeasible(ranking: Ranking) -> InfeasibleDesignError:
-    """What to raise where no start is feasible."""
-    name, count = next(iter(ranking.failures.items()))
-    limit = name if name.startswith("an ") else f"the {name}"
-    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {limit}"
-    ways = smallest_relaxations(ranking.failed)
-    if not ways:
-        return InfeasibleDesignError(
-            f"{head}; no relaxation was found that makes the task feasible", (), ranking.failed[0]
-        )
-    return InfeasibleDesignError(f"{head}; {', or '.join(way.words for way in ways)}", ways, ranking.failed[0])
+        found = best_of(rank([solve(program, start, report, method)]))
 
 
 def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began: float) -> DesignSolution:

@@ -9,8 +9,9 @@ from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from ..typing import Progress
 from .objectives import key_of
-from .optimize import infeasible, settle
+from .optimize import settle
 from .program import compile_task, recompiled
+from .relaxation import best_of
 from .requirements import SnapFree, SnapFreeInUse
 from .solve import multistart, solve
 from .solve_one import Attempt
@@ -79,10 +80,7 @@ def pareto_front(
     tasks = front_tasks(task, margins)
     for k, (margin, eased) in enumerate(tasks):
         if here is None:
-            ranking = multistart(compile_task(eased), starts=4, seed=seed)
-            if not ranking.designs:
-                raise infeasible(ranking)
-            found = ranking.designs[0]
+            found = best_of(multistart(compile_task(eased), starts=4, seed=seed))
         else:
             found = solve(recompiled(eased, here.program), here.x)
         try:

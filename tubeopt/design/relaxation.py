@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import SolveError
 from ..typing import Array
 from .program import Program, elastic, evaluate, recompiled
-from .solve import best_from
+from .solve import Ranking, best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
 from .statements import Limit, Rows, relaxed
 from .task import DesignTask
@@ -57,6 +57,22 @@ class InfeasibleDesignError(SolveError):
     def __init__(self, message: str, relaxations: Sequence[Relaxation], closest: Attempt) -> None:
         super().__init__(message, closest)
         self.relaxations = tuple(relaxations)
+
+
+def best_of(ranking: Ranking) -> Attempt:
+    """The best design of all starts.
+
+    Raises:
+        InfeasibleDesignError: there is none.
+    """
+    if ranking.designs:
+        return ranking.designs[0]
+    name, count = next(iter(ranking.failures.items()))
+    limit = name if name.startswith("an ") else f"the {name}"
+    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {limit}"
+    ways = smallest_relaxations(ranking.failed)
+    told = ", or ".join(way.words for way in ways) or "no relaxation was found that makes the task feasible"
+    raise InfeasibleDesignError(f"{head}; {told}", ways, ranking.failed[0])
 
 
 def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:

@@ -18,8 +18,9 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Of, Progress
 from .objectives import Objective
-from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
+from .optimize import DesignSolution, DesignStatus, solution_of
 from .program import Program, compile_task, robot_at
+from .relaxation import best_of
 from .requirements import SnapFree
 from .solve import multistart, rank
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation
@@ -292,12 +293,7 @@ def _searched(
     began = time.perf_counter()
     plain = [replace(task, objective=Objective("change")) for task in tasks]
     programs = tuple(compile_task(task) for task in plain)
-    first = []
-    for program in programs:
-        ranking = multistart(program, starts=1, seed=seed)
-        if not ranking.designs:
-            raise infeasible(ranking)
-        first.append(ranking.designs[0].x)
+    first = [best_of(multistart(program, starts=1, seed=seed)).x for program in programs]
     note = None if progress is None else lambda count: progress(count, 0)
     search = _Search(programs, wanted, progress=note)
     zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)

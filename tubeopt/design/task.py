@@ -231,24 +231,8 @@ def _check_slots(space: DesignSpace) -> None:
                 )
 
 
-def _poses_of(one: Requirement) -> int:
-    match one:
-        case Reach(targets=targets):
-            return len(targets)
-        case Poses(rotations=rotations):
-            return len(rotations)
-        case Coverage():
-            return 3
-        case _:
-            return 0
-
-
 def _check_objectives(task: DesignTask) -> None:
     certified = bool(of_kind(task.requirements, SnapFree))
-    if any(one.kind == "workspace_volume" for one in task.objectives if isinstance(one, Objective)):
-        count = sum(_poses_of(one) for one in task.requirements)
-        if count < 3:
-            raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least 3")
     for one in task.objectives:
         if isinstance(one, OwnObjective):
             one.checked()
@@ -266,6 +250,9 @@ def _check_objectives(task: DesignTask) -> None:
             )
         if one.kind in ("stroke_force", "workspace_volume"):
             _given_poses(task, f"objective {one.kind}")
+        count = sum(len(each.rotations) for each in of_kind(task.requirements, Poses))
+        if one.kind == "workspace_volume" and count < 3:
+            raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least 3")
         if one.kind in POSED and not task.has_poses:
             raise InputError(f"objective {one.kind} needs task poses (Reach, Coverage or Poses); the task has none")
     if len({key_of(one) for one in task.objectives}) < len(task.objectives):

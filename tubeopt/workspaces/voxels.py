@@ -83,15 +83,13 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
     require_samples(workspace)
     edge = default_size(workspace) if size is None else positive("size", size)
     store = Store(edge)
-    kept = 0
     for first, table in workspace.chunks():
         rows = held(table, min_margin)
         early = of_first_half(workspace, first, len(table))
         store.add(table[rows, -7:-4], table[rows, -4:-1], table[rows, -1], early[rows])
-        kept += int(rows.sum())
-    if not kept:
+    if not len(store.keys):
         raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")
-    return store.voxels(kept)
+    return store.voxels()
 
 
 def of_first_half(workspace: Workspace, first: int, count: int) -> Mask:
@@ -108,7 +106,11 @@ def default_size(workspace: Workspace) -> float:
         tips = table[held(table, -np.inf), -7:-4]
         if len(tips):
             low, high, count = np.minimum(low, tips.min(0)), np.maximum(high, tips.max(0)), count + len(tips)
-    extent = high - low
+    return size_for(high - low, count)
+
+
+def size_for(extent: Array, count: int) -> float:
+    """The same for so many samples over an extent (3,), m."""
     longest = float(extent.max())
     if longest <= 0:
         return 1e-3
@@ -141,9 +143,9 @@ class Store:
         self.patches = _reduce(np.bitwise_or, [self.patches, word], order, starts)
         self.margin = _reduce(np.maximum, [self.margin, margin], order, starts)
 
-    def voxels(self, samples: int) -> Voxels:
+    def voxels(self) -> Voxels:
         """What was sorted in."""
-        directions = np.bitwise_count(self.patches).astype(np.int64)
+        directions, samples = np.bitwise_count(self.patches).astype(np.int64), int(self.count.sum())
         return Voxels(self.size, samples, index_of(self.keys), self.count, self.early, directions, self.margin)
 
 
