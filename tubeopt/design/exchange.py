@@ -46,7 +46,7 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     """The robot moved through its task poses in order, slowly; after a snap it goes on from the next pose anew."""
     state = state_at(program, x)
     joints = [state.joint_values(k) for k in program.task_poses]
-    count = program.task.solver.path_points
+    count = program.task.solver.exchange.path_points
     share = np.linspace(0.0, 1.0, count + 1)
     out = []
     start: Equilibrium | None = None
@@ -97,7 +97,7 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
         tables = list(added.points) or [corners(box) for box in boxes]
         for k, box in enumerate(boxes):
             missed = _missed(program, x, box)
-            new = [point for point in missed if point not in tables[k]][: program.task.solver.points_per_round]
+            new = [point for point in missed if point not in tables[k]][: program.task.solver.exchange.points]
             tables[k] = (*tables[k], *new)
             why += [f"{len(missed)} points of the workspace box"] if new else []
         added = replace(added, points=tuple(tables))

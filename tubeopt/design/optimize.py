@@ -188,7 +188,7 @@ def _searched(
         ranking = search(compile_task(task), starts=starts)
     else:
         ranking = rank([solve(recompiled(task, begin.program), begin.x, report, method)])
-    retries = task.solver.retries
+    retries = task.solver.starts.retries
     if not ranking.designs and starts < retries:
         ranking = search(compile_task(task, added), starts=retries)
     best, rounds = settle(best_of(ranking), report, method)
@@ -268,7 +268,7 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
         added, why = violations(found.program, found.x)
         if not why:
             return found, rounds
-        if rounds >= found.program.task.solver.exchange_rounds:
+        if rounds >= found.program.task.solver.exchange.rounds:
             raise SolveError(f"after {rounds} rounds of adding worst cases there are still some: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)

@@ -40,7 +40,7 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
     effect = [price * limit.size for limit, price in costs]
     largest = max(effect, default=0.0)
     order = np.argsort(effect)[::-1]
-    least = found.program.task.solver.least_price * max(largest, 1e-300)
+    least = found.program.task.solver.pricing.least * max(largest, 1e-300)
     return tuple(_sensitivity(found, *costs[k]) for k in order if effect[k] > least > 0)
 
 
@@ -49,13 +49,13 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     come closest to the conditions of optimality at the design; None where those do not hold."""
     if found.optimum is not None and found.optimum.success:
         return found.optimum.multipliers, found.optimum.bound_multipliers
-    program, x, solver = found.program, found.x, found.program.task.solver
+    program, x, pricing = found.program, found.x, found.program.task.solver.pricing
     state = state_at(program, x)
     values, jacobian = stack(*rows_at(program, x))
     sections = cell_rows(program, state, cell_at(program, x))
-    near = np.flatnonzero(values < solver.price_near)
-    closed = np.flatnonzero(sections[0] < solver.price_near)
-    low, high = ((program.scale * solver.price_near > abs(x - bound)) for bound in (program.lower, program.upper))
+    near = np.flatnonzero(values < pricing.near)
+    closed = np.flatnonzero(sections[0] < pricing.near)
+    low, high = ((program.scale * pricing.near > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
     columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
@@ -63,7 +63,7 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     if not matrix.size:
         return None  # nothing is near
     price, gap = scipy.optimize.nnls(matrix, slope)
-    if gap > solver.price_gap * float(np.linalg.norm(slope)):
+    if gap > pricing.gap * float(np.linalg.norm(slope)):
         return None
     out = np.zeros(len(values))
     out[near] = price[: len(near)]

@@ -12,33 +12,38 @@ COLLOCATION = Ipopt(tolerance=1e-8, constraint_tolerance=1e-10, iterations=300, 
 
 
 @dataclass(frozen=True)
-class DesignSolver(Settings):
-    """How hard a design is searched for, and its promises are checked; a field of a `DesignTask`.
+class StartSearch(Settings):
+    """Where designs begin.
 
     Raises:
-        InputError: a count that is no whole number of at least 1 (0 for `joint_restarts`), another number that is
-            not positive.
+        InputError: a count that is no whole number of at least 1 (0 for `restarts`), another number that is not
+            positive.
     """
 
     retries: int = 4
     """Starts that are tried before a task counts as infeasible, where fewer were asked for."""
-    sampled_designs: int = 32
+    designs: int = 32
     """Dimensions drawn for each start, of which those that make a robot come first."""
-    sampled_poses: int = 256
+    poses: int = 256
     """Joint values drawn for every pose that is free, of which the best begins."""
-    joint_restarts: int = 2
+    restarts: int = 2
     """Times that other joint values are tried for dimensions from which least squares do not get near."""
     pose_turn: float = 5e-3
     """Distance (m) from its target that is as bad, in the guess of a pose, as a turn by 1 rad."""
+    same_design: float = 1e-3
+    """Dimensions closer than this, in steps of their scale, are one design."""
+
+    _none: ClassVar[tuple[str, ...]] = ("restarts",)
+
+
+@dataclass(frozen=True)
+class OptimumSearch(Settings):
+    """How the best design near a start is found, by least squares and by IPOPT."""
+
     near: float = 0.5
     """Violation, in steps of its limit, from which IPOPT is trusted to get inside."""
     inside: float = 1e-3
     """Steps by which least squares aims inside every limit, so that IPOPT starts in the interior."""
-    same_design: float = 1e-3
-    """Dimensions closer than this, in steps of their scale, are one design."""
-    collocation: Ipopt = COLLOCATION
-    """How IPOPT solves the program of method "collocation". Its start is feasible: a larger barrier would drive it far
-    away first, through designs that no branch connects."""
     iterations: int = 150
     """Of IPOPT, before it counts as stuck on a kink."""
     ball_iterations: int = 60
@@ -46,32 +51,76 @@ class DesignSolver(Settings):
     rim: float = 1e-3
     """Part of a target's tolerance from a side of the cube around it within which that side binds, and of the objective
     that it may cost to stay inside the cubes."""
-    orders: int = 6
-    """Of breakpoints, most that are tried for the one that holds the best optimum."""
-    order_gain: float = 1e-7
+
+
+@dataclass(frozen=True)
+class OrderSearch(Settings):
+    """Which order of breakpoints holds the best optimum."""
+
+    most: int = 6
+    """That are tried."""
+    gain: float = 1e-7
     """Relative, of the objective, below which another order is no better."""
     closed_section: float = 1e-5
     """Length, m, of a section between breakpoints below which it is closed."""
     opened_section: float = 2e-6
     """Length, m, by which one is opened on the other side of a kink."""
-    exchange_rounds: int = 12
-    """Of adding worst cases (of a box of translations, a joint path, a workspace)."""
+
+
+@dataclass(frozen=True)
+class ExchangeSearch(Settings):
+    """How worst cases are found and added, of a box of translations, a joint path, a workspace."""
+
+    rounds: int = 12
     path_points: int = 16
     """Between two task poses, at which a joint path is followed."""
-    points_per_round: int = 3
+    points: int = 3
     """Of a workspace that is not covered, most that are added in a round."""
-    relaxed_starts: int = 2
-    """That failed, from which the smallest relaxation is looked for."""
+
+
+@dataclass(frozen=True)
+class RelaxationSearch(Settings):
+    """How the smallest relaxation of a task that is infeasible is found."""
+
+    starts: int = 2
+    """That failed, from which it is looked for."""
     least_slack: float = 1e-5
     """In steps of its limit, below which a limit needs no relaxation."""
-    slack_missing: float = 1e-5
+    missing: float = 1e-5
     """Violation, in steps, at which slacks count as sufficient."""
-    price_near: float = 1e-3
-    """Steps of a limit within which it may bind, where IPOPT has not said which do."""
-    price_gap: float = 0.02
+
+
+@dataclass(frozen=True)
+class Pricing(Settings):
+    """Which limits bind, and what they cost, where IPOPT has not said so."""
+
+    near: float = 1e-3
+    """Steps of a limit within which it may bind."""
+    gap: float = 0.02
     """Part of the objective's slope that the conditions of optimality may leave over."""
-    least_price: float = 1e-6
-    """Relative to the largest, below which a limit is not told to bind."""
+    least: float = 1e-6
+    """Relative to the largest price, below which a limit is not told to bind, whoever has found it."""
+
+
+@dataclass(frozen=True)
+class DesignSolver(Settings):
+    """How hard a design is searched for, and its promises are checked; a field of a `DesignTask`."""
+
+    starts: StartSearch = StartSearch()
+    """Where designs begin."""
+    optimum: OptimumSearch = OptimumSearch()
+    """How the best one near a start is found."""
+    orders: OrderSearch = OrderSearch()
+    """Which order of breakpoints holds it."""
+    collocation: Ipopt = COLLOCATION
+    """How IPOPT solves the program of method "collocation". Its start is feasible: a larger barrier would drive it far
+    away first, through designs that no branch connects."""
+    exchange: ExchangeSearch = ExchangeSearch()
+    """How worst cases are found and added."""
+    relaxation: RelaxationSearch = RelaxationSearch()
+    """How the smallest relaxation is found."""
+    pricing: Pricing = Pricing()
+    """Which limits bind, and what they cost."""
     simplex_step: float = 0.2
     """Size of the first simplex of a search without derivatives, as a share of every range."""
     simplex_size: float = 1e-3
@@ -84,8 +133,6 @@ class DesignSolver(Settings):
     """Of certified ones, where the least margin is also looked for by search."""
     perturbed_robots: int = 12
     """With tubes that are off by all that is allowed, whose certificates are looked at."""
-
-    _none: ClassVar[tuple[str, ...]] = ("joint_restarts",)
 
 
 DEFAULT_SOLVER = DesignSolver()

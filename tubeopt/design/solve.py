@@ -25,7 +25,8 @@ def solve(program: Program, start: Array, report: Report | None = None, method: 
     """The best design from a start (X,), SI, by one of METHODS."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
     missed = violation(program, x)[0]
-    near, restarts = program.task.solver.near, program.task.solver.joint_restarts if program.layout.free_poses else 0
+    solver = program.task.solver
+    near, restarts = solver.optimum.near, solver.starts.restarts if program.layout.free_poses else 0
     for kick in range(restarts):
         if missed <= near:
             break
@@ -49,11 +50,11 @@ def best_from(program: Program, x: Array, report: Report | None = None) -> Attem
 
 def _to_the_rim(program: Program, found: Attempt, report: Report | None) -> Attempt:
     """The optimum with whole balls around the targets, where the cubes inside them cost something."""
-    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= program.task.solver.rim:
+    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= program.task.solver.optimum.rim:
         return found
-    other = improve(program, found.x, report, program.task.solver.ball_iterations, exact=True)
+    other = improve(program, found.x, report, program.task.solver.optimum.ball_iterations, exact=True)
     if found.feasible and other.feasible:
-        least = program.task.solver.order_gain * max(abs(found.objective), 1e-3)
+        least = program.task.solver.orders.gain * max(abs(found.objective), 1e-3)
         return other if other.objective < found.objective - least else found
     return min(found, other, key=_worse)
 
@@ -64,11 +65,12 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
     solver = program.task.solver
     groups, _ = rows_at(program, found.x)
     balls = [group for group in groups if group.vector is not None]
-    near = any((cubed(one).values < solver.rim * one.limit.value / one.limit.size).any() for one in balls)
+    near = any((cubed(one).values < solver.optimum.rim * one.limit.value / one.limit.size).any() for one in balls)
     if not near:
         return 0.0
     if program.elastic:
-        return np.inf if any(one.slack is not None and one.slack[0] > solver.least_slack for one in balls) else 0.0
+        least = solver.relaxation.least_slack
+        return np.inf if any(one.slack is not None and one.slack[0] > least for one in balls) else 0.0
     if not found.feasible or found.optimum is None or not found.optimum.success:
         return np.inf
     gains = [
@@ -138,7 +140,7 @@ def rank(attempts: Sequence[Attempt]) -> Ranking:
 def _same(a: Attempt, b: Attempt) -> bool:
     count = a.program.layout.designs
     gap = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
-    return bool(gap.max() < a.program.task.solver.same_design)
+    return bool(gap.max() < a.program.task.solver.starts.same_design)
 
 
 def multistart(

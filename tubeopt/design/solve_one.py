@@ -136,7 +136,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         found = evaluate(program, full(part))
         if found is None:
             return np.full(rows_count, np.nan)
-        gap, jacobian = shortfall(found, program.task.solver.inside)
+        gap, jacobian = shortfall(found, program.task.solver.optimum.inside)
         rows_count = len(gap)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]
@@ -198,7 +198,7 @@ def improve(
     Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
     optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
     """
-    iterations = program.task.solver.iterations if iterations is None else iterations
+    iterations = program.task.solver.optimum.iterations if iterations is None else iterations
     form = squared if exact else cubed
     scale = program.scale
     known = evaluate(program, start)
