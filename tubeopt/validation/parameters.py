@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
@@ -115,7 +115,8 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
         raise InputError(f"parameter {name!r} {missing}")
     index = None if number is None else numbers_of(context, effect).index(number) + effect.first - 1
     unit = "" if index is None and kind == "curvature" else effect.unit
-    return Parameter(*astuple(effect.span(context, index)), name, kind, index, unit, _places(context, effect, index))
+    span, which = effect.span(context, index), _places(context, effect, index)
+    return Parameter(**vars(span), name=name, kind=kind, index=index, unit=unit, which=which)
 
 
 def _known(kind: str, number: str | None) -> bool:
