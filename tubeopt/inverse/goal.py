@@ -21,30 +21,34 @@ OBJECTIVES = ("nearest", "margin", "curvature")
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A target in a joint space.
-
-    position (3,) m; direction (3,) unit vector or None; direction_weight: None holds the tip to the direction, a number
-    makes |t - direction|^2 a cost of that weight.
-    min_margin, clearance (m) of all bodies of the scene: what must hold.
-    objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
-    clock: when it is over, searches end where they are.   solver: how hard they search.
-    touched: numbers of bodies that an arm was found too close to, which are looked at however many are closer.
-    """
+    """A target in a joint space, what must hold, and what is best."""
 
     space: JointSpace
     position: Array
+    """(3,) m."""
     direction: Array | None
+    """(3,) unit vector, or None."""
     direction_weight: float | None
+    """None holds the tip to the direction, a number makes |t - direction|^2 a cost of that weight."""
     min_margin: float
     scene: Scene
+    """All bodies to keep away from."""
     clearance: float
+    """From them, m."""
     objective: str | None
+    """One of OBJECTIVES."""
     reference: Array
+    """(m,) joint values to stay near."""
     weights: Array
+    """(m,) of the distances from them, per unit of a joint."""
     extras: Extras = NOTHING
+    """Own cost and constraints beside all that."""
     clock: Clock = field(default_factory=lambda: Clock(np.inf))
+    """When it is over, searches end where they are."""
     solver: InverseSolver = DEFAULT_SOLVER
+    """How hard they search."""
     touched: set[int] = field(default_factory=set, init=False)
+    """Numbers of bodies that an arm was found too close to, which are looked at however many are closer."""
 
     @property
     def pointed(self) -> bool:
@@ -126,7 +130,7 @@ class Goal:
         missing, as lengths of the robot; 0 where it is clear."""
         missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
         close = self.gap - at.outline.clearance(self.scene, self.gap)
-        if close > 0 and len(self.scene.bodies) > self.solver.bodies:
+        if close > 0 and len(self.scene.bodies) > self.solver.descent.bodies:
             self.touched.update(self.contacts(at, self.gap).body.tolist())
         return max(0.0, close, missing)
 
@@ -150,8 +154,8 @@ class Goal:
 
     def ahead(self, at: Posture) -> Contacts:
         """Where the arm comes close to the bodies of which a step from `at` shall know."""
-        within = self.gap + self.solver.body_reach * self.space.length
-        return at.outline.contacts(self.scene, within, self.solver.bodies, frozenset(self.touched))
+        within = self.gap + self.solver.descent.body_reach * self.space.length
+        return at.outline.contacts(self.scene, within, self.solver.descent.bodies, frozenset(self.touched))
 
     def demands(self, at: Posture) -> tuple[Array, Array, Index]:
         """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, own constraints, and

@@ -24,29 +24,33 @@ CLOSE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class JointSpace:
-    """Independent joint values q (m,): n rotations (rad), then the translation of every carriage (m).
-
-    lower, upper: (m,) range of each.   rows, least: (k, m), (k,) the order of the tubes, rows q >= least.
-    row_names: (k,) what each row says where it is active.
-    spread, offset: (2n, m), (2n,) (rotations, translations) = spread q + offset.
-    carriages: tubes, from 0, that each translation moves.
-    scale: (m,) what counts as one unit of each: 1 rad, and half the longest tube.
-    limits, carriage_gap, section_length: what it was made of, see `joint_space`.
-    """
+    """Independent joint values q (m,): n rotations (rad), then the translation of every carriage (m)."""
 
     robot: Robot
     limits: JointLimits
+    """Of which the ranges were made."""
     carriage_gap: float
+    """Of which the order was made, as `joint_space` says, m."""
     section_length: float
+    """The same, m."""
     carriages: tuple[tuple[int, ...], ...]
+    """Tubes, from 0, that each translation moves."""
     lower: Array
+    """(m,) least of each."""
     upper: Array
+    """(m,) greatest of each."""
     rows: Array
+    """(k, m) the order of the tubes: rows q >= least."""
     least: Array
+    """(k,) m."""
     row_names: tuple[str, ...]
+    """(k,) what each row says where it is active."""
     spread: Array
+    """(2n, m) (rotations, translations) = spread q + offset."""
     offset: Array
+    """(2n,) rad and m."""
     scale: Array
+    """(m,) what counts as one unit of each: 1 rad, and half the longest tube."""
 
     @cached_property
     def length(self) -> float:

@@ -49,15 +49,13 @@ class Multistart:
 
     More starts only add to what fewer do, so that they never give a worse answer: starts come in a sequence that does
     not depend on their number, and what is done after them depends on the first of them.
-
-    `ends` are postures in which searches ended without an answer, in order, one list for each kind of start; `stalled`
-    the starts from which the fast path found none; `least` (m) what the best of all searches missed by, and `agreeing`
-    how many more missed by the same.
     """
 
     goal: Goal
     first: Posture | None
+    """Of the seed."""
     near: bool
+    """Whether a seed or a reference is given."""
     options: InverseOptions
     tries: int = 0
     clear: int = 0
@@ -65,22 +63,27 @@ class Multistart:
     iterations: int = 0
     solves: int = 0
     least: float = np.inf
+    """What the best of all searches missed by, m."""
     agreeing: int = 0
+    """How many more missed by the same."""
     everywhere: bool = False
+    """Whether starts are spread over all postures from the first on."""
     ends: list[list[Posture]] = field(default_factory=list)
+    """Postures in which searches ended without an answer, in order, a list for each kind of start."""
     stalled: list[Posture] = field(default_factory=list)
+    """Starts from which the fast path found none."""
 
     def one(self) -> InverseSolution | None:
         """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
         where any answer will do, several where one is to be the best."""
-        wanted = self.goal.solver.compared if self.goal.ranked else 1
+        wanted = self.goal.solver.starts.compared if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
         for answer, from_seed in self._by_starts():
             if from_seed:
                 return answer
             (good if answer.cold_start_agrees else doubtful).append(answer)
-            if len(good) == wanted or len(doubtful) == self.goal.solver.doubted:
+            if len(good) == wanted or len(doubtful) == self.goal.solver.starts.doubted:
                 break
         if self.goal.ranked or not good:
             for answer in self._by_programs():
@@ -95,7 +98,7 @@ class Multistart:
         best, least = None, np.inf
         for answer in found:
             cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
-            if cost < least - self.goal.solver.same_cost * max(abs(cost), 1e-3):
+            if cost < least - self.goal.solver.starts.same_cost * max(abs(cost), 1e-3):
                 best, least = answer, cost
         return best
 
@@ -148,7 +151,7 @@ class Multistart:
         if self.options.method != "auto" or not programmable(self.goal):
             return
         self.ends.append([])
-        for start in self.stalled[: self.goal.solver.program_starts]:
+        for start in self.stalled[: self.goal.solver.program.starts]:
             if self.goal.clock.over:
                 return
             yield from self._finished(self._by_program(start), "table", "nlp")
@@ -158,8 +161,8 @@ class Multistart:
         if not self.goal.hindered:
             return
         self.ends.append([])
-        clear = (start for start in self._starts(self.goal.solver.pool) if self.goal.violation(start) == 0)
-        for start in islice(clear, self.goal.solver.clear_starts):
+        clear = (start for start in self._starts(self.goal.solver.starts.pool) if self.goal.violation(start) == 0)
+        for start in islice(clear, self.goal.solver.starts.clear):
             if self.goal.clock.over:
                 return
             before = self.tries
@@ -172,11 +175,10 @@ class Multistart:
         reference = goal.reference if self.near else None
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, goal.clock)
-        near = nearest_starts(
-            goal.space, known, target, min_margin=goal.floor, reference=reference, solver=self.goal.solver
-        )
-        first = 0 if self.everywhere else self.goal.solver.nearest
-        for q in spread_starts(goal.space, near, most, first=first, pool=self.goal.solver.pool):
+        solver = goal.solver.starts
+        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference, weights=solver)
+        first = 0 if self.everywhere else solver.nearest
+        for q in spread_starts(goal.space, near, most, first=first, pool=solver.pool):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
                 yield start
@@ -225,10 +227,10 @@ class Multistart:
 
     def _hopeless(self) -> bool:
         """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
-        if self.agreeing >= self.goal.solver.unanimous:
+        if self.agreeing >= self.goal.solver.starts.unanimous:
             return True
-        far = self.least > self.goal.solver.far * self.goal.space.length
-        return far and self.tries >= self.goal.solver.far_starts
+        far = self.least > self.goal.solver.starts.far * self.goal.space.length
+        return far and self.tries >= self.goal.solver.starts.hopeless
 
     def _count(self, search: Search) -> None:
         self.iterations += search.iterations
@@ -237,7 +239,7 @@ class Multistart:
             return
         length = self.goal.space.length
         miss = float(np.linalg.norm(self.goal.residual(search.posture))) * length
-        same = self.goal.solver.same_miss * length
+        same = self.goal.solver.starts.same_miss * length
         if miss < self.least - same:
             self.agreeing = 0
         elif miss < self.least + same:
@@ -253,7 +255,7 @@ class Multistart:
             return
         goal, at = self.goal, search.posture
         if not goal.met(at):
-            at = correct(goal, at, goal.slope(at), close=goal.solver.search_tolerance).posture or at
+            at = correct(goal, at, goal.slope(at), close=goal.solver.descent.tolerance).posture or at
         if goal.met(at) and goal.allowed(at, SLACK):
             yield self._packed(at, InverseStatus.REACHED, (name, method))
 

@@ -195,8 +195,8 @@ def _under_load(
         raise InputError("load has a moment or turns with the tip, so no margin: no answer is known to be stable")
     if options.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
-    floor, clearance, last, room = min_margin, options.clearance, None, options.solver.aim_room
-    for _ in range(options.solver.shots):
+    floor, clearance, last, room = min_margin, options.clearance, None, options.solver.aim.room
+    for _ in range(options.solver.aim.shots):
         asked = replace(options, clearance=clearance)
         found, e = _aim(search, target, load, (last, floor, asked))
         answer = _loaded_answer(found, e, target)
@@ -232,7 +232,7 @@ def _aim(
 ) -> tuple[InverseSolution, Equilibrium]:
     """An answer without load whose loaded equilibrium is on target."""
     (position, direction), (last, floor, options) = target, question
-    at, along, missed, solver = position, direction, np.inf, options.solver
+    at, along, missed, solver = position, direction, np.inf, options.solver.aim
     for _ in range(solver.shots):
         last = search(at, along, last, floor, options)
         e = forward_kinematics(
@@ -241,10 +241,10 @@ def _aim(
         gap = position - e.tip_position
         turn = 0.0 if direction is None else angle(e.tip_rotation[:, 2], direction)
         before, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
-        if max(float(np.linalg.norm(gap)), turn) <= solver.aim_tolerance:
+        if max(float(np.linalg.norm(gap)), turn) <= solver.tolerance:
             return last, e
-        if missed > solver.aim_gain * before:
-            if missed <= solver.aim_stalled:
+        if missed > solver.gain * before:
+            if missed <= solver.stalled:
                 return last, e
             break
         at = at + gap
