@@ -20,8 +20,8 @@ from tubeopt import (
     forward_kinematics,
 )
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.control.command import Why
-from tubeopt.control.servo import Command, Servo, ServoOptions, ServoStep
+from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
+from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.least_squares import constrained_least_squares
 from tubeopt.inverse.outline import Outline

@@ -235,17 +235,20 @@ class Capsule(Axial):
 
 @dataclass(frozen=True)
 class RoundCone(Axial):
-    """All points within balls whose centres go from `start` to `end` and whose radii go linearly from `start_radius` to
-    `end_radius`, m.
+    """All points within balls whose centres and radii go linearly from those of one ball to those of another.
 
     Raises:
         InputError: a number that is not finite, a radius that is not greater than 0.
     """
 
     start: Point3
+    """Centre, m."""
     end: Point3
+    """Centre, m."""
     start_radius: float
+    """m."""
     end_radius: float
+    """m."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", triple("start of the cone", self.start))

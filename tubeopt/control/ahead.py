@@ -80,7 +80,7 @@ class PredictiveServo:
         return None if self._way is None else self._way.copy()
 
     @small
-    def step(self, command: Command, dt: float) -> ServoStep:
+    def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
         """One step of `dt` seconds towards a position, and a direction where one is given; it always answers.
 
         The robot stays where it is while the way is not allowed yet; `why` then says what it lacks.

@@ -44,18 +44,23 @@ def _linearised(kind: Kind, knots: int, thread: int) -> Buffered:
 
 @dataclass(frozen=True, eq=False)
 class Knots:
-    """K knots z (K, m) of a chart: `joints` (K, m); `fields` (K, f), above 0 where the margin is above its floor;
-    `points` (K, p, 3) of the arm at `along` (K, p), m; `direction` (K, 3) of its tip. `slopes`: the derivatives of each
-    of these four by z over the scales, with m columns behind."""
+    """K knots of a chart."""
 
     chart: Chart
     z: Array
+    """(K, m)."""
     joints: Array
+    """(K, m) rad and m."""
     fields: Array
+    """(K, f) above 0 where the margin is above its floor."""
     points: Array
+    """(K, p, 3) of the arm, m."""
     direction: Array
+    """(K, 3) of its tip."""
     along: Array
+    """(K, p) arc lengths of the points, m."""
     slopes: tuple[Array, Array, Array, Array]
+    """Of joints, fields, points and direction by z over the scales, with m columns behind."""
 
     @staticmethod
     def at(chart: Chart, z: Array, floor: float) -> Knots:
