@@ -172,6 +172,12 @@ def test_commands_and_options_that_make_no_sense_are_refused(seed: Equilibrium) 
         ServoOptions(min_margin=2.0)
     with pytest.raises(InputError, match="priorities are"):
         ServoOptions(priorities=("position", "position"))
+    with pytest.raises(InputError, match=r"objective is 'speed'; it must be one of margin, centre, compliance"):
+        ServoOptions(objective="speed")
+    with pytest.raises(InputError, match="push is -1; it must be at least 0"):
+        ServoOptions(push=-1)
+    with pytest.raises(InputError, match=r"obstacle 1 is .*Sphere.*; it must be a body of tubeopt\.bodies"):
+        Servo(THESIS, seed, obstacles=[Sphere])
     with pytest.raises(InputError, match="dt is 0 s"):
         Servo(THESIS, seed).step(Command(), 0.0)
     near = forward_kinematics(THESIS, np.radians([0, 90, 180]))  # of margin 0.927

@@ -252,10 +252,10 @@ class CServo:
         if command.joints is not None:
             rotations, translations = command.joints
             return self._straight(rotations, translations, dt)
-        place = here.tip_position if command.position is None else np.asarray(command.position)
+        place = here.tip_position if command.position is None else command.position
         if command.velocity is not None:
-            place = here.tip_position + np.asarray(command.velocity) * dt
-        pointing = np.zeros(3) if command.direction is None else np.asarray(command.direction)
+            place = here.tip_position + command.velocity * dt
+        pointing = np.zeros(3) if command.direction is None else command.direction
         push = o.push if o.objective else 0.0
         told = np.concatenate([[dt], place, pointing, [o.speed, o.turn_rate, o.shift_rate, o.min_margin, push]])
         self.equilibrium, distance, angle, why = self._robot.servo(told)

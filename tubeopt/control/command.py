@@ -4,31 +4,35 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, vector
+from ..errors import InputError, choice, positive, vector
 from ..inverse.joints import Configuration
 from ..typing import Array, Of
 
 TASKS = ("position", "velocity", "direction", "pivot", "joints")
 OBJECTIVES = ("margin", "centre", "compliance")
 
+Vector = Any
+"""(3,) numbers, given as any sequence and kept as an array."""
+
+T = TypeVar("T")
+
 
 @dataclass(frozen=True, eq=False)
 class Command:
     """What the tip shall do; what is None is free."""
 
-    position: ArrayLike | None = None
+    position: Vector | None = None
     """(3,) of the tip, m."""
-    velocity: ArrayLike | None = None
+    velocity: Vector | None = None
     """(3,) of the tip, m/s, in place of a position."""
-    direction: ArrayLike | None = None
-    """(3,) along which it shall point."""
-    pivot: ArrayLike | None = None
+    direction: Vector | None = None
+    """(3,) along which it shall point, of any length but 0; kept with length 1."""
+    pivot: Vector | None = None
     """(3,) m: a point that the arm shall pass through, as at an incision."""
     joints: Configuration | None = None
     """Rotations and translations to go to, as a configuration."""
@@ -40,8 +44,11 @@ class Command:
                 object.__setattr__(self, name, vector(name, value, 3, "x, y, z"))
         if self.position is not None and self.velocity is not None:
             raise InputError("position and velocity are both given; a command has one of them")
-        if self.direction is not None and not np.linalg.norm(self.direction) > 0:
-            raise InputError("direction has no length")
+        if self.direction is not None:
+            length = float(np.linalg.norm(self.direction))
+            if not length > 0:
+                raise InputError("direction has no length")
+            object.__setattr__(self, "direction", self.direction / length)
 
 
 @dataclass(frozen=True)
@@ -68,16 +75,14 @@ class ServoOptions:
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"{name} is {value:g}; it must be at least 0")
+            positive(name, getattr(self, name), zero=True)
         if not 0 < self.min_margin < 1:
             raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
         named = [name for group in self.priorities for name in group.split("+")]
         if sorted(set(named)) != sorted(named) or not set(named) <= set(TASKS):
             raise InputError(f"priorities are {list(self.priorities)}; each of {', '.join(TASKS)} may stand there once")
-        if self.objective is not None and self.objective not in OBJECTIVES:
-            raise InputError(f"objective is {self.objective!r}; it must be one of {', '.join(OBJECTIVES)}")
+        if self.objective is not None:
+            choice("objective", self.objective, OBJECTIVES)
 
 
 class Why(enum.IntFlag):
@@ -106,9 +111,6 @@ WORDS = {
     Why.HELD: "no step is safe, the robot stays where it is",
     Why.OBSTACLE: "the arm slides along an obstacle",
 }
-
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)

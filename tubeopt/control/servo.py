@@ -231,10 +231,9 @@ class Servo:
 
     def _direction(self, direction: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         here = at.direction
-        gap = direction / np.linalg.norm(direction) - here
         # As fast as the tip would turn about a tenth of the robot.
         most = 10 * self.options.speed * dt / self.space.length
-        return np.cross(at.jacobian[1], here[:, None], axis=0), _at_most(most, gap)
+        return np.cross(at.jacobian[1], here[:, None], axis=0), _at_most(most, direction - here)
 
     def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         """The arm where it passes the point closest is to come to it, across its tangent."""

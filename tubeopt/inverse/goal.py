@@ -7,16 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..typing import Array, Index
+from ..typing import Array, Index, Of
 from .clock import Clock
 from .extra import NOTHING, Extras
 from .joints import JointSpace
 from .outline import MOST_CONTACTS, Contacts
 from .posture import Posture
-from .settings import DEFAULT_SOLVER, InverseSolver
-
-OBJECTIVES = ("nearest", "margin", "curvature")
-"""What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
+from .settings import InverseOptions, InverseSolver
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,27 +25,28 @@ class Goal:
     """(3,) m."""
     direction: Array | None
     """(3,) unit vector, or None."""
-    direction_weight: float | None
-    """None holds the tip to the direction, a number makes |t - direction|^2 a cost of that weight."""
     min_margin: float
     scene: Scene
     """All bodies to keep away from."""
-    clearance: float
-    """From them, m."""
     objective: str | None
     """One of OBJECTIVES."""
+    named: bool
+    """Whether a seed or a reference is given."""
     reference: Array
     """(m,) joint values to stay near."""
     weights: Array
     """(m,) of the distances from them, per unit of a joint."""
+    options: InverseOptions
     extras: Extras = NOTHING
     """Own cost and constraints beside all that."""
     clock: Clock = field(default_factory=lambda: Clock(np.inf))
     """When it is over, searches end where they are."""
-    solver: InverseSolver = DEFAULT_SOLVER
-    """How hard they search."""
     touched: set[int] = field(default_factory=set, init=False)
     """Numbers of bodies that an arm was found too close to, which are looked at however many are closer."""
+
+    direction_weight = Of[float | None]("options")
+    clearance = Of[float]("options")
+    solver = Of[InverseSolver]("options")
 
     @property
     def pointed(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -247,16 +247,20 @@ def carriage_name(tubes: tuple[int, ...]) -> str:
 
 
 def joint_space(
-    robot: Robot, limits: JointLimits | None = None, *, carriage_gap: float = 0.0, section_length: float = 0.0
+    robot: Robot, limits: JointLimits | None = None, carriage_gap: float = 0.0, section_length: float = 0.0
 ) -> JointSpace:
-    """The joint values that `limits` (by default `robot.limits`) and the order of the tubes allow.
+    """The joint values that `limits` (by default `robot.limits`) and the order of the tubes allow, found once.
 
     A tube is held behind the one around it, at least `carriage_gap` (m) apart, and ends beyond it, by at least
     `section_length` (m); the curved part of an eccentric segment begins beyond the end of the next outer one. No tube
     leaves its actuator, none is withdrawn past the plate. Where the order leaves two carriages no play, as for two
     tubes of equal length, they are one joint.
     """
-    allowed = limits if limits is not None else robot.limits
+    return _joint_space(robot, limits if limits is not None else robot.limits, carriage_gap, section_length)
+
+
+@lru_cache(maxsize=32)
+def _joint_space(robot: Robot, allowed: JointLimits, carriage_gap: float, section_length: float) -> JointSpace:
     n = robot.n_tubes
     if len(allowed.rotations) != n:
         raise InputError(f"limits are given for {len(allowed.rotations)} tubes; the robot has {n}")

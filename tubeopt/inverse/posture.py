@@ -19,7 +19,7 @@ from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
 from ..robots.robot import is_general
 from ..solvers.settings import CONTINUATION
-from ..typing import Array
+from ..typing import Array, Of
 from .joints import JointSpace
 from .outline import Contacts, Outline
 
@@ -41,15 +41,12 @@ class Posture:
     q: Array
     equilibrium: Equilibrium
 
+    margin = Of[float]("equilibrium")
+
     @cached_property
     def room(self) -> Array:
         """(2m + k,) bounds of a step that stays admissible, as `JointSpace.inequalities`."""
         return self.space.inequalities(self.q)[1]
-
-    @property
-    def margin(self) -> float:
-        """Stability margin."""
-        return self.equilibrium.margin
 
     @property
     def tip(self) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,19 +15,11 @@ from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot, check_robot
 from ..typing import Array
-from .answer import DEFAULT_OPTIONS, InverseOptions
 from .extra import extras
 from .goal import Goal
 from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
 from .posture import Posture, posture_of
-
-
-@lru_cache(maxsize=32)
-def prepared(robot: Robot, limits: JointLimits | None, carriage_gap: float, section_length: float) -> JointSpace:
-    """The joint space of a robot, made once, whether its own limits are given or not."""
-    if limits is None:
-        return prepared(robot, robot.limits, carriage_gap, section_length)
-    return joint_space(robot, limits, carriage_gap=carriage_gap, section_length=section_length)
+from .settings import DEFAULT_OPTIONS, InverseOptions
 
 
 def pose_question(
@@ -52,7 +43,7 @@ def pose_question(
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
-    space = prepared(robot, limits, options.carriage_gap, options.section_length)
+    space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     seed, reference = places
     centre = space.middle()
     for name, place in (("seed", seed), ("reference", reference)):
@@ -62,15 +53,14 @@ def pose_question(
         space=space,
         position=target,
         direction=None if direction is None else unit_vector("direction", direction),
-        direction_weight=options.direction_weight,
         min_margin=floor,
         scene=scene_of(bodies),
-        clearance=options.clearance,
         objective=options.objective or ("nearest" if named else None),
+        named=named,
         reference=centre,
         weights=scaled_weights(space, weights),
+        options=options,
         extras=extras(options.extra_cost, options.extra_constraints, robot.n_tubes),
-        solver=options.solver,
     )
 
 

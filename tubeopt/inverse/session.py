@@ -17,7 +17,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
+from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .clock import Clock
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal
@@ -27,6 +27,7 @@ from .order import Order, breakpoint_order, crossings
 from .posture import Posture, same_place
 from .program import programmable, solve_program
 from .question import pose_question, seed_posture, unit_vector
+from .settings import DEFAULT_OPTIONS, InverseOptions
 from .solving import inverse_kinematics
 from .way import answer_at, joint_way, leap
 
@@ -79,7 +80,6 @@ class IkSession:
         }
         self._robot = robot
         self._goal = pose_question(robot, (np.zeros(3), None), (seed, None), **self._question)
-        self._time_limit = options.time_limit
         self._solution: InverseSolution | None = None
         self._here: Posture | None = None
         self._near: _Slopes | None = None
@@ -132,7 +132,7 @@ class IkSession:
         pointing = None if direction is None else unit_vector("direction", direction)
         if self._here is None:
             return [self._first(target, pointing)]
-        goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._time_limit))
+        goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._goal.options.time_limit))
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
         before = self._here, self._near, self._solution

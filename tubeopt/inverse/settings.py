@@ -1,11 +1,20 @@
-"""How hard joint values are searched for: what a user may want to change, as documented fields."""
+"""How inverse kinematics is asked in detail, and how hard joint values are searched for."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ..errors import Settings
+from ..block.own import OwnObjective, OwnRequirement
+from ..display import Displayed
+from ..errors import InputError, Settings, choice, instance, positive, whole
+
+OBJECTIVES = ("nearest", "margin", "curvature")
+"""What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
+
+METHODS = ("auto", "gauss_newton", "nlp")
+"""How to solve: the fast path and the nonlinear program where it stalls, or one of them alone."""
 
 
 @dataclass(frozen=True)
@@ -217,3 +226,64 @@ class InverseSolver(Settings):
 
 
 DEFAULT_SOLVER = InverseSolver()
+
+
+@dataclass(frozen=True)
+class InverseOptions(Displayed):
+    """Details of the question and of the search.
+
+    Raises:
+        InputError: a value that is not allowed.
+    """
+
+    objective: str | None = None
+    """What is best among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least
+    int |u|^2 ds), or None: "nearest" where a seed or a reference is given, else any answer."""
+    direction_weight: float | None = None
+    """None holds the tip to the direction; a number makes (half the square of) the difference of the unit vectors a
+    cost of that weight beside the objective."""
+    clearance: float = 0.0
+    """Least distance of the surface of the arm from obstacles, m."""
+    carriage_gap: float = 0.0
+    """Least distance of neighbouring carriages, m."""
+    section_length: float = 0.0
+    """Least length by which a tube ends beyond the one around it, m."""
+    method: str = "auto"
+    """"auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone."""
+    starts: int = 48
+    """Most starting configurations."""
+    distinct: float = 0.05
+    """Answers of `all_solutions` differ somewhere along the arm by this share of its length."""
+    time_limit: float = math.inf
+    """s, of the whole call, whatever the method: what is under way then ends where it is."""
+    extra_cost: OwnObjective | None = None
+    """An own objective, added to `objective`: its expression of the quantities of the one pose, `q.poses[0]`, times its
+    weight. The fast path then searches alone."""
+    extra_constraints: tuple[OwnRequirement, ...] = ()
+    """Own requirements that every answer keeps. The fast path then searches alone."""
+    solver: InverseSolver = DEFAULT_SOLVER
+    """How hard it is searched."""
+
+    def __post_init__(self) -> None:
+        if self.objective is not None:
+            choice("objective", self.objective, OBJECTIVES)
+        choice("method", self.method, METHODS)
+        for name in ("clearance", "carriage_gap", "section_length"):
+            positive(name, getattr(self, name), zero=True)
+        positive("distinct", self.distinct)
+        if self.time_limit != math.inf:
+            positive("time_limit", self.time_limit)
+        if self.direction_weight is not None:
+            positive("direction_weight", self.direction_weight)
+        if not isinstance(self.extra_constraints, (list, tuple)):
+            raise InputError(
+                f"extra_constraints is {self.extra_constraints!r}; it must be a sequence of OwnRequirement"
+            )
+        object.__setattr__(self, "extra_constraints", tuple(self.extra_constraints))
+        if self.method == "nlp" and (self.extra_cost is not None or self.extra_constraints):
+            raise InputError("method 'nlp' takes no extra_cost and no extra_constraints; use 'auto' or 'gauss_newton'")
+        whole("starts", self.starts, 1)
+        instance("solver", self.solver, InverseSolver)
+
+
+DEFAULT_OPTIONS = InverseOptions()
