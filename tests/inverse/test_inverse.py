@@ -29,11 +29,11 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import Scene
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.descent import reach
+from tubeopt.inverse.goal import pose_question, unit_vector
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.mirror import mirror_closed_form, mirror_pose
 from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.question import pose_question, unit_vector
 from tubeopt.inverse.settings import Aiming, Descent, Programs, Starts
 from tubeopt.inverse.table import build_table, nearest_starts, start_table
 from tubeopt.robots.limits import JointLimits

@@ -25,9 +25,8 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .command import Command, ServoOptions, ServoStep, Why
-from .horizon import Aim, Knots, improvement
+from .horizon import DEFAULT_HORIZON, Aim, HorizonSolver, Knots, improvement
 from .servo import Servo
-from .settings import DEFAULT_HORIZON, HorizonSolver
 
 
 class PredictiveServo:

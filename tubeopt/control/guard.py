@@ -18,8 +18,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..inverse.goal import angle
 from ..inverse.joints import Configuration, JointSpace, joint_space
-from ..inverse.posture import Posture
-from ..inverse.question import seed_posture
+from ..inverse.posture import Posture, seed_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array

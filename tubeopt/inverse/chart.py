@@ -124,9 +124,7 @@ class Chart:
 
     def translations(self, z: Array) -> Array:
         """(N, n) translations of points (N, m)."""
-        n = self.space.robot.n_tubes
-        shift: Array = z @ self.space.spread[n:].T + self.space.offset[n:]
-        return shift
+        return self.space.joint(z)[:, self.space.robot.n_tubes :]
 
     def joints(self, z: Array, arms: Arms | None = None) -> Array:
         """(N, m) independent joint values of points, whose arms may be known."""

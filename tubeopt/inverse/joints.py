@@ -70,8 +70,8 @@ class JointSpace:
         return float((shift + [tube.length - tube.straight_length for tube in self.robot.tubes]).max())
 
     def joint(self, q: Array) -> Array:
-        """(2n,) rotations and translations of independent joint values."""
-        return q if self.plain else np.asarray(self.spread @ q + self.offset)
+        """(..., 2n) rotations and translations of independent joint values (..., m)."""
+        return q if self.plain else np.asarray(q @ self.spread.T + self.offset)
 
     @cached_property
     def plain(self) -> bool:

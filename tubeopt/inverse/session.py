@@ -20,13 +20,12 @@ from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .clock import Clock
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
-from .goal import Goal
+from .goal import Goal, pose_question, unit_vector
 from .joints import Configuration
 from .least_squares import constrained_least_squares
 from .order import Order, breakpoint_order, crossings
-from .posture import Posture, same_place
+from .posture import Posture, same_place, seed_posture
 from .program import programmable, solve_program
-from .question import pose_question, seed_posture, unit_vector
 from .settings import DEFAULT_OPTIONS, InverseOptions
 from .solving import inverse_kinematics
 from .way import answer_at, joint_way, leap

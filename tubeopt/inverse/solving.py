@@ -25,11 +25,11 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import InverseSolution
 from .clock import Clock
-from .goal import Goal, angle
+from .goal import Goal, angle, pose_question, unit_vector
 from .joints import Configuration
 from .multistart import Multistart, known_home
 from .outline import Outline
-from .question import pose_question, seed_posture, unit_vector
+from .posture import seed_posture
 from .settings import DEFAULT_OPTIONS, InverseOptions
 from .way import with_a_way
 

@@ -74,7 +74,7 @@ def build_table(
     count = 8  # configurations between two looks at the clock, more where these are quick
     while tried < size and not clock.over:
         began, some = clock.seconds, q[tried : tried + count]
-        joint = some @ space.spread.T + space.offset
+        joint = space.joint(some)
         found = forward_kinematics_batch(space.robot, joint[:, :n], joint[:, n:])
         kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
         parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))

@@ -93,7 +93,7 @@ def _thinned(table: Array, start: Posture) -> Array | None:
 def _followed(space: JointSpace, table: Array, ends: tuple[Posture, Posture]) -> tuple[Array, Array] | None:
     """Rotations and translations of rows of joint values (W, m), if the robot follows them from the one posture to the
     other without a snap; else None."""
-    rotations, translations = np.split(np.array([space.joint(q) for q in table]), 2, axis=1)
+    rotations, translations = np.split(space.joint(table), 2, axis=1)
     try:
         path = follow(space.robot, rotations, translations, start=ends[0].equilibrium)
     except (SolveError, InputError):
@@ -130,7 +130,7 @@ def answer_at(
 
 def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointWay:
     """A way through independent joint values (m,)."""
-    return JointWay(origin, *np.split(np.array([space.joint(q) for q in points]), 2, axis=1))
+    return JointWay(origin, *np.split(space.joint(np.array(points)), 2, axis=1))
 
 
 def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> InverseSolution:

@@ -12,9 +12,8 @@ from ...bodies.obstacles import Obstacle
 from ...errors import InputError
 from ...files.units import TO_MM
 from ...inverse.descent import held_by, reach
-from ...inverse.goal import Goal
-from ...inverse.posture import Posture
-from ...inverse.question import pose_question, seed_posture
+from ...inverse.goal import Goal, pose_question
+from ...inverse.posture import Posture, seed_posture
 from ...inverse.settings import Descent, InverseOptions, InverseSolver
 from ...typing import Array
 from .session import Session, moved_to
