@@ -72,7 +72,7 @@ def held_between(
     inner = matrix[:, free]
     reduced = (inner.T @ scipy.sparse.diags_array(weight) @ inner).tocsc()
     load = (matrix.T @ (weight * np.repeat(kappa, len(_PLACES))))[free]
-    touched = 2 * np.searchsorted(nodes, places - 1e-12) - 2
+    touched = 2 * np.searchsorted(nodes, np.round(places, 9)) - 2
     pushed = np.zeros((len(free), len(places)))
     pushed[touched, np.arange(len(places))] = sides
     solved = scipy.sparse.linalg.splu(reduced).solve(np.column_stack([-load, -pushed]))
