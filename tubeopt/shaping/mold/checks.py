@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from ...errors import InputError
 from ...robots.tubes import Tube
-from .groove import Arc, Point
+from .groove import Point
 from .heat import ColdEnd, cold_end
 from .nesting import Blank
 from .setting import tube_in_mold
@@ -107,7 +107,7 @@ def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
     """The conditions on one groove that do not depend on where it lies."""
     number, tube, mill, width = blank.number, blank.held, blank.mill, blank.width
     depth = groove_depth(tube, spec)
-    radius = min((piece.radius for piece in blank.bend if isinstance(piece, Arc)), default=math.inf)
+    radius = min(piece.radius for piece in blank.bend)
     pressed = f"when it is pressed straight into the mold (radius {radius * 1e3:.4g} mm)"
     remedy = "set it in steps, in molds of smaller and smaller radius"
     floor = spec.plate.thickness - depth

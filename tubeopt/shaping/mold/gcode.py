@@ -29,7 +29,7 @@ from .gcode_reader import (
     milled,
     toolpath_deviation,
 )
-from .groove import Line, Piece, Point
+from .groove import Piece, Point
 from .holes import Hole
 from .mold import Groove, Mold
 from .spec import WORK_OFFSETS, MoldSpec
@@ -209,22 +209,22 @@ def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
         yield from _down(corners[0], depth, spec)
         for start, end in pairwise(corners):
             for part in _tabs(start, end, spec) if depth > top else ():
-                yield _move(Line(start, part.start)) + _feed(shop.outline_feed)
+                yield _move(Piece.between(start, part.start)) + _feed(shop.outline_feed)
                 yield f"G1 Z{_mm(-top)}"
                 yield _move(part)
                 yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
-            yield _move(Line(start, end)) + _feed(shop.outline_feed)
+            yield _move(Piece.between(start, end)) + _feed(shop.outline_feed)
         yield from _up(spec)
 
 
-def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Line]:
+def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Piece]:
     """Where the cutter is lifted on one side of the outline."""
-    shop, side = spec.workshop, math.dist(start, end)
-    count = max(1, round(side / shop.tab_pitch))
-    half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side / count)
+    shop, side = spec.workshop, Piece.between(start, end)
+    count = max(1, round(side.length / shop.tab_pitch))
+    half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side.length / count)
     for k in range(count):
-        middle = (k + 0.5) / count * side
-        yield Line.between(*Line(start, end).point(np.array([middle - half, middle + half])))
+        middle = (k + 0.5) / count * side.length
+        yield Piece.between(*side.point(np.array([middle - half, middle + half])))
 
 
 def _above(place: Point, spec: MoldSpec) -> Iterator[str]:
@@ -299,7 +299,7 @@ def _feed(feed: float) -> str:
 
 def _move(piece: Piece) -> str:
     x, y = piece.end
-    if isinstance(piece, Line):
+    if not piece.curvature:
         return f"G1 X{_mm(x)} Y{_mm(y)}"
     i, j = piece.centre[0] - piece.start[0], piece.centre[1] - piece.start[1]
     return f"G{2 if piece.sweep < 0 else 3} X{_mm(x)} Y{_mm(y)} I{_mm(i)} J{_mm(j)}"

@@ -30,7 +30,7 @@ from .checks import (
     tube_checks,
     wall_check,
 )
-from .groove import Arc, Centreline, Point, clipped_area, polygon
+from .groove import Centreline, Point, clipped_area, polygon
 from .heat import ColdEnd, thermal_growth
 from .holes import Hole, place_fasteners, place_vents
 from .nesting import Blank, nest
@@ -114,7 +114,7 @@ class Groove:
     @property
     def bend_angle(self) -> float:
         """Angle through which the groove bends, to either side, rad."""
-        return sum(abs(piece.sweep) for piece in self.centreline.bend if isinstance(piece, Arc))
+        return sum(abs(piece.sweep) for piece in self.centreline.bend)
 
     @property
     def strain(self) -> float:

@@ -14,7 +14,6 @@ from ...errors import InputError
 from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import (
-    Arc,
     Centreline,
     Piece,
     Point,
@@ -61,7 +60,7 @@ class Blank:
     @property
     def turn(self) -> float:
         """Angle (rad) through which it bends, to either side."""
-        return sum(abs(piece.sweep) for piece in self.bend if isinstance(piece, Arc))
+        return sum(abs(piece.sweep) for piece in self.bend)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from ..heating.rig import air_conductivity, natural_convection
 from ..heating.thermal import STEFAN_BOLTZMANN
 from .arcs import bend_of
 from .checks import refuse_failed, springback_remarks, strain_check
-from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
+from .groove import Centreline, Piece, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd, HeatSpec, fin, thermal_data
 from .held import Held, held_between
 from .lattice import Lattice, Peg, Sampled
@@ -173,11 +173,11 @@ def _going_on(bend: Sequence[Piece], tube: Tube, length: float) -> tuple[list[Pi
     pieces, over = list(bend), [0.0, 0.0]
     for end in (0, -1):
         last = pieces[end]
-        if isinstance(last, Line) or (end == 0 and tube.straight_length > 0):
+        if not last.curvature or (end == 0 and tube.straight_length > 0):
             continue
-        turn = math.copysign(length / last.radius, last.sweep)
-        start = last.start_angle - turn if end == 0 else last.start_angle
-        pieces[end] = Arc(last.centre, last.radius, start, last.sweep + turn)
+        back = length if end == 0 else 0.0
+        x, y = last.point(np.array([-back]))[0].tolist()
+        pieces[end] = Piece((x, y), last.heading - back * last.curvature, last.length + length, last.curvature)
         over[end] = length
     return pieces, (over[0], over[1])
 
@@ -246,10 +246,9 @@ def _chosen(pegs: Sequence[Peg], length: float, margin: float, spacing: float, r
 
 
 def _held(curve: Centreline, pegs: Sequence[Peg], element: float) -> Held:
-    kappa = [math.copysign(1 / piece.radius, piece.sweep) if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
     return held_between(
         np.array([piece.length for piece in curve.pieces]),
-        np.array(kappa),
+        np.array([piece.curvature for piece in curve.pieces]),
         np.array([peg.arc_length for peg in pegs]),
         np.array([1.0 if peg.left else -1.0 for peg in pegs]),
         np.array([peg.room for peg in pegs]),
