@@ -133,7 +133,7 @@ def solve_ideal(
         SolveError: IPOPT did not converge; the message says at what the worst constraint is.
     """
     structure = Structure(PROGRAM, clear=below and spec.objective == "margin", chosen=spec.free)
-    made = program(structure, spec.solver.ipopt, spec.solver.again_iterations)
+    made = program(structure, spec.solver.program.ipopt, spec.solver.program.again_iterations)
     x = guess.x if guess is not None else first_guess(made, tube, rig, spec)
     lower, upper = _unknown_bounds(structure, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
@@ -176,9 +176,9 @@ def _solved(
 
 def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> float:
     """The ramp less what the fine grid takes of it and `room` counts, K/s."""
-    ramp, count = (1 - spec.solver.ramp_kept) * spec.ramp, count_rate(tube, rig)
+    ramp, count = (1 - spec.solver.program.ramp_kept) * spec.ramp, count_rate(tube, rig)
     # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
-    return max(ramp - room * count, spec.solver.ramp_left * spec.ramp) if count < ramp else ramp
+    return max(ramp - room * count, spec.solver.program.ramp_left * spec.ramp) if count < ramp else ramp
 
 
 def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], room: float) -> Array:
@@ -222,7 +222,7 @@ def _unknown_bounds(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> tu
         "circuit": (0.0, np.inf),
         "drive": (0.0, drives),
         "durations": (0.5 / DURATION, spec.longest_heating / DURATION),
-        "misses": (-1e3 if spec.objective == "margin" else 0.0, spec.solver.most_miss),
+        "misses": (-1e3 if spec.objective == "margin" else 0.0, spec.solver.program.most_miss),
         "design": [np.concatenate(side) for side in zip(lengths.T, opened, strict=True)],
         "copies": (-np.inf, np.inf),
     }
@@ -252,7 +252,7 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
     heating = DURATION * float(duration[0, 0])
     faces, points = made.structure.mesh.times(heating, spec.covered_time)
     # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
-    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.duty_points)]))
+    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.program.duty_points)]))
     ampere = AMPERE * np.interp(fine, points, circuit[0])
     duty = DRIVE * np.interp(fine, faces, u.ravel()) / ampere**2
     clamps, mold = rig.clamps, rig.mold
@@ -306,7 +306,7 @@ def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float)
     s = made.structure
     model = thermal_model(tube, rig, s.resolution)
     (target, ramp), hold = _aim(spec), spec.covered_time
-    count = int(np.clip(np.ceil((planned + hold) / spec.solver.guess_slot), 200, 2000))
+    count = int(np.clip(np.ceil((planned + hold) / spec.solver.program.guess_slot), 200, 2000))
     slot = (planned + hold) / count
 
     def controller(time: float, state: State) -> float:
@@ -327,7 +327,7 @@ def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array)
     held = joined(model, tube) - ZERO_CELSIUS
     low, high = spec.window_degC
     miss = max(low - float(held.min()), float(held.max()) - high)
-    return 1.1 * miss if miss > spec.solver.guess_miss else 0.0
+    return 1.1 * miss if miss > spec.solver.program.guess_miss else 0.0
 
 
 def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:

@@ -88,21 +88,22 @@ def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | N
 
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     """The schedule that keeps everything, or the one that misses the window by least."""
+    room, more = spec.solver.program.room, spec.solver.program.more_room
     if spec.objective == "margin":
         # Nothing is farther from the window's ends than what does not fall behind.
-        return _corrected(tube, rig, spec, spec.solver.more_room)
+        return _corrected(tube, rig, spec, more)
     hasty = spec.objective == "time"
     if hasty and not spec.free and (sooner := _hastened(tube, rig, spec)) is not None:
         return sooner
-    found = _corrected(tube, rig, spec, spec.solver.room)
+    found = _corrected(tube, rig, spec, room)
     if hasty and spec.free and found.outcome.shortfall <= spec.solver.hopeless:
         sooner = _hastened(tube, found.run.rig, spec)
         if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
             return sooner
-    first, second = (planned_ramp(tube, rig, spec, room) for room in (spec.solver.room, spec.solver.more_room))
-    if found.kept or first == second or not _behind(found, spec):
+    same = planned_ramp(tube, rig, spec, room) == planned_ramp(tube, rig, spec, more)
+    if found.kept or same or not _behind(found, spec):
         return found
-    other = _corrected(tube, rig, spec, spec.solver.more_room)
+    other = _corrected(tube, rig, spec, more)
     return other if other.outcome.shortfall < found.outcome.shortfall else found
 
 

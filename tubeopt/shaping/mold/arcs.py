@@ -17,7 +17,7 @@ from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import Piece, bounds
 from .setting import signed_curvature
-from .settings import DEFAULT_MOLD, MoldSolver
+from .settings import MoldSolver
 
 FLAT = 1e-9
 """Arcs that rise less than this (m) above their chord are lines: few cutters take a radius of kilometres."""
@@ -25,7 +25,7 @@ FLAT = 1e-9
 _GAUSS = np.polynomial.legendre.leggauss(16)
 
 
-def bend_of(held: Tube, solver: MoldSolver = DEFAULT_MOLD) -> tuple[Piece, ...]:
+def bend_of(held: Tube, solver: MoldSolver) -> tuple[Piece, ...]:
     """The bend of a groove that holds a planar tube so, from left to right.
 
     The headings of its ends are opposite, and on the whole it turns to the right: one arc stands symmetrically about

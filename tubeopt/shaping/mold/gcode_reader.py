@@ -182,7 +182,7 @@ def milled(size: Point, cuts: list[tuple[str, float]]) -> Relief:
 def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float) -> None:
     """Take away what a cutter of this radius reaches in one move, as deep as the lower of its ends."""
     piece = motion.piece
-    way = piece.point(spaced(piece.length, 0.5e-3)) if piece.length else np.array([piece.start])
+    way = piece.point(spaced(piece.length, 0.5e-3))
     low, high = way.min(0) - radius, way.max(0) + radius
     window = tuple(
         slice(*np.searchsorted(axis, [a, b])) for axis, a, b in zip(axes[::-1], low[::-1], high[::-1], strict=True)
@@ -191,12 +191,6 @@ def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float)
     points = np.column_stack([gx.ravel(), gy.ravel()])
     if not len(points):
         return
-    away = piece.distance(points) if piece.length else np.linalg.norm(points - way[0], axis=1)
-    level = -motion.end if piece.length else -min(motion.start, motion.end)
+    level = np.where(piece.distance(points) <= radius, -min(motion.start, motion.end), 0.0)
     view = depth[window]
-    np.maximum(view, np.where(away <= radius, level, 0.0).reshape(gx.shape), out=view)
-
-
-def machining_time(text: str) -> float:
-    """How long the moves of a program take, s; without dwells and changes of tools."""
-    return sum(motion.time for motion in read_gcode(text))
+    np.maximum(view, level.reshape(gx.shape), out=view)

@@ -29,7 +29,7 @@ from .checks import (
     strain_check,
 )
 from .groove import comes_back, way_to_edge
-from .heat import ColdEnd
+from .heat import ColdEnd, cold_end
 from .setting import bend_direction, tube_from_mold
 from .settings import MoldSolver
 from .spec import MoldSpec
@@ -144,28 +144,30 @@ class MandrelStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Mandrel(Displayed):
-    """A mandrel for one tube.
-
-    Attributes:
-        number: of the tube in texts. tube: what it is to become. held: the tube as the mandrel holds it.
-        body: what is turned or printed. winding: centreline of the groove in it, leads included.
-        width: of the groove, and diameter of its round bottom, m.
-        cold: the cold end of the tube. free_length: from clamp to clamp, m.
-        checks, remarks: as of a `Mold`.
-    """
+    """A mandrel for one tube."""
 
     number: int
+    """Of the tube in texts."""
     tube: Tube
+    """What it is to become."""
     held: Tube
+    """The tube as the mandrel holds it."""
     spec: MoldSpec
     """What was asked for."""
     body: Cylinder | Block
+    """What is turned or printed."""
     winding: Winding
+    """Centreline of the groove in it, leads included."""
     width: float
+    """Of the groove, and diameter of its round bottom, m."""
     cold: ColdEnd
+    """The cold end of the tube; its length is that of the specification where one is given."""
     free_length: float
+    """From clamp to clamp, m."""
     checks: tuple[Check, ...]
+    """What was checked, with numbers and limits."""
     remarks: tuple[str, ...]
+    """What to keep in mind."""
 
     @property
     def value(self) -> Winding:
@@ -205,7 +207,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     instance("tube", tube, Tube)
     if bend_direction(tube) is not None:
         raise InputError(f"tube {number} is bent in a plane; it takes a plate, not a mandrel")
-    held, cold = as_held(number, tube, spec)
+    held, cold = as_held(number, tube, spec), cold_end(tube, spec.material, spec.heat).of_length(spec.cold_length)
     wound = "wound into the groove"
     checks = [strain_check(number, held, spec, wound, f"when it is {wound}", "set it in steps")]
     refuse_failed(checks)
