@@ -20,15 +20,13 @@ from .spec import LONGEST, HeatingSpec
 
 @dataclass(frozen=True)
 class Cure:
-    """A change, in words, and what would still be wrong with it.
-
-    Attributes:
-        shortfall: by how much the window would be missed, K. broken: what of ramp and currents would not be kept.
-    """
+    """A change, in words, and what would still be wrong with it."""
 
     change: str
     shortfall: float
+    """By how much the window would be missed, K."""
     broken: tuple[str, ...] = ()
+    """What of ramp and currents would not be kept."""
 
     @property
     def cures(self) -> bool:

@@ -36,30 +36,30 @@ WEIGHTS = {
 
 @dataclass(frozen=True, eq=False)
 class Ideal:
-    """The ideal schedule.
-
-    Attributes:
-        heating: time at which the hold begins, s.
-        node_time, node_duty: (K,) between which the duty is linear, s and fraction.
-        miss: by how much the window, narrowed by the reserve, is missed, K; below 0 only for "margin".
-        rig: with clearance, lead and vents as chosen.
-        time: (N,) collocation points, s. tube: (N, n) temperatures there, K.
-        held: (H, 1 + c) at the points of the hold, where the curved part begins and at its cells, K.
-        iterations: of IPOPT. x, multipliers: scaled unknowns and multipliers, for a later guess; without the copies of
-            what is chosen of the rig.
-    """
+    """The ideal schedule."""
 
     heating: float
+    """Time at which the hold begins, s."""
     node_time: Array
+    """(K,) between which the duty is linear, s."""
     node_duty: Array
+    """(K,) duties there, as fractions."""
     miss: float
+    """By how much the window, narrowed by the reserve, is missed, K; below 0 only for "margin"."""
     rig: Rig
+    """With clearance, lead and vents as chosen."""
     time: Array
+    """(N,) collocation points, s."""
     tube: Array
+    """(N, n) temperatures there, K."""
     held: Array
+    """(H, 1 + c) at the points of the hold, where the curved part begins and at its cells, K."""
     iterations: int
+    """Of IPOPT."""
     x: Array
+    """Scaled unknowns, for a later guess; without the copies of what is chosen of the rig."""
     multipliers: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    """Of bounds and constraints, as the unknowns."""
 
     @property
     def lead_gains(self) -> bool:
@@ -77,15 +77,12 @@ class Ideal:
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """What a finer model adds to the program's temperatures, K.
-
-    Attributes:
-        held: (H, 1 + c) at the points of the hold, where the curved part begins and at its cells.
-        tube: (N, n) at all points and cells.
-    """
+    """What a finer model adds to the program's temperatures, K."""
 
     held: Array
+    """(H, 1 + c) at the points of the hold, where the curved part begins and at its cells."""
     tube: Array
+    """(N, n) at all points and cells."""
 
     @classmethod
     def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int) -> Shift:

@@ -68,12 +68,11 @@ def lead_by(
     lowest, highest = (row[1:] for row in history.extremes(law))
     top = history.top.max(0)[1:]
     low, high = plan.spec.window_degC
-    finished = np.asarray(history.finished[1:], dtype=bool)
-    kept = finished & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
+    kept = history.finished[1:] & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
     names = (*unknown.unknown, "sensor")
     return Feedback(
         sensor=sensor, law=law, uncertainty=unknown, history=history, lowest=lowest, highest=highest, top=top,
-        kept=np.asarray(kept), open_loop=assess(plan, unknown, samples=samples).probability,
+        kept=kept, open_loop=assess(plan, unknown, samples=samples).probability,
         contributions=_contributions(names, np.column_stack([draws, fleet.bias[1:]]), lowest, highest),
         window=plan.spec.window_degC, limit=plan.spec.limit,
     )  # fmt: skip
