@@ -132,13 +132,11 @@ def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
 
 @dataclass
 class Leader:
-    """What leads a board by its reports.
-
-    planner: with what. every: s from one plan to the next.
-    """
+    """What leads a board by its reports."""
 
     planner: Planner
     every: float = 3.0
+    """From one plan to the next, s."""
     rest: Rest | None = field(default=None, init=False)
     """The last plan."""
 

@@ -178,8 +178,6 @@ class History:
     """(T, B) through them then, A."""
     resistance: Array
     """(T, B) of the tube between the clamps, ohm."""
-    final: State
-    """At the end."""
     imbalance: Array
     """(B,) energy unaccounted for, as a fraction of what the battery gave."""
     within: Extremes | None = None
@@ -210,7 +208,6 @@ def history_of(model: ThermalModel, slot: float, course: State) -> History:
         voltage=seen("terminal_voltage"),
         current=seen("total"),
         resistance=2 * seen("resistance"),
-        final=State(cells[-1], lumped[-1]),
         imbalance=imbalance(model, State(cells[-1], lumped[-1])),
     )
 

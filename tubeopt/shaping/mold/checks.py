@@ -178,6 +178,13 @@ def springback_remarks(spec: MoldSpec) -> list[str]:
     return ["the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"]
 
 
+def stiffness_remarks(tube: Tube) -> list[str]:
+    """What to know of a tube whose pieces have stiffnesses of their own."""
+    if not any(piece.bending_stiffness or piece.torsional_stiffness for piece in tube.pieces):
+        return []
+    return ["the stiffnesses of its pieces are given, not derived: the slots that make them are not drawn"]
+
+
 def material_remarks(spec: MoldSpec) -> tuple[str, ...]:
     """What the mold's material makes of the heating."""
     remarks, material = [], spec.material

@@ -26,6 +26,7 @@ from .checks import (
     material_remarks,
     refuse_failed,
     springback_remarks,
+    stiffness_remarks,
     strain_check,
 )
 from .groove import comes_back, way_to_edge
@@ -348,6 +349,4 @@ def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
         remarks.append("the leads lie in air, which cools them less than a mold: their cold ends may be longer")
     else:
         remarks.append("print it of what endures the set temperature: ceramic, or metal that is insulated")
-    if any(piece.bending_stiffness or piece.torsional_stiffness for piece in tube.pieces):
-        remarks.append("the stiffnesses of its pieces are given, not derived: the slots that make them are not drawn")
-    return remarks
+    return [*remarks, *stiffness_remarks(tube)]

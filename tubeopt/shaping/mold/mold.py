@@ -27,6 +27,7 @@ from .checks import (
     pressing_strain,
     refuse_failed,
     springback_remarks,
+    stiffness_remarks,
     tube_checks,
     wall_check,
 )
@@ -347,9 +348,5 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "
                 "nitinol are taken"
             )
-        if any(piece.bending_stiffness or piece.torsional_stiffness for piece in groove.tube.pieces):
-            remarks.append(
-                f"tube {groove.number}: the stiffnesses of its pieces are given, not derived: the slots that make them "
-                "are not drawn"
-            )
+        remarks += [f"tube {groove.number}: {words}" for words in stiffness_remarks(groove.tube)]
     return [*remarks, *material_remarks(spec)]
