@@ -73,10 +73,10 @@ class Winding:
 
 def helix_of(held: Tube) -> tuple[float, float] | None:
     """Curvature and torsion (1/m) where the whole curved part is one helix in constant components; else None."""
-    if any(vary(piece.precurvature) for piece in held.pieces):
+    if any(vary(piece.precurvature) for piece in held.chain):
         return None
-    u = np.array([piece.precurvature for piece in held.pieces])
-    if not len(u) or np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():
+    u = np.array([piece.precurvature for piece in held.chain])
+    if np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():
         return None
     curvature, torsion = float(np.hypot(u[0, 0], u[0, 1])), float(u[0, 2])
     return (curvature, torsion) if curvature > 0 and torsion != 0 else None
@@ -86,7 +86,7 @@ def bend_in_space(held: Tube, solver: MoldSolver) -> Winding:
     """The bend from the origin, along z at first: R' = R hat(u*), p' = R e3, to 1e-12."""
     state = np.concatenate([np.zeros(3), np.eye(3).ravel()])
     s, rows = [0.0], [state]
-    for piece in held.pieces or (Piece(held.curved_length, held.curvature),):
+    for piece in held.chain:
         breaks = breaks_of(piece.precurvature, piece.length)
         for low, high in pairwise(breaks):
             bent = max(held.curvature, 1.0)
