@@ -33,7 +33,6 @@ class Task:
 
     `floor`: clearance (m) to spare at least, but for the neighbourhood of `ends`, points (k, m) of the chart that were
     found to be allowed by other code.
-    `max_force`: on the tip, N, up to which margin and clearance shall hold; `reserve`: part of `clearance` for it, m.
     `effort`: how hard a way is searched for.
     `clock`: when it is over, looking at points raises LateError, and no further motion is found to hold.
     """
@@ -46,9 +45,7 @@ class Task:
     clearance_room: float = 3e-4
     floor: float = 3e-5
     ends: Array | None = None
-    max_force: float = 0.0
     effort: WaySearch = DEFAULT_WAY
-    reserve: float = 0.0
     clock: Clock = field(default_factory=lambda: Clock(math.inf))
     _held: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)
     """`fineness` of motions that hold: a way is asked for more than once."""

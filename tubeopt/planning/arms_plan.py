@@ -42,8 +42,8 @@ from .arms import (
 from .effort import DEFAULT_EFFORT, ArmsSearch
 from .goals import goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
-from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
+from .question import DEFAULT_PLAN, PlanOptions
 from .trajectory import Trajectory
 
 Move = tuple[int, Trajectory]

@@ -27,7 +27,7 @@ from ..inverse.question import pose_question
 from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
-from .effort import PlanTask
+from .question import PlanTask
 from .reach import check_place, least_miss
 
 FINISHED = 1e-6

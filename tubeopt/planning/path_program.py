@@ -46,6 +46,14 @@ BLUR = 1.5
 TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
 
+WEIGHTS = {
+    "length": (1.0, 0.1, 0.0, 0.0),
+    "time": (0.02, 1.0, 0.0, 0.0),
+    "effort": (0.02, 0.05, 1e-2, 0.0),
+    "margin": (0.02, 0.05, 0.0, 1.0),
+}
+"""Of length, time, effort and margin, for every objective."""
+
 OPTIONS: dict[str, Any] = {
     **NO_SENSITIVITIES,
     "print_time": False,

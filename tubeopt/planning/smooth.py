@@ -12,28 +12,19 @@ from ..block.quantities import Expression
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
 from ..typing import Array, Mask
-from .effort import PlanTask
 from .motion import Motion, cubic
 from .path_program import (
     MOST_NODES,
     TABLES,
+    WEIGHTS,
     PathProgram,
     PathQuestion,
     path_cost,
     path_program,
 )
+from .question import PlanTask
 from .timing import Limits
 from .tracking import Tracked, track
-
-OBJECTIVES = ("length", "time", "effort", "margin")
-"""Weights of length, time, effort and margin follow from these."""
-
-WEIGHTS = {
-    "length": (1.0, 0.1, 0.0, 0.0),
-    "time": (0.02, 1.0, 0.0, 0.0),
-    "effort": (0.02, 0.05, 1e-2, 0.0),
-    "margin": (0.02, 0.05, 0.0, 1.0),
-}
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 

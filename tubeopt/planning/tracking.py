@@ -12,7 +12,7 @@ from ..errors import SolveError
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..typing import Array
-from .effort import PlanTask
+from .question import PlanTask
 
 
 @dataclass(frozen=True, eq=False)
