@@ -325,7 +325,7 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     rate, most = np.array([0.5, 0.2]), np.array([1.0, 0.3])
     motion = stopping_at([np.column_stack([np.interp(even, mark, c) for c in way.T])], Limits(rate, most))
     t = np.linspace(0, motion.duration, 20_001)
-    q, speed = motion.at(t), motion.curve(t, nu=1)
+    q, speed = motion.curve(t), motion.curve(t, nu=1)
     # At all times, not only where the motion has its knots.
     assert (np.abs(speed) <= rate).all()
     assert (np.abs(motion.curve(t, nu=2)) <= most).all()

@@ -57,7 +57,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tupl
     for name in ("length", "time") if aim == "time" else (aim,):
         if aim == "none" or own.left < effort.smoothing.least_seconds or not _worth_smoothing(task, curves):
             break
-        best = smooth(task, first, points, limits, (name, extra), own)
+        best = smooth(task, first, points, limits, name, own)
         if best is not None:
             exact = name == "margin" or extra is not None
             way = best.motion.sampled(task.scale, effort.timing)[1], best.points[-1]

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
-from ..block.own import OwnObjective
 from ..block.quantities import Expression
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
 from ..typing import Array, Mask
-from .motion import Motion, cubic
+from .motion import Motion
 from .path_program import (
     MOST_NODES,
     TABLES,
@@ -75,17 +75,11 @@ def resample(task: PlanTask, points: Array, count: int) -> Array:
 
 
 def smooth(
-    task: PlanTask,
-    start: Equilibrium,
-    points: Array,
-    limits: Limits,
-    aim: tuple[str, OwnObjective | None],
-    clock: Clock,
+    task: PlanTask, start: Equilibrium, points: Array, limits: Limits, objective: str, clock: Clock
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
-    the clock is over. How long it takes is told by objectives of time and effort only. `aim`: the objective, and an own
-    cost, of which the mean along the path counts beside it."""
-    objective, extra = aim
+    the clock is over. How long it takes is told by objectives of time and effort only."""
+    extra = task.options.extra_cost
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     intervals, iterations = task.effort.smoothing.intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
@@ -171,7 +165,7 @@ def _solve(
     *moved, tips, (square, _) = np.split(np.asarray(result["x"]).ravel(), sizes)
     joints, rates = (each.reshape(q.shape) * scale for each in moved)
     duration = float(np.sqrt(square)) * unit
-    motion = cubic(time * duration, joints, rates / duration)
+    motion = Motion(CubicHermiteSpline(time * duration, joints, rates / duration))
     return Smoothed(motion, np.column_stack([tips.reshape(-1, n), joints[:, n:]]), int(stats["iter_count"]))
 
 
