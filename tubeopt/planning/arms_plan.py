@@ -319,7 +319,7 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
             for each in fields(one)
             if not isinstance(getattr(one, each.name), str)
         }
-        tables = ("time", "rotations", "translations", "tip_position", "margin")
+        tables = ("time", "rotations", "translations")
         joined: dict[str, Any] = {
             name: np.concatenate([getattr(whole, name), getattr(part, name)[kept]]) for name in tables
         }

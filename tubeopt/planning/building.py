@@ -16,9 +16,8 @@ from .goals import End
 from .motion import Motion
 from .proof import verify_trajectory
 from .question import PlanTask
-from .smooth import joint_curves, smooth, violated
+from .smooth import joint_curves, smooth, track, violated
 from .timing import Limits, at_full_speed, stopping_at, through
-from .tracking import Tracked, track
 from .trajectory import PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]
@@ -33,7 +32,7 @@ def actuators(task: PlanTask, first: Equilibrium) -> Limits:
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = track(task, first, q).tip
+        found = np.array([e.tip_position for e in track(task, first, q)])
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     tip = None if rates.tip is None else (rates.tip, tips)
@@ -148,11 +147,11 @@ def build(
             return build(task, first, end, motion.slower(hurry), found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
-    rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.shares.late_seconds))
-    if rest.lost:
+    late = Clock(task.effort.shares.late_seconds)
+    arms = (*proof.samples, *track(task, proof.samples[-1], q[len(proof.samples) :], late))
+    if len(arms) < len(q):
         return (no_time(clock),)
-    known = Tracked((*proof.samples, *rest.equilibria), lost=False)
-    if end is not None and float(np.abs(task.chart.of(known.equilibria[-1]) - end.point).max()) > 1e-3:
+    if end is not None and float(np.abs(task.chart.of(arms[-1]) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
     length = float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum())
     seconds = clock.seconds
@@ -162,9 +161,7 @@ def build(
         time=t,
         rotations=table[:, :n],
         translations=table[:, n:],
-        tip_position=known.tip,
-        margin=known.margin,
-        arms=known.equilibria,
+        arms=arms,
         start=first,
         turns=(0,) * n if end is None else end.turns,
         obstacles=task.obstacles,

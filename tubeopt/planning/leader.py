@@ -27,8 +27,8 @@ from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import step_constraints
+from .smooth import track
 from .tip_path import distance_from
-from .tracking import track
 from .trajectory import Trajectory
 
 
@@ -105,9 +105,9 @@ def follow_the_leader(  # noqa: PLR0913
         q = task.chart.joints(np.array(path))
     q[0] = task.chart.space.join(last.rotations, last.translations)
     withdrawn = track(task, last, q)
-    if withdrawn.lost:
+    if len(withdrawn) < len(q):
         raise SolveError("the arm snaps while it is withdrawn")
-    first = withdrawn.equilibria[-1]
+    first = withdrawn[-1]
     made = passing(task, first, q[::-1], path[0], "leader")
     if not isinstance(made, Trajectory):
         raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(made)}")
