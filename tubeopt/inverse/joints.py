@@ -137,13 +137,17 @@ class JointSpace:
         """q with round-off beyond the ranges taken away."""
         return np.clip(q, self.lower, self.upper)
 
+    @cached_property
+    def names(self) -> list[str]:
+        """(m,) "rotation of tube 1", ..., "translation of tube 1", ..., or of the tubes that a carriage moves."""
+        turns = [f"rotation of tube {i + 1}" for i in range(self.robot.n_tubes)]
+        return turns + [f"translation of {carriage_name(tubes)}" for tubes in self.carriages]
+
     def active(self, q: Array) -> list[str]:
         """In words, what holds q: joints at the end of their range, tubes that touch in their order."""
         n = self.robot.n_tubes
         words = []
-        names = [f"rotation of tube {i + 1}" for i in range(n)]
-        names += [f"translation of {carriage_name(tubes)}" for tubes in self.carriages]
-        for k, name in enumerate(names):
+        for k, name in enumerate(self.names):
             close = CLOSE * self.scale[k]
             if q[k] - self.lower[k] <= close or self.upper[k] - q[k] <= close:
                 unit = f"{np.degrees(q[k]):.4g} deg" if k < n else f"{q[k] * 1e3:.4g} mm"

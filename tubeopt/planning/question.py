@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
 from ..block.own import OwnObjective
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
-from ..errors import InputError, SolveError, choice, finite, instance, positive, whole
+from ..errors import InputError, SolveError, finite, instance, positive
+from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, check_fields, key, unit
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
 from ..inverse.joints import JointSpace
@@ -49,28 +50,34 @@ class PlanOptions(Displayed):
         InputError: a value that is not allowed.
     """
 
-    search: str = "auto"
+    search: Annotated[str, OneOf(SEARCHES), "how a way is looked for: auto, rrt_connect or optimal"] = "auto"
     """"auto" (straight, by translations where nothing can snap, else RRT-Connect), "rrt_connect" alone, or "optimal":
     what "auto" finds, after which BIT* (OMPL) has `search_seconds` to find a shorter way."""
-    objective: str = "length"
-    """Of smoothing: "length" (of the path in joint space), "time", "effort" (int of the squares of the accelerations),
+    objective: Annotated[str, OneOf((*WEIGHTS, "none")), "of the smoothing: length, time, effort, margin or none"] = (
+        "length"
+    )
+    """"length" (of the path in joint space), "time", "effort" (int of the squares of the accelerations),
     "margin" (largest least margin), or "none"."""
-    time_limit: float = 60.0
-    """For everything, s."""
+    time_limit: Annotated[float, unit("s"), POSITIVE, "for search and smoothing"] = 60.0
+    """For the proof too."""
     search_seconds: float = 5.0
     """Of "optimal", s."""
-    clearance: float = 0.0
-    """Least distance of the surface of the arm from obstacles, m."""
-    max_force: float = 0.0
-    """N; margin and clearance hold under any force on the tip of up to that size which keeps its direction."""
+    clearance: Annotated[float, unit("mm"), NOT_NEGATIVE, "least distance of the arm from obstacles"] = 0.0
+    """Of its surface."""
+    max_force: Annotated[
+        float,
+        key("max_tip_force_mN"),
+        NOT_NEGATIVE,
+        "margin and clearance under any force on the tip of up to this size, in any direction",
+    ] = 0.0
+    """Forces that keep their direction."""
     carriage_gap: float = 0.0
     """As in `InverseOptions`, m."""
     section_length: float = 0.0
     """As in `InverseOptions`, m."""
-    modulo_turns: bool = False
-    """A goal rotation may be reached with any number of whole turns; the plan tells how many."""
-    seed: int = 0
-    """Of the random numbers."""
+    modulo_turns: Annotated[bool, "goal rotations may be reached with any number of whole turns"] = False
+    """The plan tells how many."""
+    seed: Annotated[int, NOT_NEGATIVE, "of the search"] = 0
     extra_cost: OwnObjective | None = None
     """Of smoothing, an own objective of the joint values and the tip of one pose, `q.poses[0]`: its mean along the
     path, times its weight, is added to the objective, in which the length counts relative to that of the way that was
@@ -81,20 +88,16 @@ class PlanOptions(Displayed):
     """What is asked for a way before any is searched for, see `build_roadmap`."""
 
     def __post_init__(self) -> None:
-        choice("search", self.search, SEARCHES)
-        choice("objective", self.objective, (*WEIGHTS, "none"))
+        check_fields(self)
         instance("extra_cost", self.extra_cost, OwnObjective, optional=True)
         if self.extra_cost is not None and self.objective == "none":
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
         if self.roadmap is not None and not hasattr(self.roadmap, "way"):
             raise InputError(f"roadmap is {self.roadmap!r}; it must be a Roadmap")
         instance("effort", self.effort, PlanEffort)
-        positive("time_limit", self.time_limit)
         positive("search_seconds", self.search_seconds)
-        for name in ("clearance", "max_force", "carriage_gap", "section_length"):
+        for name in ("carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
-        instance("modulo_turns", self.modulo_turns, bool)
-        object.__setattr__(self, "seed", whole("seed", self.seed, 0))
 
 
 DEFAULT_PLAN = PlanOptions()
