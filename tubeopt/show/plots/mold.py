@@ -296,4 +296,4 @@ def plot_materials(ratings: Sequence[MaterialRating], *, title: str = "") -> Fig
     signs = {"suitable" if suitable else "not suitable": bars[shown.index(suitable)] for suitable in sorted({*shown})}
     legend: dict[str, Any] = {**signs, "most that may leak": most}
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=3)
-    return headed(figure, title) if title else figure
+    return headed(figure, title)

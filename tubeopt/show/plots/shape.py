@@ -105,7 +105,7 @@ def plot_shapes(
     scenes, _ = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
     for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
         scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
-    return headed(figure, heading) if heading else figure
+    return headed(figure, heading)
 
 
 def draw_scenes(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
 
 import numpy as np
 import scipy
@@ -13,7 +12,7 @@ from ...typing import Array
 from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
 from .stage import note, round_below
-from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
@@ -200,10 +199,8 @@ def _closed(direction: Array, points: Array) -> Array:
     return np.asarray(line(np.linspace(knots[0], knots[-1], 361)))
 
 
-@styled
-def plot_simulated_circles(
-    circles: Sequence[Array], table: ErrorTable, path: str | PathLike[str] | None = None, *, title: str = ""
-) -> Figure:
+@picture
+def plot_simulated_circles(table: ErrorTable, *, circles: Sequence[Array], title: str = "") -> Figure:
     """Simulated tips of every separation, marked with their direction, and a published table's errors around them.
 
     A disc around each simulated tip has the printed error as its radius: the measured tip, whose coordinates are not
@@ -211,7 +208,6 @@ def plot_simulated_circles(
 
     Args:
         circles: for every separation of the table, (D, 3) tips at its directions, m.
-        table: of as many separations and directions.
     """
     from matplotlib.patches import Circle
 
@@ -238,4 +234,4 @@ def plot_simulated_circles(
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     figure.legend(title="simulated tips; separation", loc="outside lower center", ncols=2)
     axes.set_title(title, loc="left")
-    return finish(figure, path)
+    return figure
