@@ -18,7 +18,7 @@ from ...typing import Array
 from ..arm_surfaces import Centreline, visible
 from ..colours import tube_colour
 from .maps import draw_map
-from .style import FAINT, INK, Axes, Figure, colour_bar, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, colour_bar, disk, headed, new_figure, picture
 
 CORRIDOR = "#DCE3EA"
 BODY = "#C9CDD2"
@@ -68,13 +68,11 @@ def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
 
 
 def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
-    from matplotlib.patches import Circle
-
     for avoid in of_kind(solution.task.requirements, Avoid):
         for body in avoid.obstacles:
             if isinstance(body, Sphere):
-                centre = body.centre[i] * TO_MM, body.centre[j] * TO_MM
-                axes.add_patch(Circle(centre, body.radius * TO_MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1))
+                centre = np.array(body.centre)[[i, j]] * TO_MM
+                disk(axes, centre, body.radius * TO_MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1)
             elif isinstance(body, Capsule):
                 line = np.array([body.start, body.end])[:, [i, j]] * TO_MM
                 _draw_tube(axes, line, np.full(2, body.radius * TO_MM), BODY)
@@ -84,7 +82,7 @@ def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
 
 def _draw_tube(axes: Axes, line: Array, radii: Array, colour: str) -> None:
     """All that is within radii (k,) of a projected polyline (k, 2)."""
-    from matplotlib.patches import Circle, Polygon
+    from matplotlib.patches import Polygon
 
     for (a, b), (wide, narrow) in zip(pairwise(line), pairwise(radii.tolist()), strict=True):
         way = b - a
@@ -94,7 +92,7 @@ def _draw_tube(axes: Axes, line: Array, radii: Array, colour: str) -> None:
             corners = [a + wide * across, b + narrow * across, b - narrow * across, a - wide * across]
             axes.add_patch(Polygon(corners, fc=colour, ec="none", zorder=0))
     for centre, radius in zip(line, radii.tolist(), strict=True):
-        axes.add_patch(Circle((float(centre[0]), float(centre[1])), radius, fc=colour, ec="none", zorder=0))
+        disk(axes, centre, radius, fc=colour, ec="none", zorder=0)
 
 
 def _draw_targets(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
@@ -151,6 +152,14 @@ def headed(figure: Figure, heading: str) -> Figure:
     if heading:
         figure.suptitle(heading, fontsize=9, x=0.02, ha="left")
     return figure
+
+
+def disk(axes: Axes, centre: ArrayLike, radius: float, **look: Any) -> None:
+    """All that is within a radius about a point (2,), in the units of the panel."""
+    from matplotlib.patches import Circle
+
+    x, y = np.asarray(centre, dtype=float)
+    axes.add_patch(Circle((float(x), float(y)), radius, **look))
 
 
 def legend_beside(axes: Axes, *entries: Any) -> None:

@@ -12,7 +12,7 @@ from ...typing import Array
 from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
 from .stage import note, round_below
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, disk, headed, new_figure, picture
 
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
@@ -209,14 +209,12 @@ def plot_simulated_circles(table: ErrorTable, *, circles: Sequence[Array], title
     Args:
         circles: for every separation of the table, (D, 3) tips at its directions, m.
     """
-    from matplotlib.patches import Circle
-
     figure = new_figure(5.6, 6.0)
     axes = figure.add_subplot()
     for k, (tips, errors) in enumerate(zip(circles, table.error, strict=True)):
         colour, line = tube_colour(k), _closed(table.direction, tips[:, :2] * TO_MM)
         for at, error in zip(tips * TO_MM, errors * TO_MM, strict=True):
-            axes.add_patch(Circle((at[0], at[1]), error, fc=colour, ec="none", alpha=0.13, zorder=1))
+            disk(axes, at[:2], error, fc=colour, ec="none", alpha=0.13, zorder=1)
         radius = float(np.hypot(*tips.T[:2]).mean()) * TO_MM
         label = f"{np.degrees(table.separation[k]):g}°, radius {radius:.1f} mm"
         axes.plot(*line.T, color=colour, lw=1.2, zorder=2, label=label)
