@@ -32,7 +32,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.newton import NewtonResult, descend, newton
 from ..stability.certificate import worst_case
-from ..stability.pair_certificate import least_margin_of_pair, pair_of
+from ..stability.pair import least_margin_of_pair, pair_of
 from ..stability.shooting import profiles, to_base
 from ..typing import Array, Of
 

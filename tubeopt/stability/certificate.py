@@ -20,7 +20,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
-from .pair_certificate import least_margin_of_pair, margins, pair_of
+from .pair import least_margin_of_pair, margins, pair_of
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -95,7 +95,7 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
     conservative, since three tubes cannot oppose each other pairwise. With tubes made of pieces it is exact for two
-    coupled ones, whatever their curvatures, twists and stiffnesses are along them (see `pair_certificate`); for more it
+    coupled ones, whatever their curvatures, twists and stiffnesses are along them (see `stability.pair`); for more it
     is a lower bound, since the second variation at any rotations is at least that of the worst case point by point.
     What the mesh may leave out of varying couplings, by the difference to a finer one, is taken off.
 

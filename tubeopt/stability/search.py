@@ -16,8 +16,7 @@ from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 from .folds import Fold, land
 from .following import Event, to_snap
-from .pair import PairFold, pair_fold
-from .pair_certificate import farthest_fold, pair_of
+from .pair import PairFold, farthest_fold, pair_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
 from .snap import Snap
@@ -212,12 +211,8 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
 
 def _pair(search: Search) -> Found | None:
     """The snap of two coupled tubes."""
-    poses = search.relaxed()
-    try:
-        fold = pair_fold(search.problem, search.coupled, poses[0])
-    except SolveError:
-        search.failed += 1
-        return None
+    poses, pair = search.relaxed(), pair_of(search.problem)
+    fold = None if pair is None else pair_fold(pair)
     if fold is None:
         return None
     way = _pair_way(search, poses, fold)

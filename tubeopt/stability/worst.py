@@ -15,13 +15,13 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, vector
-from ..robots.robot import Robot, shifts
+from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
 from ..typing import Array, Index
 from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
-from .pair_certificate import least_margin_of_pair, pair_of
+from .pair import least_margin_of_pair, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .shooting import profiles, to_base
 from .simplex import minimise_together
@@ -54,7 +54,7 @@ def worst_margin(
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
     function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
     are improved by Nelder and Mead's method. Of two coupled tubes made of pieces it is the least there is (see
-    `pair_certificate`). Of tubes off the centreline every segment is searched for itself: tips of its own tubes over a
+    `stability.pair`). Of tubes off the centreline every segment is searched for itself: tips of its own tubes over a
     turn each, those of the others as in its softest untwisted shape, from which one local search begins.
 
     Args:
@@ -73,7 +73,7 @@ def worst_margin(
     """
     n, shift = robot.n_tubes, tuple(shifts(robot, translations).tolist())
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
-    pair = pair_of(problem)
+    pair = pair_of(problem) if is_general(robot) else None
     if pair is None:
         ends = [end for base, turning in _places(problem) for end in _searched(problem, base, turning, effort)]
     else:
