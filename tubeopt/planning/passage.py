@@ -23,7 +23,7 @@ from ..inverse.clock import Clock
 from ..inverse.way_settings import WaySearch
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..stability.snapping import find_snap
+from ..stability.following import find_snap
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared

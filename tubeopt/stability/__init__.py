@@ -5,14 +5,13 @@ from .certificate import Certificate, certify, snap_free_certificate
 from .deflection import deflection_bound
 from .energy import EnergyMap, energy_map
 from .equilibria import find_equilibria
-from .following import Path, follow
+from .following import Path, find_snap, follow
 from .friction_band import FrictionBand, friction_band
 from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
 from .settings import EquilibriaSearch, SnapSearch
 from .snap import Snap
-from .snapping import find_snap
 from .stroke import find_stroke_force
 from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin

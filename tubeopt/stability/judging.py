@@ -14,10 +14,10 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .certificate import Certificate, certify
 from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
+from .following import find_snap
 from .search import search_snap
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN
-from .snapping import find_snap
 from .verdict import EccentricVerdict, Verdict
 from .worst import WorstMargin, worst_margin
 

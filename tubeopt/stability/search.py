@@ -14,13 +14,13 @@ from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
-from .folds import Fold, land
-from .following import Event, to_snap
+from .folds import land
+from .following import find_snap
+from .motion import Event, to_snap
 from .pair import PairFold, farthest_fold, pair_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
 from .snap import Snap
-from .snapping import find_snap
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,6 +252,8 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
     def solution(z: Array) -> Solution:
         return Solution.at(search.problem, rotations, z)
 
-    vanishing = Fold(t, solution(sign * fold.z), fold.direction)
-    after = land(vanishing.solution, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
-    return None if after is None else Found(way, to_snap(path, Event(vanishing, Point(t, after)), 0), followed=False)
+    lost = solution(sign * fold.z)
+    after = land(lost, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
+    if after is None:
+        return None
+    return Found(way, to_snap(path, Event(Point(t, lost), Point(t, after)), 0), followed=False)
