@@ -19,8 +19,7 @@ from ..block.transcription.mesh import Mesh, make_mesh
 from ..block.transcription.reduced import evaluate, reduce, to_unknowns
 from ..equilibrium.arm_change import PARAMETERS
 from ..equilibrium.derivatives import Derivatives
-from ..equilibrium.general_change import Change, together
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Change, Linearised, together
 from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.margin import AtSolution, AtWorst
 from ..equilibrium.result import Equilibrium
