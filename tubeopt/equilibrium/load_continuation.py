@@ -85,17 +85,13 @@ class LoadFamily:
 
 @dataclass(frozen=True, eq=False)
 class JointFamily:
-    """The joints move along a path under a load, from t = 0 to 1, while the load becomes another one.
-
-    Attributes:
-        path: of the joints.
-        load: at the end.
-        before: at the start; None is no load.
-    """
+    """The joints move along a path under a load, from t = 0 to 1, while the load becomes another one."""
 
     path: JointPath
     load: Load
+    """At the end."""
     before: Load | None
+    """At the start; None is no load."""
 
     def member(self, t: float) -> Member:
         """The problem at t."""

@@ -27,10 +27,12 @@ from .result import ALONG_THE_ARM, Equilibrium, Statistics, Status, refuse_load
 
 @dataclass(frozen=True)
 class Discretisation(Displayed):
-    """How the torsion problem is transcribed: collocation family and degree, and halvings of the default pieces."""
+    """How the torsion problem is transcribed."""
 
     family: str = "gauss"
+    """Of collocation."""
     degree: int = 6
+    """Of its polynomials."""
     refinement: int = 0
     """How often the default pieces of the mesh are halved."""
 

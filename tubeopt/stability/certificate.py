@@ -36,34 +36,33 @@ class CertificateStatus(Sentence):
 
 @dataclass(frozen=True)
 class CertificateStatistics:
-    """Tubes of the robot, and pairs of them that are coupled."""
+    """What a certificate is about."""
 
     tubes: int
+    """Of the robot."""
     pairs: int
+    """Of them that are coupled."""
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate(Displayed):
-    """Proved stability of a robot at given translations, for all rotations.
-
-    Attributes:
-        margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where
-            nothing can be proved: tubes off the centreline that are not three equal ones per segment.
-        translations: (n,) m.
-        gradient: of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
-            the eigenvalue is double, so that the margin has no derivative, and with tubes made of pieces.
-        pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
-            for tubes off the centreline, of which three take it together.
-        section: (start, end) of the section where it takes most, m.
-        share: (n, n) part of 1 - margin that each pair takes; sums to 1 above the diagonal.
-    """
+    """Proved stability of a robot at given translations, for all rotations."""
 
     margin: float
+    """mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where nothing
+    can be proved: tubes off the centreline that are not three equal ones per segment."""
     translations: Array
+    """(n,) m."""
     gradient: dict[str, Array]
+    """Of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where the eigenvalue
+    is double, so that the margin has no derivative, and with tubes made of pieces."""
     pair: tuple[int, int] | None
+    """The two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and for tubes
+    off the centreline, of which three take it together."""
     section: tuple[float, float] | None
+    """(start, end) of the section where it takes most, m."""
     share: Array
+    """(n, n) part of 1 - margin that each pair takes; sums to 1 above the diagonal."""
 
     @property
     def value(self) -> float:

@@ -43,11 +43,14 @@ class PathStatus(Sentence):
 
 @dataclass(frozen=True)
 class PathStatistics:
-    """Waypoints, snaps between them, and iterations of Newton's method that their equilibria took."""
+    """What a motion took."""
 
     waypoints: int
+    """That the robot came to."""
     snaps: int
+    """Between the waypoints."""
     iterations: int
+    """Of Newton's method that their equilibria took."""
 
 
 class HeldEquilibria(Sequence[Equilibrium]):
@@ -82,6 +85,7 @@ class Path(Displayed):
     equilibria: Sequence[Equilibrium]
     """(T,) at the waypoints."""
     snaps: tuple[Snap, ...]
+    """On the way, in order."""
 
     @property
     def value(self) -> Array:

@@ -33,25 +33,22 @@ class LoadLimitStatus(Sentence):
 
 @dataclass(frozen=True, eq=False)
 class LoadLimit(Displayed):
-    """The end of the stable branch that grows from no load.
-
-    Attributes:
-        factor: on the load, at which the branch ends or loses stability.
-        kind: "fold": the equilibrium vanishes, and the robot snaps.  "bifurcation": it goes on, but unstable, and the
-            robot leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses.
-        before: the equilibrium at the limit (margin 0).
-        after: where the robot goes: at a fold at the same load, at a bifurcation at a load larger by `past` of
-            `Continuation`, where the side is as likely as the other. None where descent finds no equilibrium.
-        tip_jump: m.   energy_released: of tubes and load together, J; both at the load of `after`, from the equilibrium
-            that the robot leaves, and NaN without an `after`.
-    """
+    """The end of the stable branch that grows from no load."""
 
     factor: float
+    """On the load, at which the branch ends or loses stability."""
     kind: str
+    """"fold": the equilibrium vanishes, and the robot snaps; or "bifurcation": it goes on, but unstable, and the robot
+    leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses."""
     before: Equilibrium
+    """The equilibrium at the limit (margin 0)."""
     after: Equilibrium | None
+    """Where the robot goes: at a fold at the same load, at a bifurcation at a load larger by `past` of `Continuation`,
+    where the side is as likely as the other. None where descent finds no equilibrium."""
     tip_jump: float
+    """m, at the load of `after`, from the equilibrium that the robot leaves; NaN without an `after`."""
     energy_released: float
+    """Likewise, of tubes and load together, J."""
 
     @property
     def value(self) -> float:

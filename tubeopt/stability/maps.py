@@ -48,31 +48,35 @@ class MapStatus(Sentence):
 
 @dataclass(frozen=True)
 class MapStatistics:
-    """Ways to the points of the map, directions of its boundary, and snaps on the ways to the points."""
+    """What a map took."""
 
     ways: int
+    """To its points."""
     directions: int
+    """Of its boundary."""
     snaps: int
+    """On the ways to the points."""
 
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap(Displayed):
-    """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations.
-
-    tubes: the two that turn; all others stay at home.  angles: (N,) rad, of both axes.
-    margin: (N, N) at the end, rows by the first tube.  snaps: (N, N) snaps on the way.
-    directions: (D,) rad from the axis of the first tube, rising: those asked for, and more between two of them where
-    the boundary ends or goes on elsewhere.  boundary: (D, 2) rotations (rad) at the first snap in each; NaN in those
-    without.  approach: (D, A) margins at a turn of APPROACH (A,) rad ahead of it, where it falls; NaN likewise.
-    """
+    """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations."""
 
     tubes: tuple[int, int]
+    """That turn; all others stay at home."""
     angles: Array
+    """(N,) of both axes, rad."""
     margin: Array
+    """(N, N) at the end, rows by the first tube."""
     snaps: Array
+    """(N, N) on the way."""
     directions: Array
+    """(D,) from the axis of the first tube, rising, rad: those asked for, and more between two of them where the
+    boundary ends or goes on elsewhere."""
     boundary: Array
+    """(D, 2) rotations at the first snap in each, rad; NaN in those without."""
     approach: Array
+    """(D, A) margins at a turn of APPROACH (A,) rad ahead of it, where it falls; NaN likewise."""
 
     @property
     def value(self) -> Array:

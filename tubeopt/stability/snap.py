@@ -19,22 +19,26 @@ class SnapStatus(Sentence):
 
 @dataclass(frozen=True, eq=False)
 class Snap(Displayed):
-    """One snap: between waypoints `index` and `index` + 1, at `fraction` of the way.
-
-    rotations, translations (n,): joint values at the fold; before: the equilibrium that vanishes there (margin 0);
-    after: where the robot lands; energy_released, J; tip_jump, m.
-    """
+    """One snap."""
 
     _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
 
     index: int
+    """Of the waypoint before it."""
     fraction: float
+    """Of the way to the next waypoint."""
     rotations: Array
+    """(n,) at the fold, rad."""
     translations: Array
+    """(n,) m."""
     before: Equilibrium
+    """The equilibrium that vanishes there (margin 0)."""
     after: Equilibrium
+    """Where the robot lands."""
     energy_released: float
+    """J."""
     tip_jump: float
+    """m."""
 
     @property
     def value(self) -> float:

@@ -38,38 +38,42 @@ class VerdictStatus(Sentence):
 
 @dataclass(frozen=True)
 class VerdictStatistics:
-    """Ways that were tried for a snap, and on how many of them the equilibria were lost."""
+    """What a verdict took."""
 
     ways: int
+    """That were tried for a snap."""
     failed: int
+    """On how many of them the equilibria were lost."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict(Displayed):
-    """Whether a robot can snap at given translations.
-
-    certificate: the lower bound of the margin over all rotations: proved.
-    worst: the least margin that search found, None where it ended on a fold (margin 0).
-    start, end: (n,) rotations (rad) of a straight way on which the robot snaps, and the snap; None where none is known.
-    ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
-    followed: whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and
-    is known from its fold alone.
-    decided: whether no more than two tubes are coupled, so that the certificate is exact, and a snap is known where it
-    is below 0; of tubes of one curvature each the nearest one.
-    """
+    """Whether a robot can snap at given translations."""
 
     _brief = ("robot", "finding", "certificate")
 
     robot: Robot
+    """That is judged."""
     certificate: Certificate
+    """The lower bound of the margin over all rotations: proved."""
     worst: WorstMargin | None
+    """The least margin that search found, None where it ended on a fold (margin 0)."""
     start: Array | None = None
+    """(n,) rotations from which a straight way begins on which the robot snaps, rad; None where none is known."""
     end: Array | None = None
+    """(n,) where it ends."""
     snap: Snap | None = None
+    """On that way."""
     ways: int = 0
+    """How many were tried."""
     failed: int = 0
+    """On how many of them the equilibria were lost."""
     followed: bool = True
+    """Whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and is
+    known from its fold alone."""
     decided: bool = False
+    """Whether no more than two tubes are coupled, so that the certificate is exact, and a snap is known where it is
+    below 0; of tubes of one curvature each the nearest one."""
 
     @property
     def value(self) -> bool | None:
@@ -105,14 +109,12 @@ class Verdict(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class EccentricVerdict(Verdict):
-    """A `Verdict` that knows a closed form too.
-
-    untwisted: margin of the softest shape with one tube of a segment against the two others, all of them equilibria.
-        Below 0 two more equilibria have its joint rotations, and the robot snaps on some way, shown or not. None where
-        the robot is not made of segments of three equal tubes.
-    """
+    """A `Verdict` that knows a closed form too."""
 
     untwisted: float | None = None
+    """Margin of the softest shape with one tube of a segment against the two others, all of them equilibria. Below 0
+    two more equilibria have its joint rotations, and the robot snaps on some way, shown or not. None where the robot is
+    not made of segments of three equal tubes."""
 
     @property
     def finding(self) -> Finding:

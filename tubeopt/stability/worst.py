@@ -33,16 +33,16 @@ least."""
 
 @dataclass(frozen=True, eq=False)
 class WorstMargin(Displayed):
-    """The least margin that was found over all rotations at given translations: what a certificate may not exceed.
-
-    margin: as found.  equilibrium: where, with the joint values to repeat it.  searches: local searches done.
-    unstable: (B, n) tip angles, rad, of the unstable equilibria at which local searches ended.
-    """
+    """The least margin that was found over all rotations at given translations: what a certificate may not exceed."""
 
     margin: float
+    """As found."""
     equilibrium: Equilibrium
+    """Where, with the joint values to repeat it."""
     searches: int
+    """Local ones that were done."""
     unstable: Array
+    """(B, n) tip angles of the unstable equilibria at which local searches ended, rad."""
 
 
 @small
@@ -134,14 +134,16 @@ def _margins(problem: ReducedProblem, tips: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class WorstCertificate(Displayed):
-    """The certificate over a box of translations: its least value, where, and how many evaluations that took."""
+    """The certificate over a box of translations."""
 
     certificate: Certificate
+    """Where it is least."""
     lower: Array
     """(n,) least translations of the box, m."""
     upper: Array
-    """(n,) largest translations of the box, m."""
+    """(n,) largest, m."""
     evaluations: int
+    """That the search took."""
 
 
 @small
