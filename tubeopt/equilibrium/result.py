@@ -43,7 +43,7 @@ class Statistics(Displayed):
     """How a solve went."""
 
     method: str
-    """"newton", "ipopt", "energy", or "increment" with friction."""
+    """By name: "newton", "ipopt", "energy", or "increment" with friction."""
     iterations: int
     """That the solver took."""
     elements: int
