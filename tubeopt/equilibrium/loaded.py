@@ -22,7 +22,7 @@ from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
 from .continuation import JointPath, largest_twist, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
-from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
+from .load_continuation import Family, LoadedPoint, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
 from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
@@ -35,7 +35,7 @@ def ramp(unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> L
         SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
     """
     start = unloaded_point(unloaded, load, discretisation)
-    point = reach(LoadFamily(start.member), start, 1.0)
+    point = reach(Family.growing(start.member), start, 1.0)
     if point.t < 1.0:
         raise SolveError(
             f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(point)} at {100 * point.t:.4g} % of the load",
@@ -112,7 +112,7 @@ def loaded_kinematics(
         point, word = ramp(start, there.load, there.discretisation), "the load before, from none"
     else:
         path, word = JointPath(there.robot, own, goal, there.discretisation), "guess"
-        family = JointFamily(path, there.load, start.load)
+        family = Family(path, there.load, start.load)
         here, t = _by_parts(family, start, tolerance, began, settings)
         if t == 1.0:
             return here
@@ -215,7 +215,7 @@ def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array
 
 
 def _by_parts(
-    family: JointFamily, start: Equilibrium, tolerance: float, began: float, settings: Newton
+    family: Family, start: Equilibrium, tolerance: float, began: float, settings: Newton
 ) -> tuple[Equilibrium, float]:
     """The last equilibrium on a way, and where, to which the compiled kernel comes in small parts of it."""
     here = start
@@ -239,7 +239,7 @@ def _by_parts(
     return (here, t) if t > 0 else (start, 0.0)
 
 
-def _along(family: JointFamily, here: Equilibrium, t: float) -> LoadedPoint:
+def _along(family: Family, here: Equilibrium, t: float) -> LoadedPoint:
     """The end of a way in joint values and load, `here` being the equilibrium at t."""
     near = unloaded_point(here, family.load, family.path.discretisation) if here.load is None else loaded_point(here)
     near = replace(near, t=t)

@@ -16,7 +16,7 @@ from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_continuation import JointFamily
+from ..equilibrium.load_continuation import Family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
@@ -259,7 +259,7 @@ def find_snap(
 
 def _first(robot: Robot, way: Way, equilibrium: Equilibrium | None) -> Place:
     """The stable point at the start of a way, on the branch of an equilibrium if one is given."""
-    if isinstance(way, JointFamily):
+    if isinstance(way, Family):
         return _loaded_start(robot, way.path.start, way.load, equilibrium)[1]
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, *way.at(0.0))
     if not first.stable:
@@ -305,6 +305,6 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         return Path((equilibrium, forward_kinematics(robot, alpha, shift, load=load, guess=equilibrium)), ())
     except SolveError:
         here = np.concatenate([alpha, shift])
-    family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
+    family = Family(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
     point, snaps = leg(family, loaded_point(equilibrium), 0)
     return Path((equilibrium, told(family, point, "the load before")), tuple(snaps))

@@ -11,7 +11,7 @@ from ..block.transcription.loaded import tip_position
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
+from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry, reach
 from ..equilibrium.load_problem import check_load
 from ..equilibrium.loaded import unloaded_point
 from ..equilibrium.result import Equilibrium, Statistics
@@ -124,7 +124,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
             point = unloaded_point(first, grown)
         else:
             point = _restart(point, Member.of(robot, alpha, shift, grown, factor=reached / goal))
-        family = LoadFamily(point.member)
+        family = Family.growing(point.member)
         point = reach(family, point, 1.0)
         if point.t < 1.0:
             loss = branch_end(family, point, 1.0)

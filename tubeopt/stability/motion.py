@@ -12,7 +12,7 @@ import numpy as np
 from ..block.transcription.second_variation import softest
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import JointFamily, LoadedPoint, carry, follow_family
+from ..equilibrium.load_continuation import Family, LoadedPoint, carry, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, to_equilibrium
@@ -27,7 +27,7 @@ from .snap import Snap, snap_between
 
 P = TypeVar("P", Point, LoadedPoint)
 
-Way = JointPath | JointFamily
+Way = JointPath | Family
 
 Place = Point | LoadedPoint
 
@@ -44,7 +44,7 @@ def way_between(robot: Robot, start: Array, end: Array, load: Load | None) -> Wa
     """The straight way from joint values (2n,) to others, under a load that stays."""
     if load is None:
         return JointPath(robot, start, end)
-    return JointFamily(JointPath(robot, start, end, LOADED_DISCRETISATION), load, load)
+    return Family(JointPath(robot, start, end, LOADED_DISCRETISATION), load, load)
 
 
 def steps_along(way: Way, start: Place) -> Iterator[Place | Event[Point] | Event[LoadedPoint]]:
@@ -132,7 +132,7 @@ def _softest(solution: Solution) -> Array:
     return softest(solution.problem, solution.result.state)
 
 
-def loaded_motion_along(family: JointFamily, start: LoadedPoint) -> Iterator[LoadedPoint | Event[LoadedPoint]]:
+def loaded_motion_along(family: Family, start: LoadedPoint) -> Iterator[LoadedPoint | Event[LoadedPoint]]:
     """Points of the motion from a stable one at t = 0, the last at t = 1; an event wherever the robot snaps."""
     here, longest = start, family.path.largest_step()
     while here.t < 1.0:
@@ -148,7 +148,7 @@ def loaded_motion_along(family: JointFamily, start: LoadedPoint) -> Iterator[Loa
             yield here
 
 
-def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | Event[LoadedPoint]:
+def _lost(family: Family, last: LoadedPoint) -> LoadedPoint | Event[LoadedPoint]:
     """What happens where the stable branch is lost: a snap, or a smooth change to a neighbouring branch."""
     loss = branch_end(family, last, 1.0)
     if loss is None:
