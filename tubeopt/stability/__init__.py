@@ -7,13 +7,12 @@ from .energy import EnergyMap, energy_map
 from .equilibria import find_equilibria
 from .following import Path, find_snap, follow
 from .friction_band import FrictionBand, friction_band
-from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
 from .settings import EquilibriaSearch, SnapSearch
 from .snap import Snap
 from .stroke import find_stroke_force
-from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict
+from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict, judge
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [
