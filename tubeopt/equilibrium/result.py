@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,12 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..block.transcription.arm import ArmShape
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..typing import Array, Mask, Sentence, late
+from ..typing import Array, Mask, Of, Sentence, late
 
 if TYPE_CHECKING:
     from ..block.transcription.arm import Profile
@@ -129,8 +129,35 @@ class Jacobian(Displayed):
 
 
 @dataclass(frozen=True, eq=False)
+class CollocationPoints:
+    """The N collocation points of an equilibrium: where a warm start begins."""
+
+    point: Array
+    """(N,) arc length, m."""
+    point_rotation: Array
+    """(N, n) theta_i of the tubes that are coupled there, rad; their base rotation for the others."""
+    point_curvature: Array = field(default_factory=lambda: np.zeros(0))
+    """(N, 2) curvature under load, 1/m; empty without one."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How well an equilibrium is solved."""
+
+    residual: float
+    """Largest violation of the collocation equations, rad."""
+    mesh_error: float
+    """Estimated largest error of theta_i(s), rad."""
+    tip_error: float
+    """Estimated error of tip_position, m."""
+
+
+@dataclass(frozen=True, eq=False)
 class Equilibrium(Displayed):
-    """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped."""
+    """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped.
+
+    What its parts hold is read at the equilibrium too: `equilibrium.position` is `equilibrium.arm.position`.
+    """
 
     _brief = ("robot", "rotations", "translations", "tip_position", "margin", "status")
 
@@ -140,33 +167,16 @@ class Equilibrium(Displayed):
     """(n,) rad, as given."""
     translations: Array
     """(n,) m, as given."""
-    tip_position: Array
-    """(3,) end of the longest tube in the plate frame, m."""
-    tip_rotation: Array
-    """(3, 3) its frame."""
-    arc_length: Array
-    """(m,) m."""
-    position: Array
-    """(m, 3) centreline, m."""
-    frame: Array
-    """(m, 3, 3) its Bishop frame."""
-    curvature: Array
-    """(m, 2) curvature vector in that frame, 1/m."""
-    rotation: Array
-    """(n, m) theta_i(s), rad; beyond a tube's end constant."""
-    torsion: Array
-    """(n, m) its derivative, rad/m; beyond a tube's end 0."""
+    arm: ArmShape
+    """Centreline with its Bishop frame, and the rotations of the tubes along it."""
     tip_rotations: Array
     """(n,) theta_i at each tube's own end, rad."""
     section_start: Array
     """(k,) arc length of the breakpoints in front of the plate, m."""
     tube_end: Array
     """(n,) arc length of each tube's end, m."""
-    point: Array
-    """(N,) arc length of the collocation points, m."""
-    point_rotation: Array
-    """(N, n) theta_i there of the tubes that are coupled there (their base rotation for the others): where a warm start
-    begins."""
+    points: CollocationPoints
+    """Where it was solved for."""
     margin: float
     """Smallest eigenvalue of the second variation relative to its torsional part; 1 no elastic coupling, 0 a snap,
     below 0 unstable."""
@@ -174,12 +184,8 @@ class Equilibrium(Displayed):
     """Number of negative eigenvalues of the second variation, 0 for a stable equilibrium."""
     energy: float
     """Bending and torsion in front of the plate and torsion of the transmissions, J."""
-    residual: float
-    """Largest violation of the collocation equations, rad."""
-    mesh_error: float
-    """Estimated largest error of theta_i(s), rad."""
-    tip_error: float
-    """Estimated error of tip_position, m."""
+    accuracy: Accuracy
+    """How well it is solved."""
     status: Status
     """How the solve ended."""
     statistics: Statistics
@@ -191,10 +197,23 @@ class Equilibrium(Displayed):
     work: float = 0.0
     """int n.t ds of the force n on the cross-sections, what dead loads do on the arm, J; 0 without load, NaN for loads
     that have no energy."""
-    point_curvature: Array = field(default_factory=lambda: np.zeros(0))
-    """(N, 2) curvature at the collocation points under load, 1/m; empty without one."""
     friction: FrictionState | None = None
     """What friction does, and where a motion with friction goes on from; None without friction."""
+
+    arc_length, position, frame = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
+    curvature, rotation, torsion = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
+    point, point_rotation, point_curvature = Of[Array]("points"), Of[Array]("points"), Of[Array]("points")
+    residual, mesh_error, tip_error = Of[float]("accuracy"), Of[float]("accuracy"), Of[float]("accuracy")
+
+    @property
+    def tip_position(self) -> Array:
+        """(3,) end of the longest tube in the plate frame, m."""
+        return self.position[-1]
+
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, 3) its frame."""
+        return self.frame[-1]
 
     @property
     def value(self) -> Array:
@@ -294,10 +313,3 @@ def refuse_load(equilibrium: Equilibrium) -> None:
 def small_turn(turn: Array) -> Array:
     """(3,) turn vector of a small turn (3, 3), or of the rate of one: the antisymmetric part, which loses no digits."""
     return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-
-
-ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
-"""Arrays with a value per point."""
-
-ARRAYS = tuple(field.name for field in dataclasses.fields(Equilibrium) if field.type == "Array")
-"""Names of the array fields, in order."""
