@@ -247,7 +247,7 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
     """The certificate of tubes off the centreline: its three tubes take alike from the margin."""
     assembly = robot.assembly(shift)
     margin, segment = proof(assembly)
-    gradient = proof_gradient(assembly, robot.moving_together)
+    gradient = proof_gradient(robot, shift)
     share = np.zeros((robot.n_tubes, robot.n_tubes))
     if segment is not None:
         mine = list(segment.tubes)
