@@ -105,10 +105,8 @@ class Pose:
     @cached_property
     def derivatives(self) -> Derivatives:
         """Derivatives at fixed arc lengths."""
-        assembly = self.problem.assembly
-        arm = arm_of(self.solved)
-        carriages = tuple((i,) for i in range(assembly.n_tubes))
-        return Derivatives(arm, assembly, carriages, wrt=PARAMETERS, margin=self.margin)
+        carriages = tuple((i,) for i in range(self.problem.assembly.n_tubes))
+        return Derivatives(arm_of(self.solved), carriages, wrt=PARAMETERS, margin=self.margin)
 
     @property
     def position(self) -> Array:

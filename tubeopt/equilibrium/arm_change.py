@@ -110,7 +110,7 @@ class ArmChange:
     """Change of one arm with Q parameters, computed where it is asked for.
 
     Args:
-        arm, assembly, carriages: the solved arm, its bundle of tubes, and the tubes that move together.
+        arm, carriages: the solved arm, and the tubes that move together.
         wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect
             to its translation in equal parts, so that the chain rule holds for every motion that is possible.
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
@@ -123,14 +123,13 @@ class ArmChange:
     def __init__(
         self,
         arm: Arm,
-        assembly: Assembly,
         carriages: tuple[tuple[int, ...], ...],
         *,
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
     ) -> None:
         check_wrt(wrt, side)
-        self.arm, self.assembly, self.carriages = arm, assembly, carriages
+        self.arm, self.assembly, self.carriages = arm, arm.assembly, carriages
         self.wrt, self.side = tuple(wrt), side
         self.size = 0
         """Number of columns, by carriages."""

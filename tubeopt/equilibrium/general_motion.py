@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from operator import itemgetter
 
 import numpy as np
 
-from ..block.transcription.collocated import ENDS
+from ..block.transcription.collocated import STEPS
 from ..block.transcription.linear import cumulate
 from ..robots.breakpoints import DIMENSIONS, coincides
 from ..typing import Array
@@ -32,21 +31,6 @@ def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
     return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
 
 
-@dataclass(frozen=True, eq=False)
-class Line:
-    """The centreline of P pieces: (P,) start and length, and positions and frames at the shape points, m."""
-
-    start: Array
-    length: Array
-    position: Array
-    frame: Array
-
-    @property
-    def n_pieces(self) -> int:
-        """Number of pieces P."""
-        return len(self.length)
-
-
 class GeneralMotion:
     """Derivatives by what `wrt` names of the n tubes, n columns each, as those of `Derivatives`; behind them those by
     what `more` says that changes.
@@ -65,10 +49,7 @@ class GeneralMotion:
         check_wrt(wrt, side, WRT, "with tubes made of pieces it")
         self.equilibrium, self.wrt, self.side, self._more = equilibrium, tuple(wrt), side, more
         self.here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
-        s = equilibrium.arc_length
-        steps = len(ENDS) - 1
-        self.arm = Line(s[:-1:steps], np.diff(s[::steps]), equilibrium.position, equilibrium.frame)
-        self.cuts = s[::steps]
+        self.arm, self.cuts = equilibrium.arm, equilibrium.arc_length[::STEPS]
 
     @cached_property
     def changes(self) -> list[tuple[Linearised, Change]]:

@@ -47,7 +47,6 @@ def derivatives_of(
             )
     return Derivatives(
         arm,
-        assembly,
         equilibrium.robot.moving_together if carriages is None else carriages,
         wrt=wrt,
         side=side,

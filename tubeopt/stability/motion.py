@@ -23,7 +23,7 @@ from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .folds import Fold, distance, land, polish_fold
 from .loaded_events import Loss, branch_end, fall
-from .snap import Snap, snap_between
+from .snap import Snap
 
 P = TypeVar("P", Point, LoadedPoint)
 
@@ -71,7 +71,7 @@ def leg(way: Way, start: Place, index: int) -> tuple[Place, list[Snap]]:
 def to_snap(way: Way, event: Event[Point] | Event[LoadedPoint], index: int) -> Snap:
     """An event on a way as a snap after the waypoint `index`."""
     before, after = told(way, event.lost, "fold"), told(way, event.landed, "energy descent")
-    return snap_between(index, event.lost.t, before, after)
+    return Snap(index, event.lost.t, before, after)
 
 
 def told(way: Way, place: Place, start: str) -> Equilibrium:

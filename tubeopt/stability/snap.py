@@ -8,7 +8,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium, Statistics
-from ..typing import Array, Sentence
+from ..typing import Array, Of, Sentence
 
 
 class SnapStatus(Sentence):
@@ -27,18 +27,22 @@ class Snap(Displayed):
     """Of the waypoint before it."""
     fraction: float
     """Of the way to the next waypoint."""
-    rotations: Array
-    """(n,) at the fold, rad."""
-    translations: Array
-    """(n,) m."""
     before: Equilibrium
-    """The equilibrium that vanishes there (margin 0)."""
+    """That vanishes (margin 0), at the joint values of the snap."""
     after: Equilibrium
-    """Where the robot lands."""
-    energy_released: float
-    """J."""
-    tip_jump: float
-    """m."""
+    """In which the robot lands."""
+
+    rotations, translations = Of[Array]("before"), Of[Array]("before")
+
+    @property
+    def energy_released(self) -> float:
+        """J."""
+        return self.before.potential - self.after.potential
+
+    @property
+    def tip_jump(self) -> float:
+        """m."""
+        return float(np.linalg.norm(self.after.tip_position - self.before.tip_position))
 
     @property
     def value(self) -> float:
@@ -54,17 +58,3 @@ class Snap(Displayed):
     def statistics(self) -> Statistics:
         """What the equilibrium that vanishes took."""
         return self.before.statistics
-
-
-def snap_between(index: int, fraction: float, before: Equilibrium, after: Equilibrium) -> Snap:
-    """A snap from one equilibrium to another."""
-    return Snap(
-        index=index,
-        fraction=fraction,
-        rotations=before.rotations,
-        translations=before.translations,
-        before=before,
-        after=after,
-        energy_released=before.potential - after.potential,
-        tip_jump=float(np.linalg.norm(after.tip_position - before.tip_position)),
-    )

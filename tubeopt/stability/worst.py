@@ -18,7 +18,7 @@ from ..errors import InputError, vector
 from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
-from ..typing import Array, Index
+from ..typing import Array, Index, Of
 from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
 from .pair import least_margin_of_pair, pair_of
@@ -35,14 +35,14 @@ least."""
 class WorstMargin(Displayed):
     """The least margin that was found over all rotations at given translations: what a certificate may not exceed."""
 
-    margin: float
-    """As found."""
     equilibrium: Equilibrium
     """Where, with the joint values to repeat it."""
     searches: int
     """Local ones that were done."""
     unstable: Array
     """(B, n) tip angles of the unstable equilibria at which local searches ended, rad."""
+
+    margin = Of[float]("equilibrium")
 
 
 @small
@@ -85,7 +85,7 @@ def worst_margin(
     solution = Solution.near(problem, rotations, profiles(problem, tips)[0], failure)
     equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
     unstable = np.array([tips for tips, found in ends if found < 0]).reshape(-1, n)
-    return WorstMargin(solution.margin, equilibrium, 0 if pair else len(ends), unstable)
+    return WorstMargin(equilibrium, 0 if pair else len(ends), unstable)
 
 
 def _places(problem: ReducedProblem) -> list[tuple[Array, Index]]:
