@@ -287,7 +287,7 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: there is none.
         """
-        found: Equilibrium = late("tubeopt.equilibrium.anew.equilibrium_at")(
+        found: Equilibrium = late("tubeopt.equilibrium.kinematics.equilibrium_at")(
             robot, rotations, translations, rotation_at, load=load, curvature_at=curvature_at
         )
         return found

@@ -9,8 +9,8 @@ from .following import Path, find_snap, follow
 from .friction_band import FrictionBand, friction_band
 from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
+from .motion import Snap
 from .settings import EquilibriaSearch, SnapSearch
-from .snap import Snap
 from .stroke import find_stroke_force
 from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict, judge
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin

@@ -27,9 +27,8 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
-from .motion import Event, Place, Way, leg, steps_along, to_snap, told, way_between
+from .motion import Event, Place, Snap, Way, leg, steps_along, to_snap, told, way_between
 from .rubbing_following import rubbing_legs
-from .snap import Snap
 
 T = TypeVar("T")
 

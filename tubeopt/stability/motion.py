@@ -10,26 +10,75 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from ..block.transcription.second_variation import softest
+from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import Family, LoadedPoint, carry, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import Equilibrium, Statistics
 from ..equilibrium.solving import Solution, to_equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.settings import CONTINUATION
-from ..typing import Array
+from ..typing import Array, Of, Sentence
 from .folds import Fold, distance, land, polish_fold
 from .loaded_events import Loss, branch_end, fall
-from .snap import Snap
 
 P = TypeVar("P", Point, LoadedPoint)
 
 Way = JointPath | Family
 
 Place = Point | LoadedPoint
+
+
+class SnapStatus(Sentence):
+    """How a snap ends; it reads as a sentence. One that does not land is no Snap, but raises SolveError."""
+
+    LANDED = "the equilibrium was lost, and the robot landed in another one"
+
+
+@dataclass(frozen=True, eq=False)
+class Snap(Displayed):
+    """One snap."""
+
+    _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
+
+    index: int
+    """Of the waypoint before it."""
+    fraction: float
+    """Of the way to the next waypoint."""
+    before: Equilibrium
+    """That vanishes (margin 0), at the joint values of the snap."""
+    after: Equilibrium
+    """In which the robot lands."""
+
+    rotations, translations = Of[Array]("before"), Of[Array]("before")
+
+    @property
+    def energy_released(self) -> float:
+        """J."""
+        return self.before.potential - self.after.potential
+
+    @property
+    def tip_jump(self) -> float:
+        """m."""
+        return float(np.linalg.norm(self.after.tip_position - self.before.tip_position))
+
+    @property
+    def value(self) -> float:
+        """The fraction of the way."""
+        return self.fraction
+
+    @property
+    def status(self) -> SnapStatus:
+        """How it ends."""
+        return SnapStatus.LANDED
+
+    @property
+    def statistics(self) -> Statistics:
+        """What the equilibrium that vanishes took."""
+        return self.before.statistics
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .snap import Snap
+from .motion import Snap
 
 SHORTEST = 1e-11
 """Turn of a base (rad), or shift over the longest tube, in a step that fails only where the state is lost."""

@@ -16,11 +16,10 @@ from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 from .folds import land
 from .following import find_snap
-from .motion import Event, to_snap
+from .motion import Event, Snap, to_snap
 from .pair import PairFold, farthest_fold, pair_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
-from .snap import Snap
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,10 @@ from ..typing import Array, Sentence
 from .certificate import Certificate, certify
 from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
 from .following import find_snap
+from .motion import Snap
 from .search import search_snap
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN
-from .snap import Snap
 from .worst import WorstMargin, worst_margin
 
 ASSUMING = "assuming no external load, weight or friction"
