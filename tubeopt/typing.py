@@ -56,23 +56,16 @@ class Sentence(Enum):
 
 @runtime_checkable
 class Result(Protocol):
-    """What a solver or a question answers with.
-
-    Attributes:
-        value: what was asked for, SI: a place, joint values, a robot, duties; of a program what gives its values by
-            name.
-        status: how it ended; as text it is a sentence.
-        statistics: what it took: iterations, solves, seconds, as named numbers.
-    """
+    """What a solver or a question answers with."""
 
     @property
     def value(self) -> Any:
-        """What was asked for."""
+        """What was asked for, SI: a place, joint values, a robot, duties; what gives those of a program by name."""
 
     @property
     def status(self) -> Any:
-        """How it ended."""
+        """How it ended; as text it is a sentence."""
 
     @property
     def statistics(self) -> Any:
-        """What it took."""
+        """What it took: iterations, solves, seconds, as named numbers."""

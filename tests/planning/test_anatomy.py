@@ -13,7 +13,7 @@ import yaml
 import tubeopt
 from tests.command_line import ROOT
 from tests.conftest import draw_quickly
-from tubeopt import InputError, PlanOptions, TipGoal, WaySearch
+from tubeopt import InputError, PlanOptions, TipGoal
 from tubeopt.bodies.anatomy import Anatomy, anatomy_seen, centres, field_of_image
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField
@@ -22,6 +22,7 @@ from tubeopt.bodies.images import LabelImage
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventricle
 from tubeopt.files.checked import check
 from tubeopt.planning import Trajectory, plan_trajectory
+from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.path_program import table_function
 from tubeopt.runs.anatomy_file import load_anatomy
 from tubeopt.runs.inverse_study import InverseStudy
@@ -69,7 +70,7 @@ def test_an_insertion_is_smoothed_as_asked_and_comes_near_no_voxel_that_is_barre
     goal = end.tip_position
     assert field.signed_distance(goal) > 1e-3
     # However busy the machine is, there is time to smooth.
-    effort = WaySearch(smoothing_seconds=300.0, smoothing_intervals=8)
+    effort = PlanEffort(smoothing=Smoothing(seconds=300.0, intervals=8))
     options = PlanOptions(clearance=2e-3, objective="effort", effort=effort, time_limit=600.0)
     plan = plan_trajectory(ROBOT, WITHDRAWN, end, obstacles=[field], options=options)
     assert plan.proved

@@ -23,7 +23,6 @@ from tubeopt import (
     SolveError,
     TipGoal,
     Trajectory,
-    WaySearch,
     find_equilibria,
     find_snap,
     follow,
@@ -39,8 +38,8 @@ from tubeopt.bodies.obstacles import Sphere, nearest_distance
 from tubeopt.inverse import search
 from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.task import Task
 from tubeopt.planning import plan
+from tubeopt.planning.effort import PlanEffort, PlanTask, Smoothing
 from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
 from tubeopt.planning.question import asked
@@ -52,8 +51,8 @@ from tubeopt.typing import Array
 
 OBJECTIVES = ("none", "length", "time")
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
-FEW_KNOTS = WaySearch(smoothing_intervals=6, smoothing_refinements=0)
-SOME_KNOTS = WaySearch(smoothing_intervals=12)
+FEW_KNOTS = PlanEffort(smoothing=Smoothing(intervals=6, refinements=0))
+SOME_KNOTS = PlanEffort(smoothing=Smoothing(intervals=12))
 TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])
 
 
@@ -142,8 +141,8 @@ def test_objectives(objective: str) -> None:
 
 
 def test_knots_that_are_none_are_refused() -> None:
-    with pytest.raises(InputError, match="smoothing_intervals is 0; it must be at least 1"):
-        WaySearch(smoothing_intervals=0)
+    with pytest.raises(InputError, match="intervals is 0; it must be at least 1"):
+        Smoothing(intervals=0)
 
 
 def test_obstacles_are_kept_clear_of_by_the_surface() -> None:
@@ -284,7 +283,7 @@ def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")
 def test_tips_that_exist_are_not_refused(robot: Robot) -> None:
     """Also those of joint values at the ends of their ranges, where few starts are near."""
-    task = Task(Chart(joint_space(robot)), (), 0.0, 0.0)
+    task = PlanTask(Chart(joint_space(robot)), (), 0.0, 0.0)
     space, n, random = task.chart.space, robot.n_tubes, np.random.default_rng(3)
     for _ in range(12):
         q = np.where(random.random(len(space.lower)) < 0.5, space.lower, space.upper)

@@ -22,7 +22,6 @@ from tubeopt import (
     SolveError,
     Trajectory,
     Tube,
-    WaySearch,
     follow_the_leader,
     forward_kinematics,
     inverse_kinematics,
@@ -42,6 +41,7 @@ from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
 from tubeopt.planning import building
+from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.reach import way_around
 from tubeopt.robots.robot import Robot
 
@@ -99,7 +99,7 @@ def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
             start,
             goal,
             obstacles=[body_at(goal, start, "half-space", left)],
-            options=PlanOptions(clearance=1e-3, effort=WaySearch(smoothing_intervals=12)),
+            options=PlanOptions(clearance=1e-3, effort=PlanEffort(smoothing=Smoothing(intervals=12))),
         )
         for left in (0.03, spare)
     )

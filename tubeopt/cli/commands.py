@@ -17,6 +17,7 @@ class Asked:
     """A command that asks a study of a kind, and shows and saves its answer. Its flags are the study's keys."""
 
     kind: str
+    """Of the study."""
     help: str
     example: str
     """The last line of its help."""

@@ -66,7 +66,7 @@ def serve(study: ServeEntry, output: Output) -> None:
     )
     servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
     server = RobotServer(
-        CrtkRobot(servo, watchdog=float(study.watchdog_s)),
+        CrtkRobot(servo, watchdog=study.si("watchdog_s")),
         ServerOptions(token=study.token or "", **study.in_si("port", "period_s", "publish_Hz")),
     )
 

@@ -102,9 +102,9 @@ def _begins(study: Study, path: str) -> dict[str, Any]:
     if isinstance(study, FollowStudy):
         return {"waypoints": without_times(study.robot, study.path)}
     if isinstance(study, SnapStudy):
-        return _joints(joints_of(study.robot, study.from_deg, study.from_mm))
+        return _joints(joints_of(study.robot, study.si("from_deg"), study.si("from_mm")))
     if isinstance(study, InverseStudy | PlanStudy):
-        return {"obstacles": study.bodies, "min_margin": float(study.min_margin)} | _joints(study.start)
+        return {"obstacles": study.bodies, "min_margin": study.si("min_margin")} | _joints(study.start)
     raise InputError(f"{path}: a study of kind {study.kind} says nothing to begin with; it must be {', '.join(KINDS)}")
 
 

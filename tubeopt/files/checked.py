@@ -22,7 +22,7 @@ from pydantic import (
 
 from ..errors import InputError, nearest
 from .plausible import models, suspects
-from .units import UNITS, ZERO_CELSIUS, as_typed, decimal, meant, parted, shown, to_si
+from .units import UNITS, ZERO_CELSIUS, as_typed, decimal, meant, parted, shown, to_si, unit_of
 
 LOGGER = logging.getLogger(__name__)
 
@@ -62,12 +62,20 @@ class Entry(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
+    def si(self, key: str) -> Any:
+        """The value of a key, a number in SI, those of a list as a tuple; what is no number is as it was given."""
+        return _in_si(getattr(self, key), unit_of(key))
+
     def in_si(self, *keys: str) -> dict[str, Any]:
-        """The values of some keys, numbers in SI, by the names of the keys without their units."""
-        return {name: _in_si(getattr(self, key), unit) for key in keys for name, unit in [parted(key)]}
+        """The same of several, by the names of the keys without their units."""
+        return {parted(key)[0]: self.si(key) for key in keys}
 
 
 def _in_si(value: Any, unit: str) -> Any:
+    if isinstance(value, list):
+        return tuple(_in_si(each, unit) for each in value)
+    if isinstance(value, dict):
+        return {name: _in_si(each, unit) for name, each in value.items()}
     if not isinstance(value, Decimal):
         return value
     return to_si(value + ZERO_CELSIUS if unit == "degC" else value, UNITS[unit] if unit else Decimal(1))

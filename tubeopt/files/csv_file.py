@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from os import PathLike
@@ -22,13 +22,15 @@ MOST_PROBLEMS = 20
 
 @dataclass(frozen=True)
 class CsvTable:
-    """A table of text. `line` tells where each row stands in the file, `problems` what is wrong with its cells."""
+    """A table of text."""
 
     path: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     line: tuple[int, ...]
+    """Where each row stands in the file, from 1."""
     problems: list[str] = field(default_factory=list)
+    """What is wrong with its cells."""
 
     def cell(self, row: int, column: str) -> str:
         """One cell, without blanks around it, empty where there is no such column; row from 0."""
@@ -47,11 +49,15 @@ class CsvTable:
             self.complain(row, column, str(error))
             return Decimal(0)
 
-    def numbers(self, columns: Sequence[str], unit: Decimal, *, gaps: bool = False) -> Array:
-        """(rows, columns) numbers of `columns` in SI, given their unit; with `gaps`, NaN where a cell is empty."""
+    def numbers(
+        self, columns: Sequence[str], unit: Decimal | Sequence[Decimal], *, gaps: Collection[str] = ()
+    ) -> Array:
+        """(rows, columns) numbers in SI, given the unit of all or of each; NaN where a cell is one of `gaps`."""
+        units = [unit] * len(columns) if isinstance(unit, Decimal) else unit
+        known = list(zip(columns, units, strict=True))
         return np.array(
             [
-                [math.nan if gaps and not self.cell(k, c) else to_si(self.number(k, c), unit) for c in columns]
+                [math.nan if self.cell(k, c).lower() in gaps else to_si(self.number(k, c), one) for c, one in known]
                 for k in range(len(self.rows))
             ]
         )

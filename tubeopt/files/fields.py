@@ -34,9 +34,12 @@ D = TypeVar("D")
 class Part(Entry):
     """An entry that describes an object of the library, and is valid where that object can be built."""
 
+    of: ClassVar[type[Any]]
+    """The dataclass whose fields are among its keys."""
+
     def build(self) -> Any:
-        """The object, in SI."""
-        raise NotImplementedError
+        """The object, in SI: what those fields make."""
+        return self.of(**values(self.of, self))
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
@@ -44,58 +47,44 @@ class Part(Entry):
         return self
 
 
-class _Described(Part):
-    """An entry made by `entry_of`."""
-
-    of: ClassVar[type[Any]]
-    finish: ClassVar[Callable[[Any, Any], Any] | None] = None
-
-    def build(self) -> Any:
-        """The object that the keys describe, in SI."""
-        made = self.of(**values(self.of, self))
-        finish = type(self).finish
-        return made if finish is None else finish(self, made)
-
-
 @dataclass(frozen=True)
 class Described:
-    """A field that is a key.   annotation: what pydantic checks.   read, write: from there to SI and back."""
+    """A field that is a key."""
 
     name: str
+    """In the dataclass."""
     key: str
+    """In the file."""
     about: str
     annotation: Any
+    """What pydantic checks."""
     default: Any
+    """In the unit of the file; MISSING where the key must be there."""
     read: Callable[[Any], Any]
+    """From the file to SI."""
     write: Callable[[Any], Any]
+    """And back."""
 
 
 def entry_of(
-    what: type[Any],
-    *,
-    base: type[Entry] = _Described,
-    extra: Mapping[str, Any] | None = None,
-    finish: Callable[[Any, Any], Any] | None = None,
+    what: Any, *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None, names: Collection[str] = ()
 ) -> Any:
     """The model of what a file says about a dataclass whose fields describe themselves.
 
     Args:
+        names: of the fields; by default all.
         base: what it derives from; by default an entry whose `build` makes the dataclass. Keys that it has stay.
         extra: further keys, as `pydantic.create_model` takes them; they stand before the others.
-        finish: (entry, object) -> the object as those further keys want it; may raise ValueError or InputError.
     """
     keys: dict[str, Any] = {
         field.key: (field.annotation, _default(field))
         for field in described(what)
-        if field.key not in {*(extra or {}), *base.model_fields}
+        if field.key not in {*(extra or {}), *base.model_fields} and (not names or field.name in names)
     }
-    doc = (what.__doc__ or "").partition("\n\n")[0]
-    name = what.__name__ if base is _Described else base.__name__
-    model = create_model(
-        name, __base__=base, __doc__=doc if base is _Described else base.__doc__, **(extra or {}), **keys
-    )
-    if base is _Described:
-        model.of, model.finish = what, finish  # type: ignore[attr-defined]
+    told = what if base is Part else base
+    doc = (told.__doc__ or "").partition("\n\n")[0]
+    model = create_model(told.__name__, __base__=base, __doc__=doc, **(extra or {}), **keys)
+    model.of = what  # type: ignore[attr-defined]
     return model
 
 
@@ -118,9 +107,10 @@ else:
             return entry_of(what)
 
 
-def asking(what: Any) -> Callable[[type[E]], type[E]]:
-    """Give an entry, besides its own keys, those of a dataclass; `values` of the entry makes its fields of them."""
-    return lambda base: entry_of(what, base=base)
+def asking(what: Any, *names: str) -> Callable[[type[E]], type[E]]:
+    """Give an entry, besides its own keys, those of a dataclass, or of its fields with these names: `values` makes its
+    fields of them, and `build` of a part the dataclass."""
+    return lambda base: entry_of(what, base=base, names=names)
 
 
 def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
@@ -128,11 +118,12 @@ def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
     return lambda base: create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
 
 
-def values(what: type[Any], entry: Any) -> dict[str, Any]:
-    """The fields of a dataclass in SI, from the keys of an entry; those whose key is empty by default are left out."""
+def values(what: Any, entry: Any) -> dict[str, Any]:
+    """The fields of a dataclass in SI, from the keys of an entry; those without a key, or with an empty one, are left
+    out."""
     read = {}
     for field in described(what):
-        given = getattr(entry, field.key)
+        given = getattr(entry, field.key, None)
         if given is not None:
             read[field.name] = field.read(given)
     return read
@@ -145,7 +136,7 @@ def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
     """
     return {
         field.key: field.write(getattr(what, field.name))
-        for field in described(type(what))
+        for field in described(what.__class__)
         if field.name not in leave_out and getattr(what, field.name) is not None
     }
 
@@ -153,13 +144,9 @@ def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
 # --- the fields ------------------------------------------------------------------------------------------------------
 
 
+@functools.lru_cache(maxsize=256)
 def described(what: Any) -> tuple[Described, ...]:
     """The fields of a dataclass that are keys, in order."""
-    return _keys(what)
-
-
-@functools.lru_cache(maxsize=256)
-def _keys(what: Any) -> tuple[Described, ...]:
     return tuple(_described(field) for field in marked(what))
 
 

@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
-from ..errors import InputError, choice, finite, instance, positive
+from ..errors import InputError, choice, finite, instance, positive, whole
 from .units import unit_of
 
 M = TypeVar("M")
@@ -29,11 +29,12 @@ M = TypeVar("M")
 
 @dataclass(frozen=True)
 class Key:
-    """How a field is called in a file, and the unit of its number there, a key of `UNITS`.   name: None adds the unit
-    to the name of the field."""
+    """How a field is called in a file."""
 
     unit: str
+    """Of its number there, a key of `UNITS`."""
     name: str | None = None
+    """None for the name of the field and its unit."""
 
 
 def unit(name: str) -> Key:
@@ -48,9 +49,10 @@ def key(name: str) -> Key:
 
 @dataclass(frozen=True)
 class Range:
-    """What a number, or each of several, must be (SI): above one bound or at least another, at most a third."""
+    """What a number, or each of several, must be (SI)."""
 
     above: float | None = None
+    """A bound that it exceeds."""
     least: float | None = None
     most: float | None = None
 
@@ -97,19 +99,21 @@ class Named:
 
 @dataclass(frozen=True)
 class Written:
-    """An entry of its own reads the field, and a function of its own writes it."""
+    """A field that is read and written in a way of its own."""
 
     entry: type[Any]
+    """Reads it."""
     write: Callable[[Any], Any]
+    """Writes it."""
 
 
 @dataclass(frozen=True)
 class Marked:
-    """A field that says something about itself.   kind: of its value, besides None where it is optional; a tuple of
-    both kinds where that is a number or several."""
+    """A field that says something about itself."""
 
     field: dataclasses.Field[Any]
     kind: Any
+    """Of its value, besides None where it is optional; a tuple of both kinds where that is a number or several."""
     optional: bool
     marks: tuple[Any, ...]
 
@@ -123,13 +127,9 @@ class Marked:
         return next((mark for mark in self.marks if isinstance(mark, kind)), None)
 
 
+@functools.lru_cache(maxsize=256)
 def marked(what: Any) -> tuple[Marked, ...]:
     """The fields of a dataclass that say something about themselves, in order."""
-    return _marked(what)
-
-
-@functools.lru_cache(maxsize=256)
-def _marked(what: Any) -> tuple[Marked, ...]:
     hints = typing.get_type_hints(what, include_extras=True)
     known = [(field, hints[field.name]) for field in dataclasses.fields(what)]
     return tuple(_read(field, hint) for field, hint in known if get_origin(hint) is Annotated)
@@ -163,7 +163,7 @@ def check_fields(what: Any, owner: str = "") -> None:
     Raises:
         InputError: a number out of its range, a word that is not allowed, a part of another kind.
     """
-    for field in marked(type(what)):
+    for field in marked(what.__class__):
         value = getattr(what, field.name)
         label = f"{field.name} of {owner}" if owner else field.name
         words = field.first(OneOf)
@@ -171,6 +171,11 @@ def check_fields(what: Any, owner: str = "") -> None:
             continue
         if field.kind is float:
             object.__setattr__(what, field.name, _checked(label, value, field.first(Range) or Range()))
+        elif field.kind is int:
+            object.__setattr__(what, field.name, whole(label, value))
+            _checked(label, value, field.first(Range) or Range())
+        elif field.kind is bool:
+            instance(label, value, bool)
         elif words is not None and field.kind is str:
             choice(label, value, words.words)
         elif isinstance(field.kind, type) and dataclasses.is_dataclass(field.kind):
@@ -180,6 +185,8 @@ def check_fields(what: Any, owner: str = "") -> None:
 def _checked(label: str, value: Any, allowed: Range) -> float:
     bounded = allowed.above == 0 or allowed.least == 0
     number = positive(label, value, zero=allowed.least == 0) if bounded else finite(label, value)
+    if allowed.least is not None and number < allowed.least:
+        raise InputError(f"{label} is {number:g}; it must be at least {allowed.least:g}")
     if allowed.most is not None and number > allowed.most:
         raise InputError(f"{label} is {number:g}; it must be at most {allowed.most:g}")
     return number

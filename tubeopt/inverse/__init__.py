@@ -4,7 +4,6 @@ from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseS
 from .session import IkSession
 from .settings import InverseSolver
 from .solving import inverse_kinematics
-from .way_settings import WaySearch
 
 __all__ = [
     "IkSession",
@@ -14,6 +13,5 @@ __all__ = [
     "InverseStatistics",
     "InverseStatus",
     "JointWay",
-    "WaySearch",
     "inverse_kinematics",
 ]

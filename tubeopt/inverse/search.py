@@ -56,13 +56,13 @@ def find_way(
         if task.motion(start, goal):
             return Way(np.stack([start, goal]), "straight", tried)
     effort, seconds = task.effort, improving if how == "optimal" else None
-    between = wall(task, start, goals, Clock(min(effort.wall_seconds, effort.wall_share * clock.left)), seed=seed)
+    between = wall(task, start, goals, Clock(min(effort.walls.seconds, effort.walls.share * clock.left)), seed=seed)
     if between is not None and between.proved:
         return Way(None, "search", tried, None, between.words, True)
     if how != "rrt_connect" and between is None:
-        share = Clock(min(effort.detour_seconds, effort.detour_share * clock.left))
+        share = Clock(min(effort.detours.seconds, effort.detours.share * clock.left))
         for goal in goals:
-            for shift in islice(certified_translations(task, start, goal, share), effort.detours):
+            for shift in islice(certified_translations(task, start, goal, share), effort.detours.most):
                 # Translations change, tips turn where nothing can snap, and translations go on from there.
                 points = [start, np.append(start[:n], shift), np.append(goal[:n], shift), goal]
                 tried += len(points) - 1
@@ -91,7 +91,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
     space = task.chart.space
     n = space.robot.n_tubes
     ends = start[n:], goal[n:]
-    drawn = space.sample(task.effort.translations)[:, n:]
+    drawn = space.sample(task.effort.detours.samples)[:, n:]
     # On the way from an end to a sample the certificate usually grows: the first point that has it is the nearest.
     table = np.concatenate([end + x * (drawn - end) for end in ends for x in (0.25, 0.5, 0.75, 1.0)])
     far = sum(np.linalg.norm((table - end) / task.scale[n:], axis=1) for end in ends)
@@ -136,7 +136,7 @@ def by_sampling(
         raise InputError("planning needs OMPL: pip install 'tubeopt[planning]'") from None
     util.setLogLevel(util.LogLevel.LOG_NONE)
     util.RNG.setSeed(seed + 1)
-    scale, count, effort = task.scale, [tried], task.effort
+    scale, count, long = task.scale, [tried], task.effort.trees.motion
 
     def moves(one: Array, other: Array) -> bool:
         if clock.over:
@@ -151,17 +151,18 @@ def by_sampling(
         planner = geometric.BITstar(information)
     else:
         planner = geometric.RRTConnect(information)
-        planner.setRange(effort.motion)
+        planner.setRange(long)
     planner.setProblemDefinition(problem)
     planner.setup()
-    first = clock if seconds is not None else clock.part(effort.reason_share if reason else effort.long_share)
+    share = task.effort.trees.reason_share if reason else task.effort.trees.long_share
+    first = clock if seconds is not None else clock.part(share)
     planner.solve(base.PlannerTerminationCondition(lambda: first.over))
     if first is not clock and not problem.hasExactSolution():
-        reason = reason or closed_off(task, start, goals, clock.part(effort.pocket_share), seed=seed)
+        reason = reason or closed_off(task, start, goals, clock.part(task.effort.pockets.share), seed=seed)
         if reason:
             return replace(_way(problem, scale, (start, goals), count[0]), why=reason)
         # Where long motions do not lead on, short ones may.
-        planner.setRange(effort.motion / 4)
+        planner.setRange(long / 4)
         planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
     data = base.PlannerData(information)
     planner.getPlannerData(data)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ class Task:
         """(m,) one unit of each coordinate."""
         return self.chart.space.scale
 
-    def from_to(self, start: Array, *goals: Array) -> Task:
+    def from_to(self, start: Array, *goals: Array) -> Self:
         """The same with the point of the chart (m,) at which a plan begins, and those at which it may end."""
         ends = np.stack([start, *goals])
         left = self.clearances(self.arms(ends)) - self.clearance
@@ -70,7 +71,7 @@ class Task:
         floor = min(self.floor, max(0.0, float(min(left[0], left[1:].max()) / 2)))
         return replace(self, ends=ends, floor=floor)
 
-    def roomier(self) -> Task:
+    def roomier(self) -> Self:
         """The same with more room between what is checked and what must hold."""
         return replace(
             self,
@@ -98,14 +99,14 @@ class Task:
         if not len(rows):
             return np.asarray(least)
         step = step[rows, None, None]
-        middle = np.take_along_axis(s[rows], np.argsort(gap[rows], axis=1)[:, : self.effort.windows], axis=1)
+        middle = np.take_along_axis(s[rows], np.argsort(gap[rows], axis=1)[:, : self.effort.steps.windows], axis=1)
         for _ in range(2):
-            near = middle[..., None] + np.linspace(-1, 1, self.effort.window_points) * step
+            near = middle[..., None] + np.linspace(-1, 1, self.effort.steps.window_points) * step
             near = np.clip(near, 0.0, s[rows, -1, None, None]).reshape(len(rows), -1)
             gap = self._gap(arms, near, arms.at(near, rows), rows)
             least[rows] = np.minimum(least[rows], gap.min(1))
             middle = np.take_along_axis(near, gap.argmin(1)[:, None], axis=1)
-            step = step * 2 / (self.effort.window_points - 1)
+            step = step * 2 / (self.effort.steps.window_points - 1)
         return np.asarray(least)
 
     def _gap(self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp], within: float = np.inf) -> Array:
@@ -118,7 +119,7 @@ class Task:
 
     def arms(self, z: Array) -> Arms:
         """The equilibria of points (N, m), `stable` by the margin to keep and its room."""
-        floor = self.min_margin + np.minimum(self.margin_room, self.effort.margin_slope * self._away(z))
+        floor = self.min_margin + np.minimum(self.margin_room, self.effort.steps.margin_slope * self._away(z))
         return self.chart.arms(z, floor, self.clock)
 
     def _away(self, z: Array) -> Array:
@@ -129,7 +130,7 @@ class Task:
 
     def needed(self, z: Array) -> Array:
         """(N,) clearance (m) that points must have to spare."""
-        return np.minimum(self.floor, self.effort.clearance_slope * self._away(z))
+        return np.minimum(self.floor, self.effort.steps.clearance_slope * self._away(z))
 
     def spare(self, z: Array, *, arms: Arms | None = None) -> Array:
         """(N,) what points have to spare of margin and clearance, as a share of the room; negative where they do not
@@ -142,7 +143,7 @@ class Task:
         away = self._away(z)
         known = away < SAME
         allowed = inside & (arms.stable | known)
-        spare = np.minimum(1.0, self.effort.margin_slope * away / self.margin_room)
+        spare = np.minimum(1.0, self.effort.steps.margin_slope * away / self.margin_room)
         if self.obstacles and allowed.any():
             rows = np.flatnonzero(allowed)
             left = self.clearances(arms.some(rows), self.clearance + self.clearance_room) - self.clearance
@@ -191,9 +192,9 @@ class Task:
 
     def _halved(self, line: Array, spare: Array) -> int | None:
         """`fineness` of a motion whose points (k, m) have something to spare."""
-        for halvings in range(self.effort.step_halvings + 1):
+        for halvings in range(self.effort.steps.halvings + 1):
             tight = np.flatnonzero(np.minimum(spare[:-1], spare[1:]) < 0.25**halvings)
-            if not len(tight) or halvings == self.effort.step_halvings:
+            if not len(tight) or halvings == self.effort.steps.halvings:
                 return halvings
             middle = (line[tight] + line[tight + 1]) / 2
             found = self.spare(middle)
@@ -204,12 +205,12 @@ class Task:
 
     def line(self, start: Array, end: Array, rotations: Array | None = None) -> Array:
         """(k, m) points of a motion that are to be checked, from end to end, whose `rotations` (2, n) may be known."""
-        n = self.chart.space.robot.n_tubes
+        n, steps = self.chart.space.robot.n_tubes, self.effort.steps
         change = np.abs(end - start)
         turned = self.chart.rotations(np.stack([start, end])) if rotations is None else rotations
         joint = np.abs(turned[1] - turned[0]).max()
-        shift = change[n:].max(initial=0.0) / (self.effort.step_shift * self.chart.space.length)
-        count = int(np.ceil(max(change[:n].max() / self.effort.step_turn, joint / self.effort.step_joint, shift, 1.0)))
+        shift = change[n:].max(initial=0.0) / (steps.shift * self.chart.space.length)
+        count = int(np.ceil(max(change[:n].max() / steps.turn, joint / steps.joint, shift, 1.0)))
         x = np.arange(1, count)[:, None] / count
         return np.concatenate([start[None], start + x * (end - start), end[None]])
 

@@ -3,6 +3,7 @@
 from .apart import PairProof
 from .arms import ArmsProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
+from .effort import PlanEffort, ProofSearch
 from .entry import EntryRegion, plan_from_region
 from .goals import TipGoal
 from .leader import LeaderSolver, follow_the_leader
@@ -26,9 +27,11 @@ __all__ = [
     "PairReach",
     "PairShare",
     "PlacedRobot",
+    "PlanEffort",
     "PlanOptions",
     "PlanStatistics",
     "Proof",
+    "ProofSearch",
     "RateLimits",
     "ReachShare",
     "RegionReach",

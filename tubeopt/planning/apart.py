@@ -193,7 +193,7 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
     something that does not move is `most` apart, m."""
     one, other = tracks
     measured, when = np.inf, 0.0
-    for _ in range(one.follower.effort.proof_arms_rounds):
+    for _ in range(one.follower.effort.arms_rounds):
         times = np.union1d(one.times, other.times)
         times = times if len(times) > 1 else np.repeat(times, 2)
         bound, sides, closest, then = _bounds((one, other), times, wanted, measured)

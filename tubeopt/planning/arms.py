@@ -22,12 +22,12 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, instance, vector
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
-from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.robot import Robot, check_robot
 from ..typing import Array
 from .apart import PairProof, apart, tracked
 from .clearing import Table, Wanted
 from .cross_sections import Constants
+from .effort import DEFAULT_PROOF, ProofSearch
 from .motion import RateLimits
 from .passage import Follower
 from .proof import Proof, ProofStatus, verify_trajectory
@@ -47,6 +47,7 @@ class PlacedRobot(Displayed):
     """
 
     robot: Robot
+    """Concentric or eccentric."""
     base: Frame = field(default_factory=Frame)
     """The frame of its plate in the shared one."""
     name: str = ""
@@ -171,7 +172,7 @@ def verify_arms(  # noqa: PLR0913
     clearance: float = 0.0,
     rate_limits: RateLimits | None = None,
     clock: Clock | None = None,
-    effort: WaySearch = DEFAULT_WAY,
+    effort: ProofSearch = DEFAULT_PROOF,
 ) -> ArmsProof:
     """Follow motions of several robots, and say whether any of them snaps, hits a body, or touches another.
 
@@ -222,13 +223,13 @@ def verify_arms(  # noqa: PLR0913
                     effort=effort,
                 )
             )
-        wanted = Wanted(0.0, effort.proof_arms_accuracy, effort.proof_cells)
+        wanted = Wanted(0.0, effort.arms_accuracy, effort.cells)
         follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(math.inf), effort)
         tracks.append(tracked(follower, first, time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
-        wanted = Wanted(clearance, effort.proof_arms_accuracy, effort.proof_arms_cells)
+        wanted = Wanted(clearance, effort.arms_accuracy, effort.arms_cells)
         most = between_plates(known[i], known[j])
         pairs.append(apart((i, j), (tracks[i], tracks[j]), wanted, most))
         faults += _between(known, pairs[-1], clearance)
@@ -262,7 +263,7 @@ def _between(arms: Sequence[PlacedRobot], found: PairProof, clearance: float) ->
     return []
 
 
-def at_rest(equilibrium: Equilibrium, base: Frame, chord: float = DEFAULT_WAY.rest_chord) -> tuple[Capsule, ...]:
+def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsule, ...]:
     """Capsules that hold all of an arm, in the frame that arms share: what others keep away from while it rests.
     Pieces as long as `chord`, m, are taken as straight."""
     ends = equilibrium.tube_end

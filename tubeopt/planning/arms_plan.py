@@ -24,7 +24,6 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
 from ..inverse.clock import Clock
 from ..inverse.question import prepared
-from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .arms import (
@@ -40,6 +39,7 @@ from .arms import (
     plate_of,
     verify_arms,
 )
+from .effort import DEFAULT_EFFORT, ArmsSearch
 from .goals import goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
@@ -52,29 +52,30 @@ Move = tuple[int, Trajectory]
 
 @dataclass(frozen=True, eq=False)
 class ArmsPlan(Displayed):
-    """Motions of several robots on one clock, which keep away from each other.
-
-    Attributes:
-        arms: the robots, and where they stand.
-        trajectories: one for each, in its own frame, its time (s) from when it begins to move; its obstacles are those
-            that its path was planned past: with other arms at rest.
-        order: numbers of arms, from 0, in which they were planned for.   made_way: those that first withdrew: their
-            trajectories are of two parts, with rest in between, and their proof is that of all of it.
-        obstacles: in the frame that all share.   min_margin, min_clearance (m): what is kept.
-        proof: of all of this.   seconds: that it took.
-    """
+    """Motions of several robots on one clock, which keep away from each other."""
 
     _brief = ("arms", "status", "order")
 
     arms: tuple[PlacedRobot, ...]
+    """The robots, and where they stand."""
     trajectories: tuple[Trajectory, ...]
+    """One for each, in its own frame, its time (s) from when it begins to move; its obstacles are those that its path
+    was planned past: with other arms at rest."""
     order: tuple[int, ...]
+    """Numbers of arms, from 0, in which they were planned for."""
     obstacles: tuple[Obstacle, ...]
+    """In the frame that all share."""
     min_margin: float
+    """That is kept."""
     min_clearance: float
+    """That is kept, m."""
     proof: ArmsProof
+    """Of all of this."""
     seconds: float
+    """That it took."""
     made_way: tuple[int, ...] = ()
+    """Those that first withdrew: their trajectories are of two parts, with rest in between, and their proof is that of
+    all of it."""
 
     @property
     def duration(self) -> float:
@@ -105,7 +106,7 @@ class ArmsPlan(Displayed):
         between them."""
         t = np.asarray(times, dtype=float)
         lines = [
-            _moving(arm, each, DEFAULT_WAY.delay_points).at_times(t)
+            _moving(arm, each, DEFAULT_EFFORT.arms.points).at_times(t)
             for arm, each in zip(self.arms, self.trajectories, strict=True)
         ]
         return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
@@ -158,7 +159,7 @@ def plan_arms(
         with of_arm(known, k):
             space = prepared(known[k].robot, None, options.carriage_gap, options.section_length)
             first.append(start_equilibrium(space, start))
-    _check_starts(known, first, options.clearance, options.effort.delay_points)
+    _check_starts(known, first, options.clearance, options.effort.arms.points)
     goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
 
     def planned(k: int, ends: Sequence[Equilibrium], limit: float, withdrawn: bool) -> Trajectory:
@@ -166,7 +167,7 @@ def plan_arms(
         others: list[Obstacle] = []
         for j, end in enumerate(ends):
             if j != k:
-                others += [plate_of(known[j]), *at_rest(end, known[j].base, options.effort.rest_chord)]
+                others += [plate_of(known[j]), *at_rest(end, known[j].base, options.effort.arms.rest_chord)]
         asked: dict[str, Any] = {
             "obstacles": seen_from(arm.base, [*bodies, *others]),
             "min_margin": min_margin,
@@ -179,8 +180,8 @@ def plan_arms(
 
     order, moves = _one_by_one(known, first, planned, clock)
     asks: dict[str, Any] = {"starts": first, "obstacles": bodies, "clearance": options.clearance}
-    asks |= {"min_margin": min_margin - 1e-6, "clock": clock, "effort": options.effort}
-    for motions in _sooner(known, first, moves, options.clearance, options.effort):
+    asks |= {"min_margin": min_margin - 1e-6, "clock": clock, "effort": options.effort.proof}
+    for motions in _sooner(known, first, moves, options.clearance, options.effort.arms):
         proof = verify_arms(known, motions, **asks)
         if proof.holds or clock.over:
             break
@@ -271,13 +272,13 @@ def _sooner(
     first: Sequence[Equilibrium],
     moves: Sequence[Move],
     clearance: float,
-    effort: WaySearch,
+    effort: ArmsSearch,
 ) -> Iterator[tuple[Trajectory, ...]]:
     """Motions on one clock, each move begun as early as those before it leave room; then with more room; at last one
     after the other."""
-    lines = [_moving(arms[k], motion, effort.delay_points) for k, motion in moves]
-    for room in (effort.delay_room, 4 * effort.delay_room, np.inf):
-        whole = [Lines.of([e], effort.delay_points, arm.base) for arm, e in zip(arms, first, strict=True)]
+    lines = [_moving(arms[k], motion, effort.points) for k, motion in moves]
+    for room in (effort.room, 4 * effort.room, np.inf):
+        whole = [Lines.of([e], effort.points, arm.base) for arm, e in zip(arms, first, strict=True)]
         parts: list[list[Trajectory]] = [[] for _ in arms]
         for (k, motion), line in zip(moves, lines, strict=True):
             earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
@@ -295,12 +296,12 @@ def _moving(arm: PlacedRobot, motion: Trajectory, count: int) -> Lines:
     return replace(Lines.of(motion.arms, count, arm.base), time=motion.time)
 
 
-def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effort: WaySearch) -> bool:
+def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effort: ArmsSearch) -> bool:
     """Whether an arm that begins to move at a time keeps its distance from the others until they rest, as they did when
     it was planned for."""
     for other in others:
         if other.time[-1] > since:
-            times = np.linspace(since, other.time[-1], effort.delay_instants)
+            times = np.linspace(since, other.time[-1], effort.instants)
             if line.at_times(times).gaps(other.at_times(times)).min() < room:
                 return False
     return True
@@ -324,5 +325,5 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
         }
         turns = tuple(a + b for a, b in zip(whole.turns, part.turns, strict=True))
         arms, summary = (*whole.arms, *part.arms[kept]), replace(other, **summed)
-        whole = replace(whole, **joined, arms=arms, end=part.end, turns=turns, statistics=summary)
+        whole = replace(whole, **joined, arms=arms, turns=turns, statistics=summary)
     return whole

@@ -40,13 +40,15 @@ Turn = tuple[Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """What is known between neighbouring equilibria: `unbroken` (B,) whether one stable branch joins them; `off` (B, K)
-    by how much, m, a point in a section may be off the straight line between its places at both ends; `turned` (B,)
-    whether the turn of the tubes is bounded between its samples along the arm, which shorter intervals hardly help."""
+    """What is known between neighbouring equilibria."""
 
     unbroken: Mask
+    """(B,) whether one stable branch joins them."""
     off: Array
+    """(B, K) by how much, m, a point in a section may be off the straight line between its places at both ends."""
     turned: Mask
+    """(B,) whether the turn of the tubes is bounded between its samples along the arm, which shorter intervals hardly
+    help."""
 
 
 def branch(intervals: Intervals, stiffness: Array) -> Branch:

@@ -11,8 +11,8 @@ import numpy as np
 from ..bodies.distance_field import DistanceField
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
-from ..inverse.task import Task
 from ..typing import Array
+from .effort import PlanTask
 from .goals import End
 from .motion import Motion
 from .proof import verify_trajectory
@@ -38,7 +38,7 @@ def actuators(question: Question, first: Equilibrium) -> Limits:
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     tip = None if rates.tip is None else (rates.tip, tips)
-    return Limits(*rates.of(task.chart.space), tip, task.effort)
+    return Limits(*rates.of(task.chart.space), tip, task.effort.timing)
 
 
 def motions_near(question: Question, first: Equilibrium, points: Array) -> list[tuple[Motion, str, int, int]]:
@@ -54,20 +54,20 @@ def motions_near(question: Question, first: Equilibrium, points: Array) -> list[
     resting = stopping_at(curves, limits)
     effort, found = task.effort, []
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
-    most = effort.scanned_seconds * clock.crowding if scanned else effort.smoothing_seconds
-    own = Clock(min(most, effort.smoothing_share * clock.left), clock)
+    most = effort.smoothing.scanned_seconds * clock.crowding if scanned else effort.smoothing.seconds
+    own = Clock(min(most, effort.smoothing.share * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < effort.least_smoothing or not _worth_smoothing(question, curves):
+        if aim == "none" or own.left < effort.smoothing.least_seconds or not _worth_smoothing(question, curves):
             break
         best = smooth(task, first, points, limits, (name, extra), own)
         if best is not None:
             exact = name == "margin" or extra is not None
-            way = best.motion.sampled(task.scale, effort)[1], best.points[-1]
+            way = best.motion.sampled(task.scale, effort.timing)[1], best.points[-1]
             rounder = None if exact else _rounded(task, first, way, limits, own)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             found.append((motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
-        rest = Clock(min(effort.rounding_seconds * clock.crowding, effort.rounding_share * clock.left), clock)
+        rest = Clock(min(effort.rounding.seconds * clock.crowding, effort.rounding.share * clock.left), clock)
         way = np.concatenate(curves), points[-1]
         if len(curves) > 1 and (corners := _rounded(task, first, way, limits, rest)) is not None:
             found.append((corners, "corners", 0, len(points)))
@@ -75,9 +75,9 @@ def motions_near(question: Question, first: Equilibrium, points: Array) -> list[
             found = [each for each in found if each[0].duration <= resting.duration]
             found.sort(key=lambda each: each[0].duration)
         else:
-            same = 1 + effort.same_length
-            longest, slowest = resting.length(task.scale, effort) * same, resting.duration * same
-            short = [(each[0].length(task.scale, effort), each) for each in found if each[0].duration <= slowest]
+            same = 1 + effort.smoothing.same_length
+            longest, slowest = resting.length(task.scale, effort.timing) * same, resting.duration * same
+            short = [(each[0].length(task.scale, effort.timing), each) for each in found if each[0].duration <= slowest]
             found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
     return [*found, (resting, "", 0, len(points))]
 
@@ -92,14 +92,17 @@ def _worth_smoothing(question: Question, curves: Sequence[Array]) -> bool:
     if length < SHORT or options.objective != "length" or options.extra_cost is not None:
         return length >= SHORT
     straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
-    return 1 - straight / length > (task.effort.worth_among_bodies if task.obstacles else task.effort.worth_smoothing)
+    effort = task.effort.smoothing
+    return 1 - straight / length > (effort.worth_among_bodies if task.obstacles else effort.worth)
 
 
-def _rounded(task: Task, first: Equilibrium, way: tuple[Array, Array], limits: Limits, clock: Clock) -> Motion | None:
+def _rounded(
+    task: PlanTask, first: Equilibrium, way: tuple[Array, Array], limits: Limits, clock: Clock
+) -> Motion | None:
     """The fastest motion close to a way, its bends as round as they may be; None where even slight rounding leads where
     the robot may not be, or time is over. `way`: joint values (k, m), and the point of the chart (m,) at its end."""
     q, end = way
-    for spacing in task.effort.roundings:
+    for spacing in task.effort.rounding.spacings:
         if clock.over:
             return None
         motion = through(q, task.scale, limits, spacing)
@@ -116,7 +119,7 @@ def build(
     `found` before is told with the length of what is made of it and the seconds of the proof."""
     task, rates, clock = question.task, question.rates, question.clock
     space = task.chart.space
-    t, q = motion.sampled(task.scale, task.effort)
+    t, q = motion.sampled(task.scale, task.effort.timing)
     begin = space.join(first.rotations, first.translations)
     last = q[-1] if end is None else end.joints
     x = (t / t[-1] if t[-1] > 0 else np.ones(len(t)))[:, None]
@@ -140,15 +143,15 @@ def build(
         clock=clock,
         max_force=task.max_force,
         load=task.chart.load,
-        effort=task.effort,
+        effort=task.effort.proof,
     )
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
-        if 1 < hurry < task.effort.tip_hurry and len(proof.faults) == 1:
+        if 1 < hurry < task.effort.timing.hurry and len(proof.faults) == 1:
             return build(question, first, end, motion.slower(hurry), found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
-    rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.late_seconds))
+    rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.shares.late_seconds))
     if rest.lost:
         return (no_time(clock),)
     known = Tracked((*proof.samples, *rest.equilibria), lost=False)
@@ -166,7 +169,6 @@ def build(
         margin=known.margin,
         arms=known.equilibria,
         start=first,
-        end=known.equilibria[-1],
         turns=(0,) * n if end is None else end.turns,
         obstacles=task.obstacles,
         min_margin=task.min_margin,

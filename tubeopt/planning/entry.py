@@ -19,12 +19,12 @@ from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
-from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array
 from .arms import Lines
+from .effort import PlanTask
 from .goals import TipGoal, checked_places, goal_seen, of_the_tip, start_equilibrium
 from .motion import RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
@@ -40,18 +40,18 @@ MOST = 16384
 class EntryRegion(Displayed):
     """Where the plate may stand, and how it may point, in the frame of the plate as it is given.
 
-    Args:
-        radius: of the disc square to the plate's z, m.   box: (3,) how far along x, y and z, to both sides, m.
-        places: (N, 3) points in place of a disc or box.   cone: half angle of the cone about z, rad, below a right one.
-
     Raises:
         InputError: several of radius, box and places, none of them and no cone, numbers that make no sense.
     """
 
     radius: float = 0.0
+    """Of the disc square to the plate's z, m."""
     box: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How far along x, y and z, to both sides, m."""
     places: Array | None = field(default=None, repr=False)
+    """(N, 3) points in place of a disc or box, m."""
     cone: float = 0.0
+    """Half angle of the cone about z, rad, below a right one."""
 
     def __post_init__(self) -> None:
         positive("radius of the entry", self.radius, zero=True)
@@ -152,7 +152,7 @@ def plan_from_region(
         )
 
     def planned(frame: Frame, left: int) -> Trajectory:
-        limit = max(task.clock.left / min(left, options.effort.entry_share), 1e-3)
+        limit = max(task.clock.left / min(left, options.effort.shares.entry), 1e-3)
         bodies, own = seen_from(frame, obstacles), replace(options, time_limit=limit)
         return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=own, **given)
 
@@ -180,10 +180,10 @@ def plan_from_region(
     )
 
 
-def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
+def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
     """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
     infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
-    points, of_tip = task.effort.entry_points, of_the_tip(goal)
+    points, of_tip = task.effort.entry.points, of_the_tip(goal)
     at_start = Lines.of([first], points)
     arms = _random(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], points)
     half, found = task.clock.part(0.5), list[float]()
@@ -199,22 +199,22 @@ def _scores(task: Task, first: Equilibrium, goal: Any, frames: Sequence[Frame]) 
     return np.array(found)
 
 
-def _random(task: Task) -> Lines:
+def _random(task: PlanTask) -> Lines:
     """Stable arms of random joint values."""
     chart = task.chart
-    arms = chart.arms(chart.space.sample(task.effort.entry_arms), task.min_margin)
+    arms = chart.arms(chart.space.sample(task.effort.entry.arms), task.min_margin)
     kept = np.flatnonzero(arms.stable)
-    s = np.linspace(0.0, 1.0, task.effort.entry_points) * arms.arc_length[kept, -1:]
+    s = np.linspace(0.0, 1.0, task.effort.entry.points) * arms.arc_length[kept, -1:]
     shown = s[:, :, None] <= arms.tube_end[kept][:, None, :] + 1e-12
     return Lines(arms.at(s, kept), np.where(shown, chart.radius, 0.0).max(2))
 
 
-def _room(task: Task, arms: Lines) -> Array:
+def _room(task: PlanTask, arms: Lines) -> Array:
     """(N,) distance of arms from bodies, m."""
     return np.asarray((nearest_distance(task.obstacles, arms.points) - arms.radius).min(1))
 
 
-def _missed(task: Task, arms: Lines, goal: TipGoal, frame: Frame) -> float:
+def _missed(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
     """How far arms that are turned about the plate's z, as they all may be, stay from a goal, and from their clearance,
     m: the least of both together."""
     least = np.inf
@@ -222,7 +222,7 @@ def _missed(task: Task, arms: Lines, goal: TipGoal, frame: Frame) -> float:
     for place in goal.places():
         x, y, z = np.asarray(place.position, dtype=float)
         miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
-        near = np.argsort(miss)[: task.effort.entry_nearest]
+        near = np.argsort(miss)[: task.effort.entry.nearest]
         turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
         turned = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])

@@ -24,10 +24,10 @@ from ..inverse.joints import JointSpace, configuration
 from ..inverse.outline import Outline
 from ..inverse.posture import posture_of, start_at
 from ..inverse.question import pose_question
-from ..inverse.task import Task
 from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
+from .effort import PlanTask
 from .reach import check_place, least_miss
 
 FINISHED = 1e-6
@@ -51,13 +51,12 @@ def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TipGoal(Displayed):
-    """A pose of the tip: position (3,), m, and the direction (3,) along which it points; None is free.
-
-    A region is a table of positions (N, 3), m, any of which meets the goal, those first that are tried first.
-    """
+    """A pose of the tip."""
 
     position: Array
+    """(3,) m; of a region a table (N, 3), any of which meets the goal, those first that are tried first."""
     direction: Array | None = None
+    """(3,) along which it points; None is free."""
 
     def places(self) -> list[TipGoal]:
         """Goals of one position each: of a region the first, and five as far apart as can be."""
@@ -75,11 +74,14 @@ class TipGoal(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """An equilibrium at which a plan may end, its point in the chart, and whole turns added to the goal as given."""
+    """An equilibrium at which a plan may end."""
 
     point: Array
+    """(m,) in the chart."""
     joints: Array
+    """(m,)."""
     turns: tuple[int, ...]
+    """Whole turns added to the goal as given."""
 
 
 def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, name: str = "start") -> Equilibrium:
@@ -100,7 +102,7 @@ def bearing(equilibrium: Equilibrium, load: Load) -> Equilibrium:
     return forward_kinematics(robot, *joints, load=load, guess=equilibrium)
 
 
-def check_start(task: Task, start: Equilibrium) -> None:
+def check_start(task: PlanTask, start: Equilibrium) -> None:
     """Raise where a plan cannot begin: out of range (InputError); margin or clearance too small (SolveError)."""
     _in_range(task.chart.space, "start", start.rotations, start.translations)
     if fault := _fault(task, "start", start):
@@ -108,7 +110,7 @@ def check_start(task: Task, start: Equilibrium) -> None:
 
 
 def ends(
-    task: Task,
+    task: PlanTask,
     start: Equilibrium,
     goal: Any,
     clock: Clock | None = None,
@@ -144,10 +146,11 @@ def ends(
     return _nearest(task, start, out)
 
 
-def _nearest(task: Task, start: Equilibrium, found: list[End]) -> list[End]:
+def _nearest(task: PlanTask, start: Equilibrium, found: list[End]) -> list[End]:
     """Some of them, those nearest to the start first."""
     here = task.chart.of(start)
-    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[: task.effort.goals]
+    by_distance = sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))
+    return by_distance[: task.effort.goals.most]
 
 
 def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
@@ -162,7 +165,7 @@ def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium],
 
 
 def other_ends(
-    task: Task,
+    task: PlanTask,
     start: Equilibrium,
     goal: Any,
     known: Sequence[End],
@@ -175,7 +178,7 @@ def other_ends(
     if wanted is None or task.chart.load is not None:
         return []
     postures: list[Equilibrium] = []
-    for place in wanted.places()[: task.effort.goal_places]:
+    for place in wanted.places()[: task.effort.goals.places]:
         asked = _asked(task, start, place, clock)
         with suppress(SolveError):  # none in so short a time
             answers = inverse_kinematics(task.chart.space.robot, place.position, all_solutions=True, **asked)
@@ -185,7 +188,7 @@ def other_ends(
         end
         for e in good
         for end in _turned(task, e, start.rotations, modulo_turns)
-        if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goal_apart for other in known)
+        if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goals.apart for other in known)
     ]
     return _nearest(task, start, found)
 
@@ -214,7 +217,7 @@ def _tip_goal(goal: Any) -> TipGoal | None:
     return TipGoal(vector("goal", goal, 3, "x, y, z of the tip in m"))
 
 
-def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tuple[list[Equilibrium], bool]:
+def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> tuple[list[Equilibrium], bool]:
     """Equilibria that may meet a goal, and whether a systematic search found no others."""
     space = task.chart.space
     if isinstance(goal, InverseSolution):
@@ -229,10 +232,10 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tupl
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
     found: list[Equilibrium] = []
-    if task.chart.eccentric or space.robot.n_tubes <= task.effort.goal_tubes or clock.left > task.effort.goal_seconds:
+    if task.chart.eccentric or space.robot.n_tubes <= task.effort.goals.tubes or clock.left > task.effort.goals.seconds:
         with suppress(SolveError):
             found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
-    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= task.effort.goal_tubes)
+    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= task.effort.goals.tubes)
     if not found:
         found = [forward_kinematics(space.robot, rotations, shift)]
     # The margin tells best whether the branch is the one that the robot can be brought to.
@@ -240,7 +243,7 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tupl
 
 
 def _beside(
-    task: Task, goal: Any, near: Callable[[Array], Array] | None, enough: int, clock: Clock
+    task: PlanTask, goal: Any, near: Callable[[Array], Array] | None, enough: int, clock: Clock
 ) -> list[Equilibrium]:
     """Equilibria whose tip has a pose, found by Gauss-Newton from what is known to be near: any that hold, in a
     fraction of the time in which that nearest to the start is found."""
@@ -264,7 +267,7 @@ def _beside(
     return found
 
 
-def _somewhere(task: Task, start: Equilibrium, places: list[TipGoal], clock: Clock) -> list[Equilibrium]:
+def _somewhere(task: PlanTask, start: Equilibrium, places: list[TipGoal], clock: Clock) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has the first of some poses for which there is one."""
     refused: list[SolveError] = []
     for k, place in enumerate(places):
@@ -277,7 +280,7 @@ def _somewhere(task: Task, start: Equilibrium, places: list[TipGoal], clock: Clo
     raise SolveError(f"no plan was found to {len(places)} places of the region; to the first: {refused[0]}")
 
 
-def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
+def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
     check_place(task, position)
@@ -295,13 +298,13 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
     return [answer.equilibrium]
 
 
-def _asked(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
+def _asked(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     """What inverse kinematics is asked beside the position."""
     asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
     return {"load": task.chart.load, "direction": goal.direction, "seed": start, **asks}
 
 
-def kept(task: Task, floor: float, seconds: float) -> dict[str, Any]:
+def kept(task: PlanTask, floor: float, seconds: float) -> dict[str, Any]:
     """What joint values for a place of the tip have to keep, with a margin of at least `floor`, and their time."""
     space = task.chart.space
     options = InverseOptions(
@@ -335,7 +338,7 @@ def _in_range(space: JointSpace, name: str, rotations: Array, translations: Arra
             )
 
 
-def _fault(task: Task, name: str, e: Equilibrium) -> str:
+def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:
     """Why no plan leads to an equilibrium: margin or clearance is too small; empty where they are not."""
     if e.margin < task.min_margin - FINISHED:
         return f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}"
@@ -347,7 +350,7 @@ def _fault(task: Task, name: str, e: Equilibrium) -> str:
     return f"no plan exists: the arm at the {name} {where} {distance}"
 
 
-def _turned(task: Task, e: Equilibrium, here: Array, modulo: bool) -> list[End]:
+def _turned(task: PlanTask, e: Equilibrium, here: Array, modulo: bool) -> list[End]:
     """The same equilibrium with whole turns added to its rotations, where asked for; within the limits."""
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     if not modulo:
@@ -363,11 +366,11 @@ def _turned(task: Task, e: Equilibrium, here: Array, modulo: bool) -> list[End]:
     near = []
     for each, gap in zip(ranges, (here - e.rotations) / (2 * np.pi), strict=True):
         whole = np.array(each)
-        near.append(whole[np.argsort(np.abs(whole - gap))][: task.effort.goal_turns].tolist())
+        near.append(whole[np.argsort(np.abs(whole - gap))][: task.effort.goals.turns].tolist())
     return [_end(task, e, turns) for turns in product(*near)]
 
 
-def _end(task: Task, e: Equilibrium, turns: Sequence[int]) -> End:
+def _end(task: PlanTask, e: Equilibrium, turns: Sequence[int]) -> End:
     q = posture_of(task.chart.space, e).q
     whole = 2 * np.pi * np.pad(turns, (0, len(q) - len(turns)))
     return End(task.chart.of(e) + whole, q + whole, tuple(turns))

@@ -18,12 +18,12 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, finite, instance
 from ..inverse.least_squares import constrained_least_squares
-from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import passing
+from .effort import PlanTask
 from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
@@ -38,25 +38,22 @@ from .trajectory import Trajectory
 class LeaderSolver(Settings):
     """How a deployment behind the tip is looked for.
 
-    Args:
-        lengths: at which the arm is fitted to the one at the goal.
-        iterations: most Gauss-Newton steps per length.
-        difference: step of the differences, in units of the scales of the joints.
-        damping: weight of a change of the joints beside the distance over the robot's length: what the shape does not
-            decide.
-        longest_step: largest change of a coordinate per step, in units of the scales.
-        last_step: one below this, in units of the scales, is the last.
-
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     lengths: int = 60
+    """At which the arm is fitted to the one at the goal."""
     iterations: int = 6
+    """Most Gauss-Newton steps per length."""
     difference: float = 1e-5
+    """Step of the differences, in units of the scales of the joints."""
     damping: float = 2e-3
+    """Weight of a change of the joints beside the distance over the robot's length: what the shape does not decide."""
     longest_step: float = 0.15
+    """Largest change of a coordinate per step, in units of the scales."""
     last_step: float = 1e-3
+    """One below this, in units of the scales, is the last."""
 
 
 DEFAULT_SOLVER = LeaderSolver()
@@ -121,7 +118,7 @@ def follow_the_leader(  # noqa: PLR0913
     return replace(made, deviation=np.array([distance_from(way, e.position).max() for e in made.arms]))
 
 
-def _goal(task: Task, goal: Any) -> Equilibrium:
+def _goal(task: PlanTask, goal: Any) -> Equilibrium:
     """The equilibrium at the end."""
     space = task.chart.space
     if isinstance(goal, Equilibrium):
@@ -135,7 +132,7 @@ def _goal(task: Task, goal: Any) -> Equilibrium:
     return found
 
 
-def _fit(task: Task, z: Array, last: Equilibrium, length: float, solver: LeaderSolver) -> Array:
+def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float, solver: LeaderSolver) -> Array:
     """The point of the chart of an arm of a given length that lies closest to the arm at the goal."""
     space = task.chart.space
     m = len(z)
@@ -165,7 +162,7 @@ def _fit(task: Task, z: Array, last: Equilibrium, length: float, solver: LeaderS
     return z
 
 
-def _foremost(task: Task, z: Array) -> tuple[int, int]:
+def _foremost(task: PlanTask, z: Array) -> tuple[int, int]:
     """The tube with which the arm ends, and its carriage."""
     space = task.chart.space
     curved = np.array([tube.curved_length for tube in space.robot.tubes])
@@ -173,7 +170,7 @@ def _foremost(task: Task, z: Array) -> tuple[int, int]:
     return tube, next(k for k, tubes in enumerate(space.carriages) if tube in tubes)
 
 
-def _withdrawn(task: Task, z: Array, length: float) -> Array:
+def _withdrawn(task: PlanTask, z: Array, length: float) -> Array:
     """The carriages moved back as far as an arm of a given length asks, the others with them where order asks."""
     space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
     out, (tube, k) = z.copy(), _foremost(task, z)
@@ -188,7 +185,7 @@ def _withdrawn(task: Task, z: Array, length: float) -> Array:
     return out
 
 
-def _constraints(task: Task, z: Array, rotations: Array, slope: Array, longest: float) -> tuple[Array, Array]:
+def _constraints(task: PlanTask, z: Array, rotations: Array, slope: Array, longest: float) -> tuple[Array, Array]:
     """Rows and bounds of a step in units of the scales: ranges, order, the length of the arm, and no change of a
     coordinate beyond the longest."""
     space, n = task.chart.space, task.chart.space.robot.n_tubes

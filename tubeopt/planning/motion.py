@@ -13,8 +13,8 @@ from ..display import Displayed
 from ..errors import InputError, numbers, positive
 from ..files.marks import POSITIVE, key
 from ..inverse.joints import JointSpace
-from ..inverse.way_settings import WaySearch
 from ..typing import Array
+from .effort import Timing
 
 INSTANT = 1e-9
 """Duration (s) of a motion that goes nowhere."""
@@ -100,9 +100,9 @@ class Motion:
         order = np.arange(len(self.powers), 0, -1)[:, None, None]
         return replace(self, time=self.time * factor, powers=self.powers / factor**order)
 
-    def length(self, scale: Array, effort: WaySearch) -> float:
+    def length(self, scale: Array, timing: Timing) -> float:
         """Of the path in joint space, in units of the joints' scales."""
-        return float(np.linalg.norm(np.diff(self.sampled(scale, effort)[1] / scale, axis=0), axis=1).sum())
+        return float(np.linalg.norm(np.diff(self.sampled(scale, timing)[1] / scale, axis=0), axis=1).sum())
 
     def at(self, time: ArrayLike) -> Array:
         """(T, m) joint values at times (T,)."""
@@ -111,14 +111,14 @@ class Motion:
         values: Array = self.curve(np.asarray(time))
         return values
 
-    def sampled(self, scale: Array, effort: WaySearch) -> tuple[Array, Array]:
+    def sampled(self, scale: Array, timing: Timing) -> tuple[Array, Array]:
         """Evenly spaced times (T,) and joint values (T, m), close enough that straight lines between them will do."""
         if self.duration < INSTANT:  # from joint values to the same, but for round-off
             return np.zeros(1), self.joints[:1]
         coarse = self.at(np.linspace(0, self.duration, 40 * len(self.time)))
         change = np.abs(np.diff(coarse / scale, axis=0)).max() * len(coarse)
-        least = effort.samples_of_tip if self.tip_limited else effort.samples
-        count = int(np.clip(np.ceil(change / effort.sample_step), least, effort.most_samples))
+        least = timing.samples_of_tip if self.tip_limited else timing.samples
+        count = int(np.clip(np.ceil(change / timing.sample_step), least, timing.most_samples))
         time = np.linspace(0, self.duration, count + 1)
         return time, self.at(time)
 

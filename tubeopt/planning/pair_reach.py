@@ -28,18 +28,15 @@ from .reach_share import ReachShare, RegionReach, score
 
 @dataclass(frozen=True, eq=False)
 class PairShare(Displayed):
-    """What became of the pairs of N places for two tips.
-
-    Attributes:
-        reached: of either robot, which places it reaches by itself.
-        apart: (N, N) lower bound of the distance (m) of the arms at rest with the first tip at one place, the second at
-            another; NaN where either is not reached.
-        clearance: that they must keep, m.
-    """
+    """What became of the pairs of N places for two tips."""
 
     reached: tuple[ReachShare, ReachShare]
+    """Of either robot, which places it reaches by itself."""
     apart: Array = field(repr=False)
+    """(N, N) lower bound of the distance (m) of the arms at rest with the first tip at one place, the second at
+    another; NaN where either is not reached."""
     clearance: float
+    """That they must keep, m."""
 
     @property
     def held(self) -> Mask:
@@ -62,29 +59,32 @@ class PairReach(Displayed):
     Each place is reached by a way that keeps margin and clearance from bodies, by itself (`RegionReach`). Where both
     rest there, the distance of the arms is bounded from below; that a motion of both leads there is for `plan_arms`.
 
-    Args:
-        starts: joint values (rotations, translations), with which either begins.   bases: where the plates stand.
-        targets: (N, 3) places for the tips, m, at least two.   obstacles: bodies; both in the frame of the bases.
-        tolerance, min_margin, options, count: as of `evaluate_reach`; the arms keep the clearance of the options from
-            each other too.
-        shift, tilt: as of `RegionReach`, of either plate along and about its own axes, m and rad.
-        words: what its value is called.
-
     Raises:
         InputError: a table of wrong shape, numbers that make no sense.
     """
 
     starts: tuple[Any, Any]
+    """Joint values (rotations, translations), with which either begins."""
     bases: tuple[Frame, Frame]
+    """Where the plates stand."""
     targets: Array
+    """(N, 3) places for the tips, m, at least two, in the frame of the bases."""
     obstacles: Sequence[Obstacle] = ()
+    """In the frame of the bases."""
     tolerance: float = 5e-4
+    """As of `evaluate_reach`, m."""
     min_margin: float = 0.05
+    """As of `evaluate_reach`."""
     options: PlanOptions = DEFAULT_PLAN
+    """As of `evaluate_reach`; the arms keep their clearance from each other too."""
     count: int = 200
+    """As of `evaluate_reach`."""
     shift: float = 0.0
+    """As of `RegionReach`, of either plate along its own axes, m."""
     tilt: float = 0.0
+    """As of `RegionReach`, of either plate about its own axes, rad."""
     words: str = field(default="share of the pairs of places that both tips hold without touching", init=False)
+    """What its value is called."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "targets", checked_places(self.targets))
@@ -128,7 +128,7 @@ class PairReach(Displayed):
         numbers = np.split(np.asarray(own, dtype=float), 2)
         sides = [side.evaluate(robot, x) for side, robot, x in zip(self.sides, (one, other), numbers, strict=True)]
         arms = [
-            _at_rest(robot, found, base, self.options.effort.rest_points)
+            _at_rest(robot, found, base, self.options.effort.arms.rest_points)
             for robot, found, base in zip((one, other), sides, self.plates(own), strict=True)
         ]
         apart = np.full((len(self.targets),) * 2, np.nan)
@@ -140,7 +140,7 @@ class PairReach(Displayed):
     def __call__(self, one: Robot, other: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all pairs are held to 1, and the share; places that are missed count by how far."""
         found = self.evaluate(one, other, own)
-        return score(found.reached, found.share, self.options.effort.region_close)
+        return score(found.reached, found.share, self.options.effort.reach.close)
 
     def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
         """How many motions of both arms to pairs that are held, evenly picked, are proved, and how many were asked."""

@@ -20,7 +20,6 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
 from ..inverse.clock import Clock
-from ..inverse.way_settings import WaySearch
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import find_snap
@@ -28,6 +27,7 @@ from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared
 from .cross_sections import Constants
+from .effort import ProofSearch
 from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import SWAPPED, Arms, Intervals
@@ -97,7 +97,7 @@ class Follower:
     scene: Scene
     wanted: Wanted
     clock: Clock
-    effort: WaySearch
+    effort: ProofSearch
     load: Load | None = None
     count: int = 0
 
@@ -120,12 +120,12 @@ class Follower:
     @property
     def halvings(self) -> int:
         """Of an interval in which nothing bounds how tubes turn, before it is given up; none where nothing does."""
-        return 0 if self.says else self.effort.proof_halvings
+        return 0 if self.says else self.effort.halvings
 
     @property
     def over(self) -> bool:
         """Whether there is no more time, or no more equilibria to spend."""
-        return self.count >= self.effort.proof_equilibria or self.clock.over
+        return self.count >= self.effort.equilibria or self.clock.over
 
     def step(self, here: Step, at: float, joints: Array) -> Step | None:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
@@ -218,7 +218,7 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     """Steps all along, and the fraction of the time where the branch ends."""
     steps, n = [here], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
-    size = np.array([follower.effort.proof_turn] * n + [follower.effort.proof_shift * follower.length] * n)
+    size = np.array([follower.effort.turn] * n + [follower.effort.shift * follower.length] * n)
     meetings = _meetings(follower.constants, joints[:, n:])
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]

@@ -33,9 +33,9 @@ from ..bodies.corridors import MeshObstacle
 from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
-from ..inverse.way_settings import WaySearch
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
+from .effort import PathSolver
 
 MOST_NODES = 1_000_000
 """Of a table of distances: its splines and their derivatives take 32 bytes for each."""
@@ -67,7 +67,7 @@ class PathQuestion:
     """What makes two programs the same but for numbers.
 
     kind of the arm; carriages (groups of tubes, from 0); intervals between knots; rows of the order of the joints;
-    obstacles; length (m) of the robot; effort, its fields `smoothing_…`; an own cost: its expression of the quantities
+    obstacles; length (m) of the robot; how it is solved; an own cost: its expression of the quantities
     of one pose, and its weight, which is negative where more of it is better.
     """
 
@@ -77,7 +77,7 @@ class PathQuestion:
     rows: int
     obstacles: tuple[Obstacle, ...]
     length: float
-    effort: WaySearch
+    solver: PathSolver
     extra: tuple[Expression, float] | None = None
 
 
@@ -156,7 +156,7 @@ def _program(question: PathQuestion) -> PathProgram:
     if question.obstacles:
         parts["clearance"] = ca.vec(least) / question.length
     h = ca.repmat(p["step"].T, m, 1)
-    w, along = p["weights"], question.effort.smoothing_tips * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
+    w, along = p["weights"], question.solver.tips * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
     moved, effort = _squares(joints, rates, h), ca.sum1(ca.sum2(h * (early**2 + early * late + late**2) / 3))
     objective = w[0] * (moved + along) + w[1] * square + w[2] * effort - w[3] * margin
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
@@ -276,11 +276,11 @@ def _distance(question: PathQuestion) -> ca.Function:
     """(rows,) smooth least distances of one arm, never larger than they are but by what a table blurs: one from every
     body with a formula, one in every step of the arm from a table, which as a rule is all around."""
     n = question.kind.n
-    count, splits = explicit_arm(question.kind).size2_out(2), question.effort.smoothing_splits
+    count, splits = explicit_arm(question.kind).size2_out(2), question.solver.splits
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
     inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", question.kind.size), ca.MX.sym("r", n)]
     places, thick = _places(question.kind, count, splits)(*inputs)
-    sharp = question.effort.smoothing_sharpness / question.length
+    sharp = question.solver.sharpness / question.length
     x, y, z = (ca.SX.sym(axis) for axis in "xyz")
     least = []
     for k, obstacle in enumerate(question.obstacles):

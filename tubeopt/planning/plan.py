@@ -15,13 +15,13 @@ from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..inverse.clock import Clock, LateError
 from ..inverse.search import Way, find_way, shorten, without_corners
-from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Faults, actuators, build, motions_near, no_time
+from .effort import PlanTask
 from .goals import End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
@@ -87,7 +87,7 @@ def _planned(question: Question, start: Any, goal: Any) -> Trajectory:
     question = bearing(question, first.translations)
     check_start(question.task, first)
     hasty = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
-    goals = _goals(question, first, goal, 1 if hasty else effort.goal_answers)
+    goals = _goals(question, first, goal, 1 if hasty else effort.goals.answers)
     n = len(first.translations)
     question = bearing(question, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
     question = _between(question, first, goals)
@@ -111,8 +111,8 @@ def _planned(question: Question, start: Any, goal: Any) -> Trajectory:
 def _goals(question: Question, first: Equilibrium, goal: Any, enough: int) -> list[End]:
     """The equilibria at which the plan may end; for a goal of the tip first `enough` of those beside a roadmap."""
     task, known = question.task, question.options.roadmap
-    near = None if known is None else partial(known.near, task, count=task.effort.goal_points)
-    share = Clock(task.effort.goal_share * question.clock.left)
+    near = None if known is None else partial(known.near, task, count=task.effort.goals.points)
+    share = Clock(task.effort.shares.goals * question.clock.left)
     return ends(task, first, goal, share, modulo_turns=question.options.modulo_turns, near=near, enough=enough)
 
 
@@ -126,25 +126,25 @@ def _way(
 ) -> tuple[Question, list[End], Way]:
     """A way to the goals; where none is found to a goal of the tip, one to other postures that meet it."""
     task, options, clock, effort = question.task, question.options, question.clock, question.task.effort
-    until = options.time_limit - min(effort.report_seconds, effort.report_share * options.time_limit)
-    left = max(0.0, min(effort.search_share * options.time_limit, until) - clock.seconds)
-    postures = of_the_tip(goal) and left > effort.postures_seconds
+    until = options.time_limit - min(effort.shares.report_seconds, effort.shares.report * options.time_limit)
+    left = max(0.0, min(effort.shares.search * options.time_limit, until) - clock.seconds)
+    postures = of_the_tip(goal) and left > effort.shares.postures_seconds
     begin = task.chart.of(first)
     if options.roadmap is not None:
-        way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(effort.roadmap_share * left))
-        enough = effort.goal_answers
+        way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(effort.shares.roadmap * left))
+        enough = effort.goals.answers
         if way.points is None and len(goals) < enough and of_the_tip(goal):
             goals = _goals(question, first, goal, enough)
             question = _between(question, first, goals)
-            rest = Clock(effort.roadmap_share * max(0.0, left - clock.seconds))
+            rest = Clock(effort.shares.roadmap * max(0.0, left - clock.seconds))
             way = options.roadmap.way(question.task, begin, [end.point for end in goals], rest)
         if way.points is not None:
             return question, goals, way
         left = max(0.0, until - clock.seconds)
-    search = Clock(effort.nearest_share * left if postures else left)
+    search = Clock(effort.shares.nearest * left if postures else left)
     find = partial(find_way, how=options.search, improving=options.search_seconds)
     way = find(question.task, begin, [end.point for end in goals], search, seed=seed)
-    if way.impossible and (of_the_tip(goal) or len(goals) == effort.goals or task.chart.load is not None):
+    if way.impossible and (of_the_tip(goal) or len(goals) == effort.goals.most or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return question, goals, way
@@ -210,13 +210,12 @@ def _not_found(question: Question, first: Equilibrium, goals: Sequence[End], way
     return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
 
 
-def _affordable(task: Task, points: Array, limits: Limits, left: float) -> tuple[Array, Motion | None]:
+def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> tuple[Array, Motion | None]:
     """The longest beginning of a way whose proof should take no longer than `left` seconds, as a motion with rests."""
     while len(points) > 1:
         motion = stopping_at(joint_curves(task, points), limits)
-        needed = task.effort.proof_seconds + task.effort.proof_sample_seconds * len(
-            motion.sampled(task.scale, task.effort)[0]
-        )
+        samples = len(motion.sampled(task.scale, task.effort.timing)[0])
+        needed = task.effort.proof.seconds + task.effort.proof.sample_seconds * samples
         if needed <= left:
             return points, motion
         points = points[: min(len(points) - 1, int(len(points) * left / needed))]

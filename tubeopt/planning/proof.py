@@ -26,15 +26,15 @@ from ..equilibrium.verification import verify_equilibrium
 from ..errors import InputError, finite, instance, positive
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
-from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
-from ..typing import Array, Sentence
+from ..typing import Array, Of, Sentence
 from .clearing import Wanted
+from .effort import DEFAULT_PROOF, ProofSearch
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .motion import RateLimits
 from .passage import SHORTEST, Follower, Passage, Step, follow
@@ -50,55 +50,74 @@ class ProofStatus(Sentence):
 
 @dataclass(frozen=True)
 class ProofStatistics:
-    """What a proof took: equilibria that were solved, and the share of the time that it covers."""
+    """What a proof took, and how far it came."""
 
     equilibria: int
+    """How many were solved."""
     followed: float
+    """Share of the time up to the last of them."""
+
+
+@dataclass(frozen=True)
+class Paces:
+    """How fast a trajectory is, and how far its tip goes."""
+
+    largest_rotation_rate: float
+    """rad/s."""
+    largest_translation_rate: float
+    """m/s."""
+    largest_rotation_acceleration: float
+    """rad/s^2."""
+    largest_translation_acceleration: float
+    """m/s^2."""
+    largest_tip_step: float
+    """Between two equilibria of the proof, m."""
+    largest_tip_rate: float
+    """Speed of the tip between them, m/s."""
+    tip_length: float
+    """Of the way of the tip, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proof(Displayed):
     """What was found on a trajectory that was followed once more.
 
-    Attributes:
-        snap: fraction of the time at which the branch ends, where `find_snap` puts it; None where it reaches the end.
-        least_margin: of all times, numerically; 0 at a snap.
-        least_clearance: lower bound of the distance of the arm from obstacles at all times up to `end`, m: of all
-            points within the radius of the outermost tube from the centreline, so with half a ball at every end.
-            Infinite without obstacles, -inf where none is shown.   measured_clearance: the least that was measured, m.
-        largest_rotation_rate, largest_translation_rate: rad/s, m/s; largest accelerations, rad/s^2, m/s^2.
-        largest_tip_step: between two equilibria of the proof, m.   tip_length: of the way of the tip, m.
-        largest_tip_rate: speed of the tip between them, m/s.
-        reintegration: largest difference of a tip from DOP853, m; under a load the largest estimate of its error.
-        equilibria: how many were solved.   end: the last of them.   samples: those at the samples up to `end`.
-        faults: in words, what is not as it must be, or is not shown to be; empty for a trajectory that is proved.
-        followed: share of the time up to `end`.
-        open: whether a time limit ended the proof before anything was refuted.
-        forced: what holds for all rotations and the translations of the trajectory, whatever pushes on the tip with up
-            to `max_force`; None without that. Margin, faults and clearance are then those under any such force.
+    What `paces` and `statistics` hold is read at the proof too: `proof.largest_tip_rate` is
+    `proof.paces.largest_tip_rate`.
     """
 
     snap: float | None
+    """Fraction of the time at which the branch ends, where `find_snap` puts it; None where it reaches the end."""
     least_margin: float
+    """Of all times, numerically; 0 at a snap."""
     least_clearance: float
+    """Lower bound of the distance of the arm from obstacles at all times up to `end`, m: of all points within the
+    radius of the outermost tube from the centreline, so with half a ball at every end. Infinite without obstacles, -inf
+    where none is shown."""
     measured_clearance: float
-    largest_rotation_rate: float
-    largest_translation_rate: float
-    largest_rotation_acceleration: float
-    """rad/s^2"""
-    largest_translation_acceleration: float
-    """m/s^2"""
-    largest_tip_step: float
-    tip_length: float
-    largest_tip_rate: float
+    """The least that was measured, m."""
+    paces: Paces
+    """How fast it is."""
     reintegration: float
-    equilibria: int
+    """Largest difference of a tip from DOP853, m; under a load the largest estimate of its error."""
+    statistics: ProofStatistics
+    """What it took."""
     end: Equilibrium
+    """The last that was solved."""
     faults: tuple[str, ...]
-    followed: float = 1.0
+    """In words, what is not as it must be, or is not shown to be; empty for a trajectory that is proved."""
     open: bool = False
+    """Whether a time limit ended the proof before anything was refuted."""
     forced: ForceBound | None = None
+    """What holds for all rotations and the translations of the trajectory, whatever pushes on the tip with up to
+    `max_force`; None without that. Margin, faults and clearance are then those under any such force."""
     samples: tuple[Equilibrium, ...] = field(default=(), repr=False)
+    """Equilibria at the samples up to `end`."""
+
+    largest_rotation_rate, largest_translation_rate = Of[float]("paces"), Of[float]("paces")
+    largest_rotation_acceleration, largest_translation_acceleration = Of[float]("paces"), Of[float]("paces")
+    largest_tip_step, largest_tip_rate, tip_length = Of[float]("paces"), Of[float]("paces"), Of[float]("paces")
+    equilibria, followed = Of[int]("statistics"), Of[float]("statistics")
 
     @property
     def value(self) -> float:
@@ -111,11 +130,6 @@ class Proof(Displayed):
         if self.holds:
             return ProofStatus.PROVED
         return ProofStatus.OPEN if self.open else ProofStatus.FAULTY
-
-    @property
-    def statistics(self) -> ProofStatistics:
-        """What it took."""
-        return ProofStatistics(self.equilibria, self.followed)
 
     @property
     def holds(self) -> bool:
@@ -144,7 +158,7 @@ def verify_trajectory(  # noqa: PLR0913
     clock: Clock | None = None,
     max_force: float = 0.0,
     load: Load | None = None,
-    effort: WaySearch = DEFAULT_WAY,
+    effort: ProofSearch = DEFAULT_PROOF,
 ) -> Proof:
     """Follow a trajectory, of whatever origin, and say what is wrong with it. Between samples joint values are linear.
 
@@ -159,7 +173,7 @@ def verify_trajectory(  # noqa: PLR0913
         load: that the robot bears all the way; a start without it is first loaded. What is proved is then proved of
             the loaded robot: for a force on the tip, weight and a constant load per length, all in fixed axes. Of other
             dead loads the equilibria are found, and what lies between them is named as not proved.
-        effort: how closely equilibria are set at first, and how many at most; its fields `proof_…`.
+        effort: how closely equilibria are set at first, and how many at most.
 
     Raises:
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
@@ -180,7 +194,7 @@ def verify_trajectory(  # noqa: PLR0913
     instance("limits", limits, JointLimits, optional=True)
     instance("rate_limits", rate_limits, RateLimits, optional=True)
     instance("start", start, Equilibrium, optional=True)
-    instance("effort", effort, WaySearch)
+    instance("effort", effort, ProofSearch)
     alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
@@ -191,7 +205,7 @@ def verify_trajectory(  # noqa: PLR0913
     if forced is not None and load is not None:
         raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
-    wanted = Wanted(clearance + moved, effort.proof_accuracy, effort.proof_cells)
+    wanted = Wanted(clearance + moved, effort.accuracy, effort.cells)
     follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(math.inf), effort, load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
@@ -311,11 +325,12 @@ def _judge(
     tips = np.array([e.tip_position for e in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     passed = np.diff([step.at for step in passage.steps]) * (t[-1] - t[0])
-    tip_rate = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0))
-    picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.proof_verified).astype(int))]
+    tip_rate, tip_step = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0)), float(moved.max(initial=0.0))
+    picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.verified).astype(int))]
     again = max(_again(e) for e in picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
-    if again > follower.effort.proof_agreement * follower.length:
+    turning, moving = ([float(each.max(initial=0.0)) for each in kind] for kind in rates)
+    if again > follower.effort.agreement * follower.length:
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
     faults += out_of_range(space, alpha, shift)
     if rate_limits is not None:
@@ -325,18 +340,11 @@ def _judge(
         least_margin=passage.margin,
         least_clearance=passage.clearance,
         measured_clearance=passage.measured,
-        largest_rotation_rate=float(rates[0][0].max(initial=0.0)),
-        largest_translation_rate=float(rates[1][0].max(initial=0.0)),
-        largest_rotation_acceleration=float(rates[0][1].max(initial=0.0)),
-        largest_translation_acceleration=float(rates[1][1].max(initial=0.0)),
-        largest_tip_step=float(moved.max(initial=0.0)),
-        tip_length=float(moved.sum()),
-        largest_tip_rate=tip_rate,
+        paces=Paces(turning[0], moving[0], turning[1], moving[1], tip_step, tip_rate, float(moved.sum())),
         reintegration=again,
-        equilibria=follower.count + 1,
+        statistics=ProofStatistics(follower.count + 1, passage.steps[-1].at),
         end=steps[-1],
         faults=tuple(faults),
-        followed=passage.steps[-1].at,
         samples=_at_samples(passage.steps, t),
     )
 

@@ -14,12 +14,12 @@ from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
 from ..inverse.joints import JointSpace
 from ..inverse.question import prepared
-from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..stability.deflection import under_any_force
 from ..typing import Array
+from .effort import PlanTask
 from .loaded_chart import LoadedChart
 from .loaded_sections import uncovered
 from .motion import DEFAULT_RATES, RateLimits
@@ -31,7 +31,7 @@ from .path_program import path_cost
 class Question:
     """What must hold, how fast the actuators are, and how a plan is made."""
 
-    task: Task
+    task: PlanTask
     rates: RateLimits
     options: PlanOptions
 
@@ -78,7 +78,7 @@ def asked(
     space = prepared(robot, limits, options.carriage_gap, options.section_length)
     rate_limits.of(space)
     chart = Chart(space) if load is None else _loaded(space, load, options)
-    task = Task(
+    task = PlanTask(
         chart, bodies, floor, options.clearance, max_force=options.max_force, effort=options.effort, clock=clock
     )
     return Question(task, rate_limits, options)

@@ -16,14 +16,14 @@ from ..inverse.clock import Clock
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.multistart import known_starts
 from ..inverse.table import nearest_starts, spread_starts
-from ..inverse.task import Task
 from ..typing import Array
+from .effort import PlanTask
 
 DIFFERENCE = 1e-5
 """Step of the differences, in units of the scales."""
 
 
-def check_place(task: Task, position: Array) -> None:
+def check_place(task: PlanTask, position: Array) -> None:
     """Raise SolveError where the tip cannot be at a place: an obstacle is there, or no arm is long enough, straight or
     around a box."""
     for k, obstacle in enumerate(task.obstacles):
@@ -70,54 +70,54 @@ def way_around(box: Box, position: Array) -> float:
     return longest
 
 
-def least_miss(task: Task, position: Array, clock: Clock | None = None) -> float:
+def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> float:
     """Distance (m) from a place (3,) at which the tip ends in the best of some searches; 0 where one comes near, and
     where the clock is over before all of them ended."""
     space, effort = task.chart.space, task.effort
     target = (position, None)
     known = nearest_starts(space, known_starts(space, clock), target, min_margin=0.0, reference=None)
     least = np.inf
-    for q in spread_starts(space, known, effort.reach_starts, first=effort.reach_starts // 2):
+    for q in spread_starts(space, known, effort.reach.starts, first=effort.reach.starts // 2):
         if clock is not None and clock.over:
             return 0.0
         least = min(least, _closest(task, q, position))
-        if least <= effort.reach_near * space.length:
+        if least <= effort.reach.near * space.length:
             return 0.0
     return float(least) if np.isfinite(least) else 0.0
 
 
-def _closest(task: Task, start: Array, position: Array) -> float:
+def _closest(task: PlanTask, start: Array, position: Array) -> float:
     """Distance at which Gauss-Newton from joint values (m,), taken for tip rotations, ends, m."""
     length, effort, z = task.chart.space.length, task.effort, start
     miss = np.inf
-    for _ in range(effort.reach_steps):
+    for _ in range(effort.reach.steps):
         tips = tips_about(task, z)
         here = float(np.linalg.norm(tips[0] - position))
         if here > (1 - 1e-3) * miss:
             break
         miss = here
-        step = None if miss <= effort.reach_near * length else step_towards(task, z, tips, position)
+        step = None if miss <= effort.reach.near * length else step_towards(task, z, tips, position)
         if step is None:
             break
         z = z + step
     return miss
 
 
-def tips_about(task: Task, z: Array) -> Array:
+def tips_about(task: PlanTask, z: Array) -> Array:
     """(m + 1, 3) tips, m, at a point (m,) of the chart and a DIFFERENCE farther along each coordinate."""
     return task.chart.arms(z + np.vstack([np.zeros(len(z)), DIFFERENCE * np.diag(task.scale)]), 0.0).tip
 
 
-def step_towards(task: Task, z: Array, tips: Array, position: Array) -> Array | None:
+def step_towards(task: PlanTask, z: Array, tips: Array, position: Array) -> Array | None:
     """(m,) the damped step of Gauss-Newton by which tips `tips_about` a point come closer to a place; None for none."""
     gap = (tips - position) / task.chart.space.length
     weights = np.vstack([((gap[1:] - gap[0]) / DIFFERENCE).T, 1e-3 * np.eye(len(z))])
-    constraints = step_constraints(task, z, task.effort.reach_longest_step)
+    constraints = step_constraints(task, z, task.effort.reach.longest_step)
     found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(len(z))), *constraints)
     return None if found is None else np.asarray(found.x * task.scale)
 
 
-def step_constraints(task: Task, z: Array, longest: float) -> tuple[Array, Array]:
+def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, Array]:
     """Rows and bounds of a step in units of the scales: ranges of the translations, order, and no change of a
     coordinate beyond the longest."""
     space = task.chart.space

@@ -23,11 +23,11 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError, positive
 from ..inverse.clock import LateError
-from ..inverse.task import Task
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability import find_equilibria
 from ..typing import Array, Mask
+from .effort import PlanTask
 from .goals import check_start, checked_places, start_equilibrium
 from .motion import DEFAULT_RATES
 from .options import DEFAULT_PLAN, PlanOptions
@@ -45,25 +45,23 @@ SHORTER = 0.5 ** np.arange(5)
 
 @dataclass(frozen=True, eq=False)
 class ReachShare(Displayed):
-    """What became of N places for the tip.
-
-    Attributes:
-        targets: (N, 3) m.
-        miss: (N,) least distance from them at which an arm ends to which a way was found, m; that of the start where
-            there is none better.
-        tolerance: distance up to which a place counts as reached, m.
-        rotations, translations: (N, n) joint values of these arms, rad and m; NaN where there is none.
-        tip_rotations: (N, n) of their tubes at the ends, rad: of several equilibria they tell which one it is.
-        examined: points at which the robot may be that the roadmap has.
-    """
+    """What became of N places for the tip."""
 
     targets: Array
+    """(N, 3) m."""
     miss: Array
+    """(N,) least distance from them at which an arm ends to which a way was found, m; that of the start where there is
+    none better."""
     tolerance: float
+    """Distance up to which a place counts as reached, m."""
     rotations: Array = field(repr=False)
+    """(N, n) rad, of these arms; NaN where there is none."""
     translations: Array = field(repr=False)
+    """(N, n) m."""
     tip_rotations: Array = field(repr=False)
+    """(N, n) of their tubes at the ends, rad: of several equilibria they tell which one it is."""
     examined: int = 0
+    """Points at which the robot may be that the roadmap has."""
 
     @property
     def reached(self) -> Mask:
@@ -150,7 +148,7 @@ def evaluate_reach(
 class _Search:
     """Ways from `begin` (m,) over a roadmap, whose points have their tips at `tips` (N, 3)."""
 
-    task: Task
+    task: PlanTask
     roadmap: Roadmap
     begin: Array
     tips: Array
@@ -163,8 +161,8 @@ class _Search:
     def approached(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
         """How close one comes to a place from the nearest points to which ways lead, and where; the closest first."""
         effort, ends = self.task.effort, list[tuple[float, Array]]()
-        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[: effort.share_points].tolist():
-            if self.task.clock.over or len(ends) == effort.share_ways:
+        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[: effort.reach.share_points].tolist():
+            if self.task.clock.over or len(ends) == effort.reach.share_ways:
                 break
             if j not in self.joined:
                 self.joined[j] = self.leads(self.roadmap.points[j])
@@ -175,11 +173,11 @@ class _Search:
         return sorted(ends, key=lambda end: end[0])
 
 
-def _approach(task: Task, start: Array, place: Array, enough: float) -> tuple[float, Array]:
+def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tuple[float, Array]:
     """How close (m) Gauss-Newton comes to a place by points at which the robot may be, and the last of them."""
     z, tips = start, tips_about(task, start)
     miss = float(np.linalg.norm(tips[0] - place))
-    for _ in range(task.effort.share_steps):
+    for _ in range(task.effort.reach.share_steps):
         step = None if miss <= enough else step_towards(task, z, tips, place)
         if step is None:
             break
@@ -203,28 +201,30 @@ class RegionReach(Displayed):
     That of few places does not tell neighbours apart; the score takes in how far those are missed that are not
     reached. Robots are compared by the same random numbers.
 
-    Args:
-        start: joint values (rotations, translations), with which every robot begins.
-        targets: (N, 3) places for the tip, m.   obstacles: bodies; both in the frame of the plate as it stands.
-        tolerance, min_margin, options, count: as of `evaluate_reach`.
-        shift: how far the plate may be moved along each of its axes, to both sides, m.
-        tilt: by how much it may be turned about its x and about its y, to both sides, rad.
-        words: what its value is called.
-
     Raises:
         InputError: a table of wrong shape, numbers that make no sense.
     """
 
     start: tuple[Any, Any]
+    """Joint values (rotations, translations), with which every robot begins."""
     targets: Array
+    """(N, 3) places for the tip, m, in the frame of the plate as it stands."""
     obstacles: Sequence[Obstacle] = ()
+    """In the frame of the plate as it stands."""
     tolerance: float = 5e-4
+    """As of `evaluate_reach`, m."""
     min_margin: float = 0.05
+    """As of `evaluate_reach`."""
     options: PlanOptions = DEFAULT_PLAN
+    """As of `evaluate_reach`."""
     count: int = 200
+    """As of `evaluate_reach`."""
     shift: float = 0.0
+    """How far the plate may be moved along each of its axes, to both sides, m."""
     tilt: float = 0.0
+    """By how much it may be turned about its x and about its y, to both sides, rad."""
     words: str = field(default="share of the region that is reached", init=False)
+    """What its value is called."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "targets", checked_places(self.targets))
@@ -265,7 +265,7 @@ class RegionReach(Displayed):
     def __call__(self, robot: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all places are reached to 1, and the share."""
         found = self.evaluate(robot, own)
-        return score([found], found.share, self.options.effort.region_close)
+        return score([found], found.share, self.options.effort.reach.close)
 
     def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:
         """How many plans to places that are reached, the first ones, are proved, and how many were asked for."""

@@ -23,10 +23,10 @@ from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..inverse.clock import Clock, LateError
 from ..inverse.search import Way
-from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array, Index
+from .effort import PlanTask
 from .motion import DEFAULT_RATES
 from .options import DEFAULT_PLAN, PlanOptions
 from .question import asked
@@ -34,18 +34,16 @@ from .question import asked
 
 @dataclass(eq=False)
 class Roadmap(Displayed):
-    """Points (N, m) of the chart of a robot at which it may be, and which of them may be joined.
-
-    Attributes:
-        parameters: the robot as numbers, by which a map that was saved is known to be its own.
-        edges: (E, 2) numbers of points.
-        known: what was found of edges, for the last question.
-    """
+    """Points of the chart of a robot at which it may be, and which of them may be joined."""
 
     points: Array
+    """(N, m)."""
     parameters: Array = field(repr=False)
+    """The robot as numbers, by which a map that was saved is known to be its own."""
     edges: Index = field(repr=False)
+    """(E, 2) numbers of points."""
     known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
+    """What was found of edges, for the last question."""
     asked_with: tuple[Any, ...] = field(default=(), repr=False)
     """What `known` was found with: the last question."""
     tips: Array | None = field(default=None, repr=False)
@@ -54,14 +52,14 @@ class Roadmap(Displayed):
     def __len__(self) -> int:
         return len(self.points)
 
-    def way(self, task: Task, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
+    def way(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
         """The shortest way over the map from a point (m,) to the nearest of goals that holds all along; `points` is
         None where the map has none, or time is over."""
         self._remember(task)
         count, ends = len(self.points), np.stack([start, *goals])
         places = np.concatenate([self.points, ends]) / task.scale
         near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)
-        near = near[:, : 2 * task.effort.roadmap_neighbours]
+        near = near[:, : 2 * task.effort.roadmap.neighbours]
         to_ends = np.column_stack([np.repeat(np.arange(count, len(places)), near.shape[1]), near.ravel()])
         straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
         edges = np.concatenate([self.edges, to_ends, straight])
@@ -94,7 +92,7 @@ class Roadmap(Displayed):
                 return Way(points[found], "roadmap", tried)
         return Way(None, "roadmap", tried, why="the time for the roadmap was over")
 
-    def near(self, task: Task, place: Array, count: int) -> Array:
+    def near(self, task: PlanTask, place: Array, count: int) -> Array:
         """(k, m) points of the map, at most `count`, whose tips are nearest to a place (3,), those first."""
         self._remember(task)
         if self.tips is None:
@@ -102,7 +100,7 @@ class Roadmap(Displayed):
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
-    def _remember(self, task: Task) -> None:
+    def _remember(self, task: PlanTask) -> None:
         """Forget what was found of edges where another question is asked."""
         if not np.array_equal(task.chart.parameters, self.parameters):
             raise InputError("the roadmap is of another robot")
@@ -158,7 +156,7 @@ def build_roadmap(
     task = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options).task
     random, n = np.random.default_rng(options.seed), robot.n_tubes
     space, found, total = task.chart.space, [], 0
-    drawn = task.effort.roadmap_drawn
+    drawn = task.effort.roadmap.drawn
     shifts = space.sample(16 * drawn)[:, n:]
     while total < count and not task.clock.over:
         z = np.column_stack([random.uniform(-np.pi, np.pi, (drawn, n)), random.choice(shifts, drawn)])
@@ -172,7 +170,7 @@ def build_roadmap(
     if len(points) < 2:
         raise SolveError(f"no roadmap was found within {options.time_limit:g} s: {len(points)} places are free")
     places = points / task.scale
-    _, near = scipy.spatial.cKDTree(places).query(places, k=min(task.effort.roadmap_neighbours + 1, len(points)))
+    _, near = scipy.spatial.cKDTree(places).query(places, k=min(task.effort.roadmap.neighbours + 1, len(points)))
     edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
     return Roadmap(points, task.chart.parameters, np.unique(np.sort(edges, axis=1), axis=0))
 

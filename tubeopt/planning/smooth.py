@@ -11,8 +11,8 @@ from ..block.own import OwnObjective
 from ..block.quantities import Expression
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
-from ..inverse.task import Task
 from ..typing import Array, Mask
+from .effort import PlanTask
 from .motion import Motion, cubic
 from .path_program import (
     MOST_NODES,
@@ -50,27 +50,27 @@ class Smoothed:
     iterations: int
 
 
-def building(task: Task) -> float:
+def building(task: PlanTask) -> float:
     """Seconds of work that it may take to build the program of a task and to begin to solve it."""
     nodes = sum(min(body.lattice.values.size, MOST_NODES) for body in task.obstacles if isinstance(body, TABLES))
-    own, bodies = task.effort.smoothing_build * task.chart.size, task.effort.smoothing_build_body * len(task.obstacles)
-    return own + bodies + task.effort.smoothing_build_node * nodes
+    own, bodies = task.effort.program.build * task.chart.size, task.effort.program.build_body * len(task.obstacles)
+    return own + bodies + task.effort.program.build_node * nodes
 
 
-def joint_curves(task: Task, points: Array) -> list[Array]:
+def joint_curves(task: PlanTask, points: Array) -> list[Array]:
     """The joint values of every straight motion of a way (k, m), evenly spaced and as close as it takes to check it."""
     out = []
     for a, b in pairwise(points):
         pieces = (len(task.line(a, b)) - 1) * 2 ** (task.fineness(a, b) or 0)
-        for halvings in range(task.effort.smoothing_halvings + 1):
+        for halvings in range(task.effort.rounding.halvings + 1):
             q = task.chart.joints(a + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (b - a))
-            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= task.effort.smoothing_bend:
+            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= task.effort.rounding.bend:
                 break
         out.append(q)
     return out
 
 
-def resample(task: Task, points: Array, count: int) -> Array:
+def resample(task: PlanTask, points: Array, count: int) -> Array:
     """(count, m) points of a way, evenly spaced by the length of joint motion."""
     z = np.concatenate([points[:1], *(task.line(a, b)[1:] for a, b in pairwise(points))])
     q = task.chart.joints(z) / task.scale
@@ -84,19 +84,24 @@ def resample(task: Task, points: Array, count: int) -> Array:
 
 
 def smooth(
-    task: Task, start: Equilibrium, points: Array, limits: Limits, aim: tuple[str, OwnObjective | None], clock: Clock
+    task: PlanTask,
+    start: Equilibrium,
+    points: Array,
+    limits: Limits,
+    aim: tuple[str, OwnObjective | None],
+    clock: Clock,
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
     the clock is over. How long it takes is told by objectives of time and effort only. `aim`: the objective, and an own
     cost, of which the mean along the path counts beside it."""
     objective, extra = aim
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
-    intervals, iterations = task.effort.smoothing_intervals, 0
+    intervals, iterations = task.effort.smoothing.intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
-    room = np.array([task.margin_room + task.effort.smoothing_margin, task.clearance_room])
-    for _ in range(task.effort.smoothing_refinements + 1):
+    room = np.array([task.margin_room + task.effort.smoothing.margin, task.clearance_room])
+    for _ in range(task.effort.smoothing.refinements + 1):
         near = _near(task, z)
-        if task.chart.size > task.effort.smoothing_operations or clock.left < clock.crowding * building(near):
+        if task.chart.size > task.effort.program.operations or clock.left < clock.crowding * building(near):
             return None
         found = _solve(near, z, share, limits, (objective, own), room, clock)
         if found is None:
@@ -112,11 +117,11 @@ def smooth(
     return None
 
 
-def _near(task: Task, z: Array) -> Task:
+def _near(task: PlanTask, z: Array) -> PlanTask:
     """The same with the bodies alone that the arm may meet near knots (K, m)."""
     if not task.obstacles:
         return task
-    reach = task.effort.smoothing_reach * task.chart.space.length + task.clearance + float(task.chart.radius.max())
+    reach = task.effort.smoothing.reach * task.chart.space.length + task.clearance + float(task.chart.radius.max())
     points = task.chart.arms(z, 0.0).fine()[1]
     near = task.scene.close(points.reshape(-1, 3), reach)
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
@@ -126,14 +131,23 @@ Aim = tuple[str, tuple[Expression, float] | None]
 """The objective, and an own cost with its weight."""
 
 
-def _solve(task: Task, z: Array, share: Array, limits: Limits, aim: Aim, room: Array, clock: Clock) -> Smoothed | None:
+def _solve(
+    task: PlanTask, z: Array, share: Array, limits: Limits, aim: Aim, room: Array, clock: Clock
+) -> Smoothed | None:
     """The program's solution from knots (K, m) in the chart, with so much room (2,) above the margin and the clearance
     (m) to keep, at knots."""
     objective, extra = aim
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
-        task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, task.effort, extra
+        task.chart.kind,
+        space.carriages,
+        len(share),
+        len(space.least),
+        task.obstacles,
+        space.length,
+        task.effort.program,
+        extra,
     )
     program = path_program(question)
     q = task.chart.joints(z)
@@ -150,7 +164,7 @@ def _solve(task: Task, z: Array, share: Array, limits: Limits, aim: Aim, room: A
         weights=weights,
         order=space.rows,
         step=share,
-        twist=np.maximum(task.effort.smoothing_twist, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
+        twist=np.maximum(task.effort.smoothing.twist, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
     )
     floor = min(task.min_margin + float(room[0]), 0.998)
@@ -185,7 +199,7 @@ def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
-def _to_keep(task: Task, program: PathProgram, least: Array, z: Array, room: float) -> Array:
+def _to_keep(task: PlanTask, program: PathProgram, least: Array, z: Array, room: float) -> Array:
     """(K, rows) least distances to keep, m, at knots (K, m): of those of an obstacle, all that of the closest. It may
     fall to `room` above the clearance to keep; not at all where a knot has no more than that to spare; and it must grow
     where there is none.
@@ -205,7 +219,7 @@ def _to_keep(task: Task, program: PathProgram, least: Array, z: Array, room: flo
 
 
 def _bounds(
-    task: Task, program: PathProgram, start: tuple[Array, Array, Array], objective: str, floor: float
+    task: PlanTask, program: PathProgram, start: tuple[Array, Array, Array], objective: str, floor: float
 ) -> dict[str, Array]:
     """Bounds of unknowns and constraints from knots: joint values, points of the chart, least distances (m) to keep.
     Both ends, which were checked before, are as they are."""
@@ -228,7 +242,7 @@ def _bounds(
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
     upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + ROUND_OFF, 2 * (knots - 1))
-    limits: dict[str, float | Array] = {"fields": task.effort.smoothing_fields, "clearance": least / space.length}
+    limits: dict[str, float | Array] = {"fields": task.effort.program.fields, "clearance": least / space.length}
     for name, value in limits.items():
         if rows.get(name):
             lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()
@@ -244,12 +258,12 @@ def _bounds(
 
 
 def violated(
-    task: Task, start: Equilibrium, motion: Motion, clock: Clock, places: tuple[Array, Array]
+    task: PlanTask, start: Equilibrium, motion: Motion, clock: Clock, places: tuple[Array, Array]
 ) -> tuple[Mask, Array]:
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
     and clearance (m) fall short. `places`: times (P,) at which it has to be at points (P, m) of the chart: the same
     joint values may be led to on several branches, by ways around a fold on one side and on the other."""
-    time, q = motion.sampled(task.scale, task.effort)
+    time, q = motion.sampled(task.scale, task.effort.timing)
     tracked = track(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
     short = tracked.short(task)
@@ -264,11 +278,11 @@ def violated(
     return bad, np.maximum(short.max(1, initial=0.0), 0.0)
 
 
-def _apart(task: Task, time: Array, tracked: Tracked, places: tuple[Array, Array]) -> Mask:
+def _apart(task: PlanTask, time: Array, tracked: Tracked, places: tuple[Array, Array]) -> Mask:
     """(P,) at which of some places a motion that was followed at times (T,) is on another branch."""
     points = np.array([task.chart.of(each) for each in tracked.equilibria])
     found = np.column_stack([np.interp(places[0], time, column) for column in points.T])
-    return np.asarray((np.abs(found - places[1]) / task.scale).max(1) > task.effort.smoothing_apart)
+    return np.asarray((np.abs(found - places[1]) / task.scale).max(1) > task.effort.smoothing.apart)
 
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..inverse.way_settings import DEFAULT_WAY, WaySearch
 from ..typing import Array, Index, Mask
+from .effort import DEFAULT_EFFORT, Timing
 from .motion import Motion
 
 SAME = 1e-9
@@ -44,7 +44,7 @@ class Limits:
     rate: Array
     acceleration: Array
     tip: tuple[float, Tips] | None = None
-    effort: WaySearch = DEFAULT_WAY
+    timing: Timing = DEFAULT_EFFORT.timing
 
 
 def at_full_speed(motion: Motion, limits: Limits) -> Motion:
@@ -93,10 +93,10 @@ def rounded(table: Array) -> scipy.interpolate.PPoly:
 
 def _along(curves: Sequence[scipy.interpolate.PPoly], limits: Limits) -> list[Motion]:
     """The fastest motions along cubic curves, each of which begins where the one before ends."""
-    grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], limits.effort.timing_cells)) for curve in curves]
+    grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], limits.timing.cells)) for curve in curves]
     for k, (curve, s, b) in enumerate(zip(curves, grids, _largest(curves, grids, limits), strict=True)):
         time = _time(s, b)
-        grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], limits.effort.timing_fine_cells), time, s))
+        grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], limits.timing.fine_cells), time, s))
     found = zip(curves, grids, _largest(curves, grids, limits), strict=True)
     motions = [_motion(curve, s, b) for curve, s, b in found]
     return motions if limits.tip is None else [replace(each, tip_limited=True) for each in motions]
@@ -155,19 +155,19 @@ class _Program:
         """That of a curve on a grid s (N + 1,), with tips (N + 1, 3) where their speed is limited."""
         h = np.diff(s)
         c1, c2, c3 = _terms(curve, s)
-        long, force = h[:, None], limits.effort.timing_prudence * limits.acceleration
+        long, force = h[:, None], limits.timing.prudence * limits.acceleration
         # Where s has grown by x, b has by 2 x u.
         row_u = [c1, c1 + 3 * c2 * long, c1 + 6 * c2 * long + 15 * c3 * long**2]
         row_b = [2 * c2, 2 * c2 + 3 * c3 * long, 2 * c2 + 6 * c3 * long]
         rows_u, rows_b = (np.concatenate(rows, axis=1) / np.tile(force, 3) for rows in (row_u, row_b))
         along = np.abs([c1, c1 + c2 * long, c1 + 2 * c2 * long + 3 * c3 * long**2]).max(0)
-        pace = (along / (limits.effort.timing_prudence * limits.rate)).max(1)
+        pace = (along / (limits.timing.prudence * limits.rate)).max(1)
         if limits.tip is not None and tip is not None:
             speed = scipy.interpolate.CubicSpline(s, tip)(np.stack([s[:-1], (s[:-1] + s[1:]) / 2, s[1:]]), 1)
             # Samples are joined by straight lines: what the joints do at one time they do at those beside it.
-            beside = 1 + 2 * math.ceil(len(h) / limits.effort.samples_of_tip)
+            beside = 1 + 2 * math.ceil(len(h) / limits.timing.samples_of_tip)
             fastest = scipy.ndimage.maximum_filter1d(np.linalg.norm(speed, axis=2).max(0), beside)
-            pace = np.maximum(pace, fastest / (limits.effort.timing_prudence * limits.tip[0]))
+            pace = np.maximum(pace, fastest / (limits.timing.prudence * limits.tip[0]))
         most = 1 / np.maximum(np.append(pace, 0.0), np.append(0.0, pace)).clip(TINY) ** 2
         # What does not move there is at rest however fast s is.
         moving = np.abs(curve(s[[0, -1]], nu=1) / limits.rate).max(1) * np.sqrt(most[[0, -1]]) > 1e-6

@@ -16,12 +16,12 @@ from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, instance, positive
 from ..inverse import IkSession, inverse_kinematics
-from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import passing
+from .effort import PlanTask
 from .goals import check_start, checked_places, kept, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
@@ -37,23 +37,21 @@ LONGEST = 1000
 class TipPathSolver(Settings):
     """How a motion of the tip along a curve is looked for.
 
-    Args:
-        spacing: of the points at which the tip is solved for, at first, as a share of the robot's length.
-        refinements: times that the spacing is halved where the tip leaves the curve in between.
-        dense: points per piece of a spline at which it is sampled.
-        starts: most configurations from which the curve is tried.
-        starts_share: of the time limit in which these are looked for.
-
     Raises:
         InputError: a count that is no whole number of at least 1 (0 for `refinements`), another number that is not
             positive.
     """
 
     spacing: float = 0.008
+    """Of the points at which the tip is solved for, at first, as a share of the robot's length."""
     refinements: int = 3
+    """Times that the spacing is halved where the tip leaves the curve in between."""
     dense: int = 40
+    """Points per piece of a spline at which it is sampled."""
     starts: int = 8
+    """Most configurations from which the curve is tried."""
     starts_share: float = 0.3
+    """Of the time limit in which these are looked for."""
 
     _none: ClassVar[tuple[str, ...]] = ("refinements",)
 
@@ -166,7 +164,7 @@ def _spaced(curve: Array, spacing: float) -> Array:
     return np.concatenate(out)
 
 
-def _starts(task: Task, curve: Array, start: Any, tolerance: float, solver: TipPathSolver) -> Iterator[Equilibrium]:
+def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float, solver: TipPathSolver) -> Iterator[Equilibrium]:
     if start is not None:
         first = start_equilibrium(task.chart.space, start)
         check_start(task, first)
@@ -189,7 +187,7 @@ def _starts(task: Task, curve: Array, start: Any, tolerance: float, solver: TipP
         yield answer.equilibrium
 
 
-def _track(task: Task, first: Equilibrium, places: Array) -> tuple[list[Equilibrium], str]:
+def _track(task: PlanTask, first: Equilibrium, places: Array) -> tuple[list[Equilibrium], str]:
     """Equilibria with their tips at the places, each followed from the last, and why they end before the last one."""
     out: list[Equilibrium] = []
     floor = min(task.min_margin + task.margin_room, max(first.margin - 1e-4, task.min_margin))

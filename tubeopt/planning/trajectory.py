@@ -24,85 +24,94 @@ from .proof import Proof
 
 @dataclass(frozen=True)
 class PlanStatistics:
-    """How a plan was found.
-
-    how: "straight", "detour" or "search"; smoothed: by which objective, "corners" where only those of the way were
-    rounded, "" where it rests at them: what is smoothed was not allowed, no better, or not asked for.   motions: that
-    the search checked.   raw_length, length: of the path in joint space as found and as it is, in units of the joints'
-    scales (1 rad, half the longest tube).   iterations, knots: of smoothing.
-    search_seconds, smooth_seconds, proof_seconds, seconds.
-    """
+    """How a plan was found."""
 
     how: str
+    """"straight", "detour", "search", or by what else."""
     smoothed: str
+    """By which objective, "corners" where only those of the way were rounded, "" where it rests at them: what is
+    smoothed was not allowed, no better, or not asked for."""
     motions: int
+    """That the search checked."""
     raw_length: float
+    """Of the path in joint space as found, in units of the joints' scales (1 rad, half the longest tube)."""
     length: float
+    """As it is."""
     iterations: int
+    """Of smoothing."""
     knots: int
+    """Of smoothing."""
     search_seconds: float
     smooth_seconds: float = 0.0
     proof_seconds: float = 0.0
     seconds: float = 0.0
+    """In all."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entry(Displayed):
-    """A place of the plate that was chosen.
-
-    frame: in the frame of the plate as it is given.   base: in the patient, RAS; the same without a patient.
-    looked_at: places that were looked at.   clear: of them those in which the arm is clear at the start.   tried: of
-    those the ones from which plans were made.
-    """
+    """A place of the plate that was chosen."""
 
     frame: Frame
+    """In the frame of the plate as it is given."""
     base: Frame
+    """In the patient, RAS; the same without a patient."""
     looked_at: int
+    """Places that were looked at."""
     clear: int
+    """Of them those in which the arm is clear at the start."""
     tried: int
+    """Of those the ones from which plans were made."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(Displayed):
-    """A motion on one stable branch, T samples of n tubes; joint values are linear between samples. SI units.
-
-    Attributes:
-        time: (T,) s, evenly spaced.   rotations (T, n) rad, translations (T, n) m, not wrapped.
-        tip_position: (T, 3) m.   margin: (T,).   arms: equilibria at the samples.
-        clearance: (T,) m, infinite without obstacles; measured where it is asked for.
-        start, end: equilibria at both ends.
-        turns: (n,) whole turns by which the rotations at the end differ from the goal as given.
-        obstacles, min_margin, min_clearance (m), rate_limits: what is kept.
-        proof: of all of this, by other code; `.proved` says whether it was finished in time, `.status` says it in
-            words.   statistics: how it was found.
-        deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
-            from the path of its tip, m; None for other plans.
-        entry: where the plate stands that was chosen, see `plan_from_region`; None where it stands as it is given.
-        cut: a plane along which pictures cut bodies open, in the frame of the plate; None for none.
-    """
+    """A motion on one stable branch, T samples of n tubes; joint values are linear between samples."""
 
     _brief = ("robot", "status", "time")
 
     robot: Robot
     """That moves."""
     time: Array
+    """(T,) s; evenly spaced, but for the rests of `ArmsPlan.made_way`."""
     rotations: Array
+    """(T, n) rad, not wrapped."""
     translations: Array
+    """(T, n) m."""
     tip_position: Array
+    """(T, 3) m."""
     margin: Array
+    """(T,)."""
     arms: tuple[Equilibrium, ...]
+    """Equilibria at the samples."""
     start: Equilibrium
-    end: Equilibrium
+    """That it was asked to begin with."""
     turns: tuple[int, ...]
+    """(n,) whole turns by which the rotations at the end differ from the goal as given."""
     obstacles: tuple[Obstacle, ...]
+    """Of which the arm keeps clear."""
     min_margin: float
+    """That is kept."""
     min_clearance: float
+    """That is kept, m."""
     rate_limits: RateLimits
+    """That are kept."""
     proof: Proof
+    """Of all of this, by other code; `.proved` says whether it was finished in time, `.status` says it in words."""
     statistics: PlanStatistics
+    """How it was found."""
     deviation: Array | None = None
+    """(T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm from the path
+    of its tip, m; None for other plans."""
     entry: Entry | None = None
+    """Where the plate stands that was chosen, see `plan_from_region`; None where it stands as it is given."""
     cut: Plane | None = None
+    """Along which pictures cut bodies open, in the frame of the plate; None for none."""
+
+    @property
+    def end(self) -> Equilibrium:
+        """The equilibrium at its end."""
+        return self.arms[-1]
 
     @cached_property
     def clearance(self) -> Array:

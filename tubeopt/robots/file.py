@@ -185,9 +185,8 @@ class ConcentricEntry(RobotEntry):
     def build(self) -> ConcentricRobot:
         """The robot in SI."""
         friction = self.friction.build() if self.friction else None
-        room = None if self.clearance_mm is None else tuple(to_si(x, MM) for x in self.clearance_mm)
         tubes = tuple(tube.build() for tube in self.tubes)
-        return ConcentricRobot(tubes, **self.common(), friction=friction, clearance=room)
+        return ConcentricRobot(tubes, **self.common(), friction=friction, clearance=self.si("clearance_mm"))
 
 
 @asking(EccentricRobot)

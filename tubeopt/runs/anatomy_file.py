@@ -23,7 +23,7 @@ from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file
 from ..files.csv_file import read_csv
 from ..files.files import read_text
-from ..files.units import DEG, MM, to_si
+from ..files.units import MM
 from ..files.yaml_file import load_yaml
 from ..typing import Array, Mask
 
@@ -190,15 +190,9 @@ class BasePart(Entry):
         known = Anatomy(landmarks=landmarks)
         if self.pose is not None:
             return Frame(ras(self.pose.axes.T, self.axes).T, ras(self.pose.origin, self.axes))
-        if self.at is not None:
-            position = known.place(self.at)
-        else:
-            position = ras([to_si(x, MM) for x in self.position_mm or ()], self.axes)
-        if self.towards is not None:
-            direction = known.place(self.towards) - position
-        else:
-            direction = ras([float(x) for x in self.direction or ()], self.axes)
-        return base_frame(position, direction, to_si(self.roll_deg, DEG))
+        position = ras(self.si("position_mm"), self.axes) if self.at is None else known.place(self.at)
+        aim = ras(self.si("direction"), self.axes) if self.towards is None else known.place(self.towards) - position
+        return base_frame(position, aim, self.si("roll_deg"))
 
 
 class RegistrationPart(Entry):
@@ -257,10 +251,10 @@ class AnatomyPart(Entry):
         if self.base is not None:
             base = self.base.frame(landmarks)
         elif self.registration is not None:
-            here = {k: [to_si(x, MM) for x in place] for k, place in self.registration.landmarks_mm.items()}
+            here = self.registration.si("landmarks_mm")
             found = register(landmarks, here)
             base, error = found.frame, found.rms
-            if error > to_si(self.registration.most_error_mm, MM):
+            if error > self.registration.si("most_error_mm"):
                 worst = max(found.errors, key=lambda name: found.errors[name])
                 raise InputError(
                     f"registration leaves landmarks {error * 1e3:.3g} mm off (root of the mean square; {worst!r} by "
@@ -293,7 +287,7 @@ class AnatomyPart(Entry):
             return [], places
         region = None
         if self.region_mm is not None:
-            low, high = (np.array([to_si(x, MM) for x in corner]) for corner in self.region_mm)
+            low, high = map(np.array, self.si("region_mm"))
             region = low, high
         return [field_of_image(image, lumen=lumen, forbidden=forbidden, region=region)], places
 

@@ -10,10 +10,12 @@ from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
-from ..files.checked import NotNegative, Positive, Whole
+from ..files.checked import NotNegative, Positive
+from ..files.fields import asking, values
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, plan_arms
+from ..typing import Progress
 from .anatomy_file import BasePart
-from .base import Progress, Started, Study
+from .base import Started, Study
 from .obstacle_file import Bodies, Place, Surrounded
 from .plan_study import Aimed, RatesEntry
 
@@ -51,6 +53,7 @@ class ArmPart(Aimed, PlacedPart):
         return self
 
 
+@asking(PlanOptions, "objective", "seed")
 class ArmsStudy(Surrounded, Study):
     """Motions of several robots on one plate or endoscope, each on one stable branch, none touching another."""
 
@@ -67,11 +70,7 @@ class ArmsStudy(Surrounded, Study):
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
     rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
-    objective: Literal["length", "time", "effort", "margin", "none"] = Field(
-        "length", description="of the smoothing: length, time, effort, margin or none"
-    )
     time_limit_s: Positive = Field(Decimal(120), description="for all of it")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of the search", examples=["K"])
 
     @model_validator(mode="after")
     def _landmarks(self) -> Self:
@@ -88,7 +87,7 @@ class ArmsStudy(Surrounded, Study):
             [arm.start for arm in self.arms],
             [arm.goal(self.around) for arm in self.arms],
             obstacles=self.bodies,
-            min_margin=float(self.min_margin),
+            min_margin=self.si("min_margin"),
             rate_limits=self.rates.build(),
-            options=PlanOptions(**self.in_si("objective", "time_limit_s", "clearance_mm", "seed")),
+            options=PlanOptions(**values(PlanOptions, self)),
         )

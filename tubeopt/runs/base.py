@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections import UserDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -14,14 +14,9 @@ from pydantic import AfterValidator, Field, ValidationInfo
 
 from ..equilibrium.readings import to_model
 from ..files.checked import Entry, Number, Whole, in_file
-from ..files.units import DEG, MM, to_si
 from ..robots.file import AnyRobot, load_robot
 from ..robots.robot import Robot
-from ..typing import Array
-
-Progress = Callable[[int, int], object]
-"""Called with how much is done, and how much there is, 0 where nobody knows."""
-
+from ..typing import Array, Progress
 
 RobotPath = Annotated[
     AnyRobot,
@@ -90,7 +85,7 @@ class Posed(Entry):
     @property
     def joints(self) -> tuple[Array, Array]:
         """The model's rotations (n,) rad and translations (n,) m there."""
-        return joints_of(self.robot, self.rotations_deg, self.translations_mm)
+        return joints_of(self.robot, self.si("rotations_deg"), self.si("translations_mm"))
 
 
 class Started(Entry):
@@ -103,7 +98,7 @@ class Started(Entry):
     @property
     def start(self) -> tuple[Array, Array]:
         """Joint values with which it begins."""
-        return joints_of(self.robot, self.start_deg, self.start_mm)
+        return joints_of(self.robot, self.si("start_deg"), self.si("start_mm"))
 
 
 class Study(Entry):
@@ -134,16 +129,12 @@ class Study(Entry):
         return self.run(progress)
 
 
-def in_si(values: Sequence[Decimal] | None, unit: Decimal, otherwise: Array) -> Array:
-    """`values` in SI, or `otherwise` where there are none."""
-    return otherwise if values is None else np.array([to_si(value, unit) for value in values])
-
-
-def joints_of(robot: Robot, turned: Sequence[Decimal] | None, shifted: Sequence[Decimal] | None) -> tuple[Array, Array]:
-    """The model's rotations (n,) rad and translations (n,) m where drives are said to read `turned` (deg) and `shifted`
-    (mm), 0 and home without them: what is read is the model's where the robot has no calibration.
+def joints_of(robot: Robot, turned: Sequence[float] | None, shifted: Sequence[float] | None) -> tuple[Array, Array]:
+    """The model's rotations (n,) rad and translations (n,) m where drives are said to read `turned` (rad) and `shifted`
+    (m), 0 and home without them: what is read is the model's where the robot has no calibration.
 
     Raises:
         SolveError: carriages yield without end.
     """
-    return to_model(robot, in_si(turned, DEG, np.zeros(robot.n_tubes)), in_si(shifted, MM, robot.home_translations))
+    rotations = np.zeros(robot.n_tubes) if turned is None else np.array(turned)
+    return to_model(robot, rotations, robot.home_translations if shifted is None else np.array(shifted))

@@ -11,13 +11,12 @@ from pydantic import Field, model_validator
 
 from ..files.checked import NotNegative, Number, Positive, in_file
 from ..files.csv_file import read_csv
-from ..files.units import MM, to_si
 from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
 from ..shaping.heating.logged import HeatingLog
 from ..shaping.heating.trials import NITINOL_COLOURS, ColourTable, Trial, TrialFit, calibrate_from_trials
 from ..shaping.mold.springback import Calibration, calibrate_springback
-from ..typing import Array
-from .base import Progress, Study
+from ..typing import Array, Progress
+from .base import Study
 from .heating_study import TubeOnRig
 from .mold_file import Trials, load_trials
 from .rig_file import LOG_COLUMNS, OUTCOMES, load_camera, load_colours, load_heating_log, load_heating_trials
@@ -69,7 +68,7 @@ class HeatingCalibrationStudy(TubeOnRig):
             raise ValueError(f"trials is given; the file has the column {readings[0]}, of a log and not of trials")
         if self.trials:
             return load_heating_trials(self.log)
-        log = load_heating_log(self.log, to_si(self.position_mm, MM), float(self.lag_s))
+        log = load_heating_log(self.log, **self.in_si("position_mm", "lag_s"))
         return log if self.camera is None else log.with_camera(*self.camera)
 
     @model_validator(mode="after")

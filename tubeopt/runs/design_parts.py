@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Literal
@@ -34,12 +33,13 @@ from ..design.parameters import TUBE_FIELDS
 from ..design.requirements import Requirement
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
-from ..files.fields import EntryOf, Part, asking, described, extended, values
-from ..files.units import DEG, MM, PER_M, UNITS, to_si, unit_of
+from ..files.fields import EntryOf, Part, asking, described, extended
+from ..files.units import unit_of
 from ..robots.concentric import ConcentricRobot
-from ..robots.file import AnyRobot, Range
+from ..robots.file import Range
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube
+from .base import Count, RobotPath
 from .obstacle_file import Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
@@ -48,13 +48,15 @@ Row = Annotated[list[Number], Field(min_length=1)]
 
 @dataclass(frozen=True)
 class Ranged:
-    """A key that holds the least and greatest value of a free dimension: the field, its unit, what is said of it, and
-    whether the tubes are scaled by one factor."""
+    """A key that holds the least and greatest value of a free dimension."""
 
     field: str
+    """The dimension."""
     unit: str
     about: str
+    """What is said of it."""
     scaled: bool = False
+    """Whether the tubes are scaled by one factor."""
 
 
 OF_PIECES = (
@@ -100,23 +102,22 @@ class FreeEntry(Part):
 
     def build(self) -> Free:
         """The free dimension in SI."""
-        given = [(key, getattr(self, key)) for key in RANGES if getattr(self, key) is not None]
+        given = [key for key in RANGES if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(f"gives {len(given)} ranges; it must give one of {', '.join(RANGES)}")
-        (key, (low, high)) = given[0]
-        one = RANGES[key]
+        key = given[0]
+        one, (low, high) = RANGES[key], self.si(key)
         if one.scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
-        tie, unit = "scaled" if one.scaled else "equal" if self.equal else "each", UNITS.get(one.unit, PER_M)
         return Free(
             one.field,
             tuple(i - 1 for i in self.tubes),
-            to_si(low, unit),
-            to_si(high, unit),
-            tie,
+            low,
+            high,
+            "scaled" if one.scaled else "equal" if self.equal else "each",
             tuple(j - 1 for j in self.pieces),
             self.coefficients,
-            None if self.torsion_share is None else float(self.torsion_share),
+            self.si("torsion_share"),
             None if self.slots is None else self.slots.build(),
         )
 
@@ -131,11 +132,11 @@ class LengthEntry(Part):
 
     def build(self) -> Length:
         """The requirement in SI."""
-        limit = self.at_least_mm if self.at_most_mm is None else self.at_most_mm
-        if limit is None or None not in (self.at_most_mm, self.at_least_mm):
+        least, most = self.si("at_least_mm"), self.si("at_most_mm")
+        if (least is None) == (most is None):
             raise ValueError("must give one of at_most_mm and at_least_mm")
         field = "length" if self.length == "overall" else f"{self.length}_length"
-        return Length(field, self.tube - 1, to_si(limit, MM), self.at_most_mm is None)
+        return Length(field, self.tube - 1, least or most, most is None)
 
 
 class PoseEntry(Entry):
@@ -156,7 +157,7 @@ class CorridorEntry(Part):
 
     def build(self) -> Avoid:
         """The requirement in SI."""
-        return Avoid((Corridor(**values(Corridor, self)),), deployed=self.deployed)
+        return Avoid((super().build(),), deployed=self.deployed)
 
 
 class AvoidEntry(Part):
@@ -168,7 +169,7 @@ class AvoidEntry(Part):
 
     def build(self) -> Avoid:
         """The requirement in SI."""
-        return Avoid(self.obstacles, to_si(self.clearance_mm, MM), self.deployed)
+        return Avoid(self.obstacles, self.si("clearance_mm"), self.deployed)
 
 
 NUMBERS = [(kind, one) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for one in described(kind)]
@@ -197,8 +198,7 @@ class Requirements(Part):
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
         out += _built(self.coverage)
         if self.poses:
-            rotations = tuple(tuple(to_si(x, DEG) for x in pose.rotations_deg) for pose in self.poses)
-            translations = tuple(tuple(to_si(x, MM) for x in pose.translations_mm) for pose in self.poses)
+            rotations, translations = (tuple(pose.si(key) for pose in self.poses) for key in PoseEntry.model_fields)
             out.append(Poses(rotations, translations))
         return (*out, *_built(self.corridor, self.avoid))
 
@@ -207,13 +207,33 @@ def _built(*entries: Part | None) -> list[Requirement]:
     return [entry.build() for entry in entries if entry is not None]
 
 
-def task_of(
-    robot: AnyRobot, free: Sequence[FreeEntry], keep: Requirements, aims: Sequence[Objective], name: str, ordered: bool
-) -> DesignTask:
-    """The task in SI; raises InputError where its parts do not fit together."""
-    if not isinstance(robot, ConcentricRobot):
-        raise InputError("robot must be a concentric robot; its tubes are what is designed")
-    return DesignTask(robot, tuple(entry.build() for entry in free), keep.build(), tuple(aims), name, ordered)
+class Designed(Entry):
+    """A robot that is designed: what may change, and what must hold."""
+
+    name: str = Field("", description="of the design")
+    robot: RobotPath
+    free: Annotated[list[FreeEntry], Field(min_length=1)]
+    requirements: Requirements
+    ordered: bool = Field(
+        True, description="whether the tubes are in order at home and at all translations that the task names"
+    )
+
+    def task_for(self, *aims: Objective) -> DesignTask:
+        """The task in SI; raises InputError where its parts do not fit together."""
+        if not isinstance(self.robot, ConcentricRobot):
+            raise InputError("robot must be a concentric robot; its tubes are what is designed")
+        free = tuple(entry.build() for entry in self.free)
+        return DesignTask(self.robot, free, self.requirements.build(), aims, self.name, self.ordered)
+
+
+class Tried(Entry):
+    """How many designs a search begins with."""
+
+    starts: Count = Field(1, description="dimensions from which to start: those that are given, and random ones")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
+    turns: Annotated[Whole, Field(ge=0)] = Field(
+        6, description="random full turns per translations on which no certified robot may snap"
+    )
 
 
 @asking(Tolerances)
@@ -221,7 +241,3 @@ class TolerancesEntry(Part):
     """Errors of manufacture: standard deviations, or half widths where uniform."""
 
     samples: Annotated[Whole, Field(ge=2)] = 500
-
-    def build(self) -> Tolerances:
-        """The tolerances in SI."""
-        return Tolerances(**values(Tolerances, self))

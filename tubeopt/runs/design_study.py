@@ -24,12 +24,12 @@ from ..design.exchange import certified_at
 from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
-from ..files.checked import Entry, NotNegative, Number, Whole, in_file
+from ..files.checked import Entry, NotNegative, Number, in_file
 from ..files.fields import EntryOf
-from ..files.units import MM, to_si
 from ..stability import ASSUMING
-from .base import Count, Progress, RobotPath, Study
-from .design_parts import FreeEntry, Requirements, TolerancesEntry, task_of
+from ..typing import Progress
+from .base import Count, Study
+from .design_parts import Designed, TolerancesEntry, Tried
 from .region_part import RegionAnswer, RegionEntry
 from .stock_file import load_stock
 
@@ -66,16 +66,18 @@ class StockStudy(Entry):
 
 @dataclass(frozen=True, eq=False)
 class DesignAnswer(Displayed):
-    """A design, and what was asked besides: its spread in manufacture, the front it lies on, the choice from stock,
-    what it reaches of a region."""
+    """A design, and what was asked besides, None where it was not."""
 
     solution: DesignSolution
     """The design."""
     tolerance: ToleranceAnalysis | None
-    """Its spread in manufacture, None where that was not asked for."""
+    """Its spread in manufacture."""
     front: ParetoFront | None
+    """On which it lies."""
     stock: StockChoice | None
+    """The choice from stock."""
     region: RegionAnswer | None = None
+    """What it reaches of a region."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -83,26 +85,14 @@ class DesignAnswer(Displayed):
         return self.solution.remarks + (() if self.region is None else self.region.remarks)
 
 
-class DesignStudy(Study):
+class DesignStudy(Designed, Tried, Study):
     """The best robot that keeps a list of requirements."""
 
     doing = "designing"
     assuming = f"What is said of snaps is said {ASSUMING}, but for the force of max_tip_force_mN."
 
     kind: Literal["design"]
-    name: str = Field("", description="of the design")
-    robot: RobotPath
-    free: Annotated[list[FreeEntry], Field(min_length=1)]
-    requirements: Requirements
     objective: Aims
-    ordered: bool = Field(
-        True, description="whether the tubes are in order at home and at all translations that the task names"
-    )
-    starts: Count = Field(1, description="dimensions from which to start: the robot's own, and random ones")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
-    turns: Annotated[Whole, Field(ge=0)] = Field(
-        6, description="random full turns per translations on which no certified robot may snap"
-    )
     tolerances: TolerancesEntry | None = None
     pareto_margins: Annotated[list[Number], Field(min_length=1)] | None = Field(
         None, description="margins of the points of the Pareto front"
@@ -116,7 +106,7 @@ class DesignStudy(Study):
         if self.pareto_margins is not None:
             front_tasks(task, [float(m) for m in self.pareto_margins])
         if self.stock is not None:
-            stock_choices(task, self.stock.file, to_si(self.stock.clearance_mm, MM))
+            stock_choices(task, self.stock.file, self.stock.si("clearance_mm"))
         if isinstance(self.objective, RegionEntry):
             if self.stock is not None or self.pareto_margins is not None:
                 raise ValueError("objective reach_share is searched without derivatives; it has no stock or front")
@@ -126,8 +116,9 @@ class DesignStudy(Study):
     def task(self) -> DesignTask:
         """The task in SI; raises InputError where its parts do not fit together."""
         objectives = self.objective if isinstance(self.objective, list) else [self.objective]
-        aims = [Objective("change") if isinstance(one, RegionEntry) else one.build() for one in objectives]
-        return task_of(self.robot, self.free, self.requirements, aims, self.name, self.ordered)
+        return self.task_for(
+            *(Objective("change") if isinstance(one, RegionEntry) else one.build() for one in objectives)
+        )
 
     def run(self, progress: Progress | None = None) -> DesignAnswer:
         """The design.

@@ -9,37 +9,39 @@ from pydantic import Field
 
 from ..display import Displayed
 from ..files.checked import Positive, Whole
-from ..files.units import PERCENT, to_si
 from ..robots.robot import Robot
 from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, heating_for, plan_tube
-from .base import Progress, RobotPath, Study
+from ..typing import Progress
+from .base import RobotPath, Study
 from .heating_study import Heating, RigPath, heating_of
 from .mold_study import MoldPath
 
 
 @dataclass(frozen=True, eq=False)
 class TubeParts:
-    """Mold and schedules of one tube.
-
-    number: of the tube, from 1.   made: the two as planned together.   mold, heating: each as its own command says it.
-    """
+    """Mold and schedules of one tube."""
 
     number: int
+    """Of the tube, from 1."""
     made: TubeFabrication
+    """The two as planned together."""
     mold: RobotMold
+    """As the command for molds says it."""
     heating: Heating
+    """As the command for heatings says it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fabrication(Displayed):
-    """Everything that it takes to make a robot's tubes.   left_out: tubes that are not, in words."""
+    """Everything that it takes to make a robot's tubes."""
 
     robot: Robot
     parts: tuple[TubeParts, ...]
     """One for each tube that is made."""
     left_out: tuple[str, ...]
+    """Tubes that are not made, in words."""
 
 
 class FabricationStudy(Study):
@@ -66,8 +68,8 @@ class FabricationStudy(Study):
         """
         asked = self.mold or MoldSpec()
         spec = replace(heating_for(asked.heat), objective=self.objective)
-        spec = spec if self.hold_s is None else replace(spec, hold_time=float(self.hold_s))
-        charges = tuple(to_si(charge, PERCENT) for charge in self.charges_percent)
+        spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
+        charges = self.si("charges_percent")
         chosen, left_out = chosen_tubes(self.robot)
         parts = []
         for k, number in enumerate(chosen):

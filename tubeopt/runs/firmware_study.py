@@ -18,13 +18,13 @@ from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.sensors import SENSORS, Sensor
 from ..shaping.heating.spec import HeatingSpec
-from .base import Progress
+from ..typing import Progress
 from .heating_study import HeatedTube
 
 
 @dataclass(frozen=True, eq=False)
 class LedHeating(Displayed):
-    """A heating that a sensor leads, and the board that runs it.   frequency: Hz, of the board's pulses."""
+    """A heating that a sensor leads, and the board that runs it."""
 
     plan: HeatingPlan
     """The schedule."""
@@ -33,6 +33,7 @@ class LedHeating(Displayed):
     wiring: Wiring
     """Board, pins and parts."""
     frequency: float
+    """Hz, of the board's pulses."""
 
 
 @asking(HeatingSpec)
@@ -59,26 +60,23 @@ class LedHeatingStudy(HeatedTube):
     def _buildable(self) -> Self:
         self._sensor()
         rig = self.set_up()
-        pwm_frequency(self._wiring(), rig, self._wanted())
+        pwm_frequency(self._wiring(), rig, self.si("pwm_Hz"))
         hall_slope(self._wiring(), rig.circuit)
         return self
 
     def _sensor(self) -> Sensor:
         kind = SENSORS[choice("sensor", self.sensor, READS)]
-        return kind() if self.bias_K is None else kind(bias=float(self.bias_K))
+        return kind() if self.bias_K is None else kind(bias=self.si("bias_K"))
 
     def _wiring(self) -> Wiring:
         return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter))
-
-    def _wanted(self) -> float | None:
-        return None if self.pwm_Hz is None else float(self.pwm_Hz)
 
     def run(self, progress: Progress | None = None) -> LedHeating:
         """The plan for the board's pulses, the law, and what becomes of it on uncertain rigs."""
         tell = progress or (lambda done, total: None)
         tell(0, 2)
         rig, wiring = self.set_up(), self._wiring()
-        frequency = pwm_frequency(wiring, rig, self._wanted())
+        frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
         rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
         plan = plan_heating(self.heated(), rig, self.spec())
         tell(1, 2)

@@ -11,7 +11,8 @@ from pydantic import Field
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
-from .base import Posed, Progress
+from ..typing import Progress
+from .base import Posed
 from .load_file import LoadedStudy
 
 LOGGER = logging.getLogger(__name__)
@@ -34,7 +35,7 @@ class ForwardKinematicsStudy(Posed, LoadedStudy):
             *self.joints,
             load=self.pushing(),
             method=self.method,
-            tolerance=float(self.tolerance_rad),
+            tolerance=self.si("tolerance_rad"),
             verify=self.verify,
         )
         if not found.arc_length[-1]:

@@ -26,7 +26,8 @@ from ..shaping.heating.rig import Rig
 from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import FINE, thermal_model
-from .base import Progress, Study, require_one
+from ..typing import Progress
+from .base import Study, require_one
 from .rig_file import LOG_COLUMNS, load_rig
 
 LOG_FILE = "log.csv"
@@ -47,17 +48,18 @@ SILENCE = 5
 
 @dataclass(frozen=True)
 class HeatingRun(Displayed):
-    """A heating that was run.
-
-    rows: what the rig reported, slot by slot. reason: why it ended. log: where it was written. name: of the rig.
-    window: degC, that is to be kept in the hold, as the rig says it; None where it does not.
-    """
+    """A heating that was run."""
 
     rows: tuple[dict[str, Any], ...]
+    """What the rig reported, slot by slot."""
     reason: str
+    """Why it ended."""
     log: Path | None = None
+    """Where it was written."""
     name: str = "rig"
+    """Of the rig."""
     window: tuple[float, float] | None = None
+    """degC, that is to be kept in the hold, as the rig says it; None where it does not."""
 
     @property
     def done(self) -> bool:
@@ -124,14 +126,14 @@ class HeatingRunStudy(Study):
         InputError where the port cannot be opened."""
         rig, planned = self.simulate or self.rig, self.simulate is not None or self.replan_s is not None
         law = led_law(rig) if rig is not None and planned else None
-        leader = None if law is None or self.replan_s is None else Leader(planner_for(*law), float(self.replan_s))
+        leader = None if law is None or self.replan_s is None else Leader(planner_for(*law), self.si("replan_s"))
         if self.port is not None:
             return SerialLine(self.port), leader
         assert law is not None
         plan, known, sensor = law
         simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
         limit = plan.spec.limit + OVERSHOOT
-        return SimulatedLine(simulated, known, limit, float(self.speed), plan.spec.window_degC), leader
+        return SimulatedLine(simulated, known, limit, self.si("speed"), plan.spec.window_degC), leader
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
         """Run it, and log into `out` where that is given."""

@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 from ..display import Displayed
 from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.fields import asking, values
-from ..files.units import PERCENT, to_si
 from ..robots.tubes import Tube
 from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.plan import HeatingPlan
@@ -21,23 +20,24 @@ from ..shaping.heating.robust import Band, assess, charge_tables, most_likely
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
-from .base import Progress, RobotPath, Study, TubeNumber
+from ..typing import Progress
+from .base import RobotPath, Study, TubeNumber
 from .rig_file import load_rig
 
 
 @dataclass(frozen=True, eq=False)
 class Heating(Displayed):
-    """A plan, its tables by the battery's charge, and its band over uncertain rigs, None where that was not asked for.
-
-    scale: by which its duties were scaled to the most likely success.
-    """
+    """A plan, and what becomes of it."""
 
     plan: HeatingPlan
     tables: tuple[HeatingPlan, ...] = ()
+    """The same for other charges of the battery."""
     band: Band | None = None
+    """Over uncertain rigs; None where that was not asked for."""
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     """What the band is over."""
     scale: float = 1.0
+    """By which the duties were scaled to the most likely success."""
 
 
 def heating_of(
@@ -120,7 +120,7 @@ class HeatedTube(TubeOnRig):
         if self.material is not None:
             rig = replace(rig, mold=replace(rig.mold, material=mold_material(self.material)))
         if self.battery_V is not None:
-            rig = rig.with_charge(rig.battery.charge_at(float(self.battery_V)))
+            rig = rig.with_charge(rig.battery.charge_at(self.si("battery_V")))
         return rig
 
     def spec(self) -> HeatingSpec:
@@ -146,7 +146,7 @@ class HeatingStudy(HeatedTube):
 
     def run(self, progress: Progress | None = None) -> Heating:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
-        charges = tuple(to_si(charge, PERCENT) for charge in self.charges_percent)
+        charges = self.si("charges_percent")
         samples = self.samples if self.loss_percent else 0
         uncertainty = Uncertainty(**self.in_si("loss_percent")) if samples else None
         if progress is not None:

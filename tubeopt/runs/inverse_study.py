@@ -16,10 +16,10 @@ from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinema
 from ..inverse.clock import Clock
 from ..robots.robot import Robot
 from ..stability import ASSUMING, follow
-from ..typing import Array
-from .base import OnePerTube, Progress, RobotPath, joints_of, require_one
+from ..typing import Array, Progress
+from .base import OnePerTube, RobotPath, joints_of, require_one
 from .load_file import LoadedStudy
-from .obstacle_file import Place, Surrounded, point
+from .obstacle_file import Place, Surrounded
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -41,16 +41,18 @@ class Postures(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One target of a table: the answer, or why there is none, with the closest pose where it is known.
-
-    number: of the target in the table, from 1; 7.25 is a quarter of the way from 7 to 8, put in between by `follow`.
-    """
+    """One target of a table, and the answer."""
 
     number: float
+    """Of the target, from 1; 7.25 is a quarter of the way from 7 to 8, put in between by `follow`."""
     position: Array
+    """(3,) m."""
     direction: Array | None
+    """(3,), of any length."""
     solution: InverseSolution | None
+    """The answer, or the closest pose where it is known."""
     problem: str
+    """Why there is no answer."""
 
     @property
     def given(self) -> bool:
@@ -139,13 +141,13 @@ class InverseStudy(Surrounded, LoadedStudy):
     def _reference(self) -> tuple[Array, Array] | None:
         if self.reference_deg is None and self.reference_mm is None:
             return None
-        return joints_of(self.robot, self.reference_deg, self.reference_mm)
+        return joints_of(self.robot, self.si("reference_deg"), self.si("reference_mm"))
 
     def _common(self) -> dict[str, Any]:
         given = self.in_si("objective", "direction_weight", "clearance_mm", "method", "starts", "time_limit_s")
         return {
             "seed": self.start,
-            "min_margin": float(self.min_margin),
+            "min_margin": self.si("min_margin"),
             "obstacles": self.bodies,
             "options": InverseOptions(**given),
         }
@@ -164,10 +166,9 @@ class InverseStudy(Surrounded, LoadedStudy):
             return self._table(self.targets, progress)
         if self.target_mm is None:
             raise AssertionError("a study without a target is refused when it is made")
-        direction = None if self.direction is None else [float(x) for x in self.direction]
-        position, asked = point(self.target_mm), self._asked()
+        position, direction, asked = self.si("target_mm"), self.si("direction"), self._asked()
         if self.all:
-            clock = Clock(float(self.time_limit_s))
+            clock = Clock(self.si("time_limit_s"))
             every = inverse_kinematics(self.robot, position, direction=direction, all_solutions=True, **asked)
             return Postures(self.robot, tuple(every), clock.over)
         found = inverse_kinematics(self.robot, position, direction=direction, load=self.pushing(), **asked)

@@ -9,7 +9,6 @@ from pydantic import Field, PlainValidator, ValidationInfo
 
 from ..files.checked import Entry, Triple, check
 from ..files.fields import EntryOf, Part, asking, described, extended, values
-from ..files.units import UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, Stretch
 from .base import Study
@@ -29,7 +28,7 @@ class LoadEntry(Part):
         if along and isinstance(along[0], Part):
             along = tuple(part.build() for part in along)
         elif along is not None:
-            along = tuple(to_si(value, UNITS["mN_per_m"]) for value in along) or None
+            along = self.si("distributed_mN_per_m") or None
         return Load(**values(Load, self), distributed=along)
 
 

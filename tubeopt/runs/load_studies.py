@@ -15,9 +15,9 @@ from ..files.checked import Positive
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
-from ..typing import Array
+from ..typing import Array, Progress
 from ..validation import ForceRecord, estimate_forces
-from .base import OnePerTube, Posed, Progress, RobotPath, joints_of
+from .base import OnePerTube, Posed, RobotPath, joints_of
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
 
@@ -27,7 +27,7 @@ PUSH = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Bearing(Displayed):
-    """How much of a load a robot bears at given joint values; limit None: all that was looked at, `up_to` times it."""
+    """How much of a load a robot bears at given joint values."""
 
     robot: Robot
     rotations: Array
@@ -36,7 +36,9 @@ class Bearing(Displayed):
     """(n,) m"""
     load: Load
     limit: LoadLimit | None
+    """None where it bears all that was looked at."""
     up_to: float
+    """Times the load that was looked at."""
 
 
 class LoadLimitStudy(Posed, LoadedStudy):
@@ -68,10 +70,10 @@ class LoadLimitStudy(Posed, LoadedStudy):
     def run(self, progress: Progress | None = None) -> Bearing:
         """The limit; raises SolveError where there is no stable equilibrium without load, or the branch is lost."""
         rotations, translations = self.joints
-        load, up_to = self.pushing(), float(self.up_to)
+        load, up_to = self.pushing(), self.si("up_to")
         start = None
         if self.from_deg is not None:
-            way = [joints_of(self.robot, self.from_deg, self.translations_mm)[0], rotations]
+            way = [joints_of(self.robot, self.si("from_deg"), self.si("translations_mm"))[0], rotations]
             start = follow(self.robot, way, [translations, translations]).equilibria[-1]
         if load is not None:
             found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=up_to)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import scipy
 
 from ..errors import nearest
 from ..files.csv_file import CsvTable, refuse
-from ..files.units import DEG, MM, decimal, parse_number, to_si
+from ..files.units import DEG, MM
 from ..typing import Array, Mask
 
 NOTHING = ("", "nan", "na", "null")
@@ -43,10 +42,11 @@ number, of sensor 1) position, quaternion, rotation vector, rotation matrix by r
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """A table with the meaning of its columns: meaning -> (column, what one of its unit is in SI, sign included)."""
+    """A table with the meaning of its columns."""
 
     table: CsvTable
     known: Mapping[str, tuple[str, Decimal]]
+    """Meaning -> column, and what one of its unit is in SI, sign included."""
 
     def has(self, *meanings: str) -> bool:
         """Whether there is a column for each of these."""
@@ -54,7 +54,8 @@ class Columns:
 
     def numbers(self, meanings: Sequence[str], *, missing: bool = False) -> Array:
         """(rows, M) numbers in SI; with `missing`, NaN where a cell is empty or NaN."""
-        return np.array([[self._number(k, m, missing) for m in meanings] for k in range(len(self.table.rows))])
+        columns, units = zip(*(self.known[meaning] for meaning in meanings), strict=True)
+        return self.table.numbers(columns, units, gaps=NOTHING if missing else ())
 
     def time(self) -> Array | None:
         """(rows,) s; None where no column has it."""
@@ -67,17 +68,6 @@ class Columns:
             if self.has(f"translation_{i + 1}"):
                 found[:, i] = self.numbers([f"translation_{i + 1}"])[:, 0]
         return found
-
-    def _number(self, row: int, meaning: str, missing: bool) -> float:
-        column, unit = self.known[meaning]
-        text = self.table.cell(row, column)
-        if missing and text.lower() in NOTHING:
-            return math.nan
-        try:
-            return to_si(decimal(parse_number(text) if text else None), unit)
-        except ValueError as error:
-            self.table.complain(row, column, str(error))
-            return math.nan
 
     def sensors(self) -> list[int]:
         """Numbers of the sensors that have a position."""

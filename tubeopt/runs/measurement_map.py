@@ -18,7 +18,6 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, check
-from ..files.units import MM, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.robot import Robot
 from ..typing import Array, Mask
@@ -70,8 +69,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     """
     entry = check(MeasurementMap, load_yaml(path), path)
     folder = Path(path).parent
-    rate = None if entry.frame_rate_Hz is None else float(entry.frame_rate_Hz)
-    recorded = read_recorded(folder / entry.tips, rate)
+    recorded = read_recorded(folder / entry.tips, entry.si("frame_rate_Hz"))
     # A column that is of the other file alone says nothing of this one.
     mine = {k: v for k, v in entry.columns.items() if k in recorded.table.columns or entry.joints is None}
     meanings = {**recorded.meaning, **mine}
@@ -87,7 +85,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
         joints,
         robot,
         (entry.tips, entry.joints or ""),
-        behind=None if entry.behind_mm is None else np.array([to_si(x, MM) for x in entry.behind_mm]),
+        behind=None if entry.behind_mm is None else np.array(entry.si("behind_mm")),
         axis=None if entry.axis is None else np.array(AXES[entry.axis], dtype=float),
     )
     return replace(found, remarks=(*recorded.remarks, *found.remarks))

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from ..files.checked import Positive, check
 from ..files.csv_file import read_csv
-from ..files.fields import entry_of, to_data
-from ..files.units import MM, in_unit, to_si
+from ..files.fields import Part, asking, to_data
+from ..files.units import MM, in_unit
 from ..files.yaml_file import load_yaml, save_yaml
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Calibration, Springback
@@ -21,31 +21,30 @@ TRIAL_COLUMNS = ("mold_radius_mm", "obtained_radius_mm")
 NOTE = "note"
 
 
-def _of_trials(entry: Any, back: Springback) -> Springback:
-    """The spring-back with the range of the trials that it is from."""
-    if entry.radius_range_mm is None:
-        return back
-    radii = [to_si(radius, MM) for radius in entry.radius_range_mm]
-    return replace(back, curvature_range=(1 / max(radii), 1 / min(radii)))
+@asking(Springback)
+class SpringbackEntry(Part):
+    """The part of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold)."""
+
+    radius_range_mm: Annotated[list[Positive], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="least and greatest mold radius of the trials"
+    )
+
+    def build(self) -> Springback:
+        """The spring-back, with the range of the trials that it is from."""
+        back: Springback = super().build()
+        if self.radius_range_mm is None:
+            return back
+        radii = self.si("radius_range_mm")
+        return replace(back, curvature_range=(1 / max(radii), 1 / min(radii)))
 
 
-Radii = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+@asking(MoldSpec)
+class MoldEntry(Part):
+    """What is asked of a mold; every key may be left out."""
 
-SpringbackEntry = entry_of(
-    Springback,
-    extra={"radius_range_mm": (Radii | None, Field(None, description="least and greatest mold radius of the trials"))},
-    finish=_of_trials,
-)
-"""What a tube loses of the mold's curvature, from `tubeopt mold calibrate`."""
+    kind: Literal["mold"]
+    springback: SpringbackEntry = Field(default_factory=SpringbackEntry)
 
-MoldEntry = entry_of(
-    MoldSpec,
-    extra={
-        "kind": (Literal["mold"], ...),
-        "springback": (SpringbackEntry, Field(default_factory=SpringbackEntry)),
-    },
-)
-"""What is asked of a mold."""
 
 MOLD_KINDS = {"mold": MoldEntry}
 """What the key `kind` of a mold file may say."""
@@ -64,8 +63,7 @@ def mold_spec_from_dict(data: object, where: str | PathLike[str] = "") -> MoldSp
 
 def load_springback(path: str | PathLike[str]) -> Springback:
     """The spring-back in a YAML file that `save_springback` wrote; raises InputError for what makes none."""
-    back: Springback = check(SpringbackEntry, load_yaml(path), path).build()
-    return back
+    return check(SpringbackEntry, load_yaml(path), path).build()
 
 
 def springback_to_dict(back: Springback) -> dict[str, Any]:
@@ -86,10 +84,12 @@ def save_springback(calibration: Calibration, path: str | PathLike[str]) -> None
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Trials of spring-back: (N,) radii of molds and of the tubes that came out, m."""
+    """Trials of spring-back."""
 
     mold_radius: Array
+    """(N,) m."""
     obtained_radius: Array
+    """(N,) m, of the tubes that came out."""
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:

@@ -10,8 +10,6 @@ from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..files.checked import NotNegative, Number, Positive, Whole, in_file
-from ..files.units import MM, to_si
-from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
 from ..shaping.materials import mold_material
 from ..shaping.mold.heat import HeatSpec
@@ -21,18 +19,20 @@ from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Springback
-from .base import Progress, RobotPath, Study, TubeNumber
+from ..typing import Progress
+from .base import RobotPath, Study, TubeNumber
 from .mold_file import load_mold_spec, load_springback
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking(Displayed):
-    """Mold materials for a tube, best first.   heat: the heating that they are for."""
+    """Mold materials for a tube."""
 
     ratings: tuple[MaterialRating, ...]
-    """One for each material."""
+    """One for each material, best first."""
     tube: Tube
     heat: HeatSpec
+    """The heating that they are for."""
 
 
 MoldPath = Annotated[
@@ -144,12 +144,11 @@ class MaterialsStudy(Study):
     def _tube(self) -> Tube:
         if self.robot is not None:
             return self.robot.tubes[self.tube - 1]
-        outer, inner = to_si(self.outer_diameter_mm, MM), to_si(self.inner_diameter_mm, MM)
-        length = to_si(self.curved_length_mm, MM)
-        return Tube(outer, inner, straight_length=0.0, curved_length=length, curvature=0.0)
+        sizes = self.in_si("outer_diameter_mm", "inner_diameter_mm", "curved_length_mm")
+        return Tube(**sizes, straight_length=0.0, curvature=0.0)
 
     def _heat(self) -> HeatSpec:
-        return HeatSpec(set_temperature=float(self.set_degC) + ZERO_CELSIUS, hold_time=float(self.hold_s))
+        return HeatSpec(set_temperature=self.si("set_degC"), hold_time=self.si("hold_s"))
 
     def run(self, progress: Progress | None = None) -> Ranking:
         """The materials, best first."""

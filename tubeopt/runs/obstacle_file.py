@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from decimal import Decimal
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
@@ -16,18 +15,12 @@ from ..errors import nearest
 from ..files.checked import Entry, Triple, check, in_file
 from ..files.fields import Part, entry_of
 from ..files.marks import Usual
-from ..files.units import MM, shown, to_si
+from ..files.units import shown
 from ..files.yaml_file import load_yaml
 from .anatomy_file import AnatomyKey, load_anatomy
 
 Place = Annotated[Triple, Usual(1e-3, 10.0)]
 """A position that is reached by a robot as long as a hand or an arm."""
-
-
-def point(values: list[Decimal]) -> tuple[float, float, float]:
-    """Coordinates in m of three numbers in mm."""
-    x, y, z = (to_si(value, MM) for value in values)
-    return x, y, z
 
 
 class MeshEntry(Part):

@@ -15,15 +15,15 @@ from ..design import DesignTask, Objective, SearchedPair, search_pair
 from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..files.units import MM, TO_MM, to_si
+from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
 from ..stability import ASSUMING
-from ..typing import Array
+from ..typing import Array, Progress
 from .anatomy_file import AnatomyKey, BasePart
 from .arms_study import PlacedPart, shared
-from .base import Count, Progress, Study
-from .design_parts import FreeEntry, Requirements, task_of
-from .obstacle_file import Place, point
+from .base import Count, Study
+from .design_parts import Designed, Tried
+from .obstacle_file import Place
 from .region_part import FEW, HARDLY, MOST, SearchPart, hurried
 
 PLANNED = 4
@@ -32,20 +32,22 @@ PLANNED = 4
 
 @dataclass(frozen=True, eq=False)
 class PairAnswer(Displayed):
-    """Two robots sized together, and what they hold of a region.
-
-    search: how they were found.   before, after: what the robots that were given, and the designs, hold of places that
-    were not searched with, over larger roadmaps.   proved, planned: motions of both arms to some pairs of them.
-    names: what the arms are called.   plates: where they stand for the designs.
-    """
+    """Two robots sized together, and what they hold of a region."""
 
     search: SearchedPair
+    """How they were found."""
     before: PairShare
+    """What the robots that were given hold of places that were not searched with, over larger roadmaps."""
     after: PairShare
+    """The same of the designs."""
     proved: int
+    """Of the motions that were planned."""
     planned: int
+    """Motions of both arms to some pairs of these places."""
     names: tuple[str, str]
+    """What the arms are called."""
     plates: tuple[Frame, Frame]
+    """Where they stand for the designs."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -60,19 +62,15 @@ class PairAnswer(Displayed):
         return tuple(told)
 
 
-class PairPart(PlacedPart):
+class PairPart(Designed, PlacedPart):
     """One of the two robots: where it stands, from where it begins, what may change, and what must hold."""
 
+    name: str = Field("", description="what messages and pictures call it; by default the robot's name")
     base: BasePart = Field(description="where its plate stands in the frame that both share")
-    free: Annotated[list[FreeEntry], Field(min_length=1)]
-    requirements: Requirements
-    ordered: bool = Field(
-        True, description="whether the tubes are in order at home and at all translations that the task names"
-    )
 
     def task(self) -> DesignTask:
         """What may change of it, and what must hold; raises InputError where that makes no task."""
-        return task_of(self.robot, self.free, self.requirements, [Objective("change")], self.name, self.ordered)
+        return self.task_for(Objective("change"))
 
 
 class BallPart(Entry):
@@ -85,11 +83,11 @@ class BallPart(Entry):
         """(count, 3) random places in it, as thick everywhere, m."""
         random = np.random.default_rng(seed)
         way = random.normal(size=(count, 3))
-        far = to_si(self.radius_mm, MM) * random.random((count, 1)) ** (1 / 3)
-        return np.asarray(point(self.centre_mm) + far * way / np.linalg.norm(way, axis=1, keepdims=True))
+        far = self.si("radius_mm") * random.random((count, 1)) ** (1 / 3)
+        return np.asarray(self.si("centre_mm") + far * way / np.linalg.norm(way, axis=1, keepdims=True))
 
 
-class PairStudy(Study, SearchPart):
+class PairStudy(Study, SearchPart, Tried):
     """The two robots, sized together, whose tips hold the most pairs of places of a region without touching."""
 
     doing = "designing"
@@ -111,11 +109,6 @@ class PairStudy(Study, SearchPart):
         16, description="other places of it, by which what comes of it is judged"
     )
     points: Count = Field(80, description="of the roadmap of every robot that is looked at")
-    starts: Count = Field(1, description="dimensions from which to start: the robots' own, and random ones")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
-    turns: Annotated[Whole, Field(ge=0)] = Field(
-        6, description="random full turns per translations on which no certified robot may snap"
-    )
 
     @model_validator(mode="after")
     def _a_pair(self) -> Self:

@@ -12,15 +12,14 @@ from pydantic import Field, model_validator
 from ..bodies.anatomy import Anatomy
 from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
-from ..files.fields import EntryOf
-from ..files.units import DEG, MM, UNITS, to_si
+from ..files.fields import EntryOf, asking, values
 from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
-from ..typing import Array
-from .base import OnePerTube, Progress, Started, joints_of
+from ..typing import Array, Progress
+from .base import OnePerTube, Started, joints_of
 from .load_file import LoadedStudy
-from .obstacle_file import Place, Surrounded, point
+from .obstacle_file import Place, Surrounded
 
 RatesEntry = EntryOf[RateLimits]
 
@@ -40,10 +39,10 @@ class EntryPart(Entry):
     def region(self, around: Anatomy) -> EntryRegion:
         """The region in SI; raises InputError for several, none, or landmarks that there are not."""
         return EntryRegion(
-            0.0 if self.radius_mm is None else to_si(self.radius_mm, MM),
-            (0.0, 0.0, 0.0) if self.box_mm is None else point(self.box_mm),
+            self.si("radius_mm") or 0.0,
+            self.si("box_mm") or (0.0, 0.0, 0.0),
             None if self.at is None else np.array([around.landmark(name) for name in self.at]),
-            to_si(self.cone_deg, DEG),
+            self.si("cone_deg"),
         )
 
 
@@ -66,7 +65,7 @@ class CutPart(Entry):
     def plane(self, around: Anatomy) -> Plane:
         """In the frame of the plate; raises InputError for landmarks that there are not, or that tell no plane."""
         if self.at_mm is not None and self.normal is not None:
-            return Plane(np.array(point(self.at_mm)), np.array([float(x) for x in self.normal]))
+            return Plane(np.array(self.si("at_mm")), np.array(self.si("normal")))
         a, b, *more = (around.landmark(name) for name in self.through or ())
         return Plane.through(a, b, *(more or [np.zeros(3)]))
 
@@ -89,14 +88,17 @@ class Aimed(Started):
     def goal(self, around: Anatomy) -> tuple[Array, Array] | TipGoal:
         """Joint values, or the tip's place; raises InputError for a landmark that there is not."""
         if self.tip_mm is not None:
-            place = np.array(point(self.tip_mm))
+            place = np.array(self.si("tip_mm"))
         elif self.tip_at is not None:
             place = around.place(self.tip_at)
         else:
-            return joints_of(self.robot, self.goal_deg or self.start_deg, self.goal_mm or self.start_mm)
-        return TipGoal(place, None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction]))
+            return joints_of(
+                self.robot, self.si("goal_deg") or self.si("start_deg"), self.si("goal_mm") or self.si("start_mm")
+            )
+        return TipGoal(place, None if self.tip_direction is None else np.array(self.si("tip_direction")))
 
 
+@asking(PlanOptions)
 class PlanStudy(Aimed, Surrounded, LoadedStudy):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
@@ -110,7 +112,6 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     )
 
     kind: Literal["plan"]
-    modulo_turns: bool = Field(False, description="goal rotations may be reached with any number of whole turns")
     tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
         None, description="a curve for the tip; it begins where inverse kinematics puts the robot"
     )
@@ -119,23 +120,9 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     leader: bool = Field(False, description="deploy to the goal so that the arm stays close to the path of its tip")
     begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
     entry: EntryPart | None = Field(None, description="where else the plate may stand, and how it may point")
-    clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
-    max_tip_force_mN: NotNegative = Field(
-        Decimal(0),
-        description="margin and clearance under any force on the tip of up to this size, in any direction",
-        examples=["F"],
-    )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
     cut: CutPart | None = Field(None, description="a plane along which a picture cuts the bodies open")
     rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
-    search: Literal["auto", "rrt_connect", "optimal"] = Field(
-        "auto", description="how a way is looked for: auto, rrt_connect or optimal"
-    )
-    objective: Literal["length", "time", "effort", "margin", "none"] = Field(
-        "length", description="of the smoothing: length, time, effort, margin or none"
-    )
-    time_limit_s: Positive = Field(Decimal(60), description="for search and smoothing")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of the search", examples=["K"])
 
     @model_validator(mode="after")
     def _one_goal(self) -> Self:
@@ -159,7 +146,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
                 raise ValueError(
                     "entry is given with leader, tip_path_mm or a load; it is for plans to a goal without one"
                 )
-        if self.pushing() is not None and self.max_tip_force_mN:
+        if self.pushing() is not None and self.si("max_tip_force_mN"):
             raise ValueError("max_tip_force_mN is given beside a load; a plan holds under one load, or under any force")
         return self
 
@@ -172,21 +159,19 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
         return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
 
     def _found(self, progress: Progress | None) -> Trajectory:
-        asked = self.in_si("search", "objective", "time_limit_s", "clearance_mm", "modulo_turns", "seed")
         common: dict[str, Any] = {
             "obstacles": self.bodies,
-            "min_margin": float(self.min_margin),
+            "min_margin": self.si("min_margin"),
             "rate_limits": self.rates.build(),
-            "options": PlanOptions(max_force=to_si(self.max_tip_force_mN, UNITS["mN"]), **asked),
+            "options": PlanOptions(**values(PlanOptions, self)),
         }
         robot, start, goal = self.robot, self.start, self.goal(self.around)
         if self.tip_path_mm is not None:
             given = start if self.start_deg is not None or self.start_mm is not None else None
-            path = [point(row) for row in self.tip_path_mm]
-            tolerance = to_si(self.tolerance_mm, MM)
-            return follow_tip_path(robot, path, start=given, tolerance=tolerance, spline=self.spline, **common)
+            asked = self.in_si("tolerance_mm", "spline")
+            return follow_tip_path(robot, self.si("tip_path_mm"), start=given, **asked, **common)
         if self.leader:
-            return follow_the_leader(robot, goal, begin=float(self.begin_percent) / 100, **common)
+            return follow_the_leader(robot, goal, begin=self.si("begin_percent"), **common)
         if self.entry is not None:
             region, count = self.entry.region(self.around), self.entry.places
             plan = plan_from_region(robot, start, goal, region, count=count, progress=progress, **common)

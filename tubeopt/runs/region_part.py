@@ -13,12 +13,11 @@ from ..bodies.frames import Frame
 from ..design import DesignTask, SearchedDesign, search_design
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
-from ..files.units import DEG, MM, to_si
 from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
-from ..typing import Array
+from ..typing import Array, Progress
 from .anatomy_file import AnatomyKey
-from .base import Count, Progress, in_si
+from .base import Count
 from .obstacle_file import Bodies
 
 OF_ONE = 120.0
@@ -48,19 +47,20 @@ MOST = 1000
 
 @dataclass(frozen=True, eq=False)
 class RegionAnswer(Displayed):
-    """What a design reaches of a region.
-
-    search: how it was found.   before, after: what the robot that was given, and the design, reach of places that were
-    not searched with, over larger roadmaps.   proved, planned: plans to some of those that the design reaches.
-    base: where the plate stands for the design, in the frame of the plate as it was given.
-    """
+    """What a design reaches of a region."""
 
     search: SearchedDesign
+    """How it was found."""
     before: ReachShare
+    """What the robot that was given reaches of places that were not searched with, over larger roadmaps."""
     after: ReachShare
+    """The same of the design."""
     proved: int
+    """Of the plans."""
     planned: int
+    """Plans to some of the places that the design reaches."""
     base: Frame
+    """Where the plate stands for the design, in the frame of the plate as it was given."""
 
     @property
     def words(self) -> str:
@@ -111,12 +111,12 @@ class SearchPart(Entry):
     def numbers(self, seed: int) -> tuple[float, float, PlanOptions, int, float, float]:
         """What `RegionReach` and `PairReach` take after their bodies, in SI."""
         return (
-            to_si(self.tolerance_mm, MM),
-            float(self.min_margin),
-            PlanOptions(clearance=to_si(self.clearance_mm, MM), time_limit=OF_ONE, seed=seed),
+            self.si("tolerance_mm"),
+            self.si("min_margin"),
+            PlanOptions(clearance=self.si("clearance_mm"), time_limit=OF_ONE, seed=seed),
             self.points,
-            to_si(self.shift_mm, MM),
-            to_si(self.tilt_deg, DEG),
+            self.si("shift_mm"),
+            self.si("tilt_deg"),
         )
 
     def judge(self, searched: Searched, chosen: Array) -> Searched:
@@ -151,7 +151,7 @@ class RegionEntry(SearchPart):
             if row is not None and len(row) != n:
                 raise ValueError(f"objective.{name} has {len(row)} numbers; it must be {n} (one per tube)")
         chosen = self.chosen(self.anatomy.target, seed)
-        start = in_si(self.start_deg, DEG, np.zeros(n)), in_si(self.start_mm, MM, np.zeros(n))
+        start = np.array(self.si("start_deg") or np.zeros(n)), np.array(self.si("start_mm"))
         bodies = self.anatomy.bodies + self.obstacles
         wanted = RegionReach(start, chosen[: self.places], bodies, *self.numbers(seed))
         return wanted, self.judge(wanted, chosen)
@@ -160,7 +160,7 @@ class RegionEntry(SearchPart):
         """The design, and what it reaches; raises as `search_design`."""
         wanted, other = self.reach(task.robot.n_tubes, seed)
         found = search_design(
-            task, wanted, seconds=float(self.seconds), starts=starts, seed=seed, turns=turns, progress=progress
+            task, wanted, seconds=self.si("seconds"), starts=starts, seed=seed, turns=turns, progress=progress
         )
         robot = task.robot
         assert isinstance(robot, ConcentricRobot)

@@ -13,7 +13,7 @@ from pydantic import Field
 from ..errors import InputError, nearest
 from ..files.checked import Positive, check_kind
 from ..files.csv_file import CsvTable, read_csv, refuse
-from ..files.fields import Part, entry_of, to_data
+from ..files.fields import Part, asking, entry_of, to_data
 from ..files.units import MM, decimal, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
@@ -27,21 +27,21 @@ SPRING_BACK_TOLERANCE = 5.0
 """Spring-back, percent, up to which a trial counts as set."""
 
 
-def _charged(entry: Any, battery: Battery) -> Battery:
-    """The battery as its voltage at rest tells, where that is given."""
-    if entry.voltage_V is None:
-        return battery
-    if "state_of_charge_percent" in entry.model_fields_set:
-        raise ValueError("gives both state_of_charge_percent and voltage_V; it must give one of them")
-    return replace(battery, state_of_charge=battery.charge_at(float(entry.voltage_V)))
+@asking(Battery)
+class BatteryEntry(Part):
+    """A lead-acid battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load."""
 
+    voltage_V: Positive | None = Field(None, description="at rest, in place of state_of_charge_percent")
 
-BatteryEntry = entry_of(
-    Battery,
-    extra={"voltage_V": (Positive | None, Field(None, description="at rest, in place of state_of_charge_percent"))},
-    finish=_charged,
-)
-"""The lead-acid battery."""
+    def build(self) -> Battery:
+        """The battery in SI, charged as its voltage at rest tells where that is given."""
+        battery: Battery = super().build()
+        if self.voltage_V is None:
+            return battery
+        if "state_of_charge_percent" in self.model_fields_set:
+            raise ValueError("gives both state_of_charge_percent and voltage_V; it must give one of them")
+        return replace(battery, state_of_charge=battery.charge_at(self.si("voltage_V")))
+
 
 RigEntry = entry_of(Rig, extra={"kind": (Literal["rig"], ...), "battery": (BatteryEntry, ...)})
 """A rig that heats tubes from a battery."""
@@ -93,6 +93,9 @@ def rig_to_dict(rig: Rig) -> dict[str, Any]:
 
 # --- logs and trials --------------------------------------------------------------------------------------------------
 
+EMPTY = ("",)
+"""Cells of readings that were not taken."""
+
 LOG_COLUMNS = ("time_s", "duty", "temperature_degC", "voltage_V", "current_A")
 PLACED = re.compile(r"temperature_([-+]?[0-9.]+)_mm_degC")
 """Columns of several thermometers, each with its place."""
@@ -116,7 +119,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
     placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
     needed = LOG_COLUMNS[:2]
     table.expect(needed, (*LOG_COLUMNS[2:], *placed))
-    values = {name: table.numbers([name], ONE, gaps=name not in needed)[:, 0] for name in table.columns}
+    values = {name: table.numbers([name], ONE, gaps=() if name in needed else EMPTY)[:, 0] for name in table.columns}
     table.check()
     places = ({"temperature_degC": position} if "temperature_degC" in values else {}) | placed
     columns = [values[name] for name in places]
@@ -154,7 +157,7 @@ def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
     table.expect(("time_s",), placed)
     if not placed:
         refuse(path, ["there is no column of temperatures; there must be one for every place, called by it in mm"])
-    time, seen = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=True)
+    time, seen = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=EMPTY)
     table.check()
     return time[:, 0], np.array([to_si(decimal(parse_number(name)), MM) for name in placed]), seen + ZERO_CELSIUS
 

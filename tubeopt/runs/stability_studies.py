@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -14,7 +13,6 @@ from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.checked import Positive, Whole, in_file
-from ..files.units import UNITS, to_si
 from ..robots.concentric import friction_of
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
@@ -35,8 +33,8 @@ from ..stability import (
     worst_certificate,
 )
 from ..stability.certificate import ROUNDING
-from ..typing import Array
-from .base import SHIFTED, OnePerTube, Posed, Progress, RobotPath, Study, joints_of
+from ..typing import Array, Progress
+from .base import SHIFTED, OnePerTube, Posed, RobotPath, Study, joints_of
 from .load_file import LoadedStudy
 
 
@@ -68,15 +66,14 @@ class EquilibriaStudy(Posed, LoadedStudy):
 
 @dataclass(frozen=True, eq=False)
 class Way(Displayed):
-    """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one.
-
-    start, end: (rotations (n,), translations (n,)), rad and m.
-    """
+    """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one."""
 
     robot: Robot
     """That moves."""
     start: tuple[Array, Array]
+    """Rotations (n,) rad and translations (n,) m."""
     end: tuple[Array, Array]
+    """The same there."""
     snap: Snap | None
     arrived: Equilibrium | None
     """The equilibrium at the end; None where it snaps before."""
@@ -95,8 +92,9 @@ class SnapStudy(LoadedStudy):
     to_mm: OnePerTube | None = Field(None, description="translations to move to; by default those of the start")
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        end = self.to_deg or self.from_deg, self.to_mm or self.from_mm
-        return joints_of(self.robot, self.from_deg, self.from_mm), joints_of(self.robot, *end)
+        start = self.si("from_deg"), self.si("from_mm")
+        end = self.si("to_deg") or start[0], self.si("to_mm") or start[1]
+        return joints_of(self.robot, *start), joints_of(self.robot, *end)
 
     @model_validator(mode="after")
     def _goes_somewhere(self) -> Self:
@@ -144,18 +142,18 @@ class FollowStudy(LoadedStudy):
 
 @dataclass(frozen=True, eq=False)
 class Certification(Displayed):
-    """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
-
-    robot_file: what the commands that repeat it name.
-    force: a force on the tip, N, and forced: the certificate for all dead forces up to it; None where not asked for.
-    """
+    """The verdict on a robot."""
 
     robot: Robot
     verdict: Verdict
+    """At the translations of the least certificate in `box` where a box was asked for."""
     box: WorstCertificate | None
     robot_file: str = "ROBOT.yaml"
+    """What the commands that repeat it name."""
     force: float | None = None
+    """N, on the tip; None where not asked for."""
     forced: float | None = None
+    """Certificate for all dead forces up to it."""
 
     @property
     def finding(self) -> Finding:
@@ -195,21 +193,21 @@ class CertifyStudy(Study):
     def run(self, progress: Progress | None = None) -> Certification:
         """The verdict; raises SolveError where `judge` does."""
         worst = self._worst() if self.over_box else None
-        shift = self._shift(self.translations_mm) if worst is None else worst.certificate.translations
+        shift = self._shift("translations_mm") if worst is None else worst.certificate.translations
         found = Certification(self.robot, judge(self.robot, shift, progress=progress), worst)
         if self.max_tip_force_mN is None:
             return found
-        force = to_si(self.max_tip_force_mN, UNITS["mN"])
+        force = self.si("max_tip_force_mN")
         shift = found.verdict.certificate.translations
         return replace(found, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
 
-    def _shift(self, values: list[Decimal] | None) -> Array:
-        return joints_of(self.robot, None, values)[1]
+    def _shift(self, key: str) -> Array:
+        return joints_of(self.robot, None, self.si(key))[1]
 
     def _worst(self) -> WorstCertificate:
         low, high = np.array(self.robot.limits.translations).T
-        low = low if self.lower_mm is None else self._shift(self.lower_mm)
-        high = high if self.upper_mm is None else self._shift(self.upper_mm)
+        low = low if self.lower_mm is None else self._shift("lower_mm")
+        high = high if self.upper_mm is None else self._shift("upper_mm")
         return worst_certificate(self.robot, low, high)
 
 
@@ -252,7 +250,7 @@ class StabilityMapStudy(Study):
 
     def run(self, progress: Progress | None = None) -> RobotMap:
         """The map; raises SolveError where there is no stable equilibrium to start from or to land on."""
-        translations = joints_of(self.robot, None, self.translations_mm)[1]
+        translations = joints_of(self.robot, None, self.si("translations_mm"))[1]
         options = self.in_si("samples", "directions", "workers")
         first, second = self.tubes
         found = stability_map(self.robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)

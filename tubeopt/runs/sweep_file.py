@@ -103,17 +103,17 @@ class SweepEntry(Entry):
 
 @dataclass(frozen=True)
 class SweepFile:
-    """A sweep as its file describes it: the study as data, its points, and a mark that tells it from others.
-
-    data: the study's; robot, rig and mold are loaded, or as data where their own keys vary.   where: its file.
-    columns: beginnings of the names that are kept.
-    """
+    """A sweep as its file describes it."""
 
     data: Data
+    """The study's; robot, rig and mold are loaded, or as data where their own keys vary."""
     where: Path
+    """The study's file."""
     points: Points
     fingerprint: str
+    """A mark that tells it from others."""
     columns: tuple[str, ...] | None = None
+    """Beginnings of the names that are kept; None for all."""
 
     def function(self, summarise: Callable[[Any], Mapping[str, Any]]) -> Callable[[Any], Mapping[str, Any]]:
         """The study as a function of a point, for the workers of a sweep; `summarise` turns its answer into plain data,

@@ -22,16 +22,15 @@ Value = float | str | bool
 
 @dataclass(frozen=True)
 class Axis:
-    """Keys that take the same values.   values: of a list; None is the range from `low` to `high`.
-
-    count: values of the range on a grid.
-    """
+    """Keys that take the same values."""
 
     keys: tuple[str, ...]
     values: tuple[Value, ...] | None = None
+    """Of a list; None for the range from `low` to `high`."""
     low: float = 0.0
     high: float = 0.0
     count: int = 0
+    """Values of the range on a grid."""
 
     @property
     def places(self) -> int:
@@ -55,16 +54,17 @@ class Axis:
 class Points(Sequence[dict[str, Value]]):
     """All points of a sweep, in a fixed order; each gives every key its value.
 
-    method: one of `METHODS`.   total: points of a sample; a grid has its own number.   seed: of a sample.
-
     Raises:
         InputError: unknown method, no axis, a key on two axes, a sample without count, more than ten million points.
     """
 
     axes: tuple[Axis, ...]
     method: str = "grid"
+    """One of `METHODS`."""
     total: int = 0
+    """Of a sample; a grid has its own number."""
     seed: int = 0
+    """Of a sample."""
 
     def __post_init__(self) -> None:
         choice("sample.method", self.method, METHODS)

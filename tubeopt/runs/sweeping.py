@@ -35,20 +35,22 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Sweep(Displayed):
-    """What a sweep left in its directory.
-
-    points: how many there are.   computed: by this run; the others were there before.   failures: (index, reason).
-    table, arrays, journal: paths of table.csv, table.npz and journal.jsonl.
-    rows: the table itself, where the files are not kept.
-    """
+    """What a sweep left in its directory."""
 
     points: int
+    """How many there are."""
     computed: int
+    """By this run; the others were there before."""
     failures: tuple[tuple[int, str], ...]
+    """Index and reason of every point that failed."""
     table: Path
+    """Of table.csv."""
     arrays: Path
+    """Of table.npz."""
     journal: Path
+    """Of journal.jsonl."""
     rows: tuple[Mapping[str, float | str], ...] | None = None
+    """The table itself, where the files are not kept."""
 
     def unkept(self) -> Sweep:
         """The sweep with its table in it, for files that go."""

@@ -22,10 +22,12 @@ DIRECTION = ("direction_x", "direction_y", "direction_z")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """T targets: position (T, 3) m, direction (T, 3) of any length, or None."""
+    """T targets."""
 
     position: Array
+    """(T, 3) m."""
     direction: Array | None
+    """(T, 3), of any length."""
 
 
 def load_targets(path: str | PathLike[str]) -> Targets:
@@ -61,11 +63,11 @@ def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:
     """
     joints = check(JointsFile, load_yaml(path), path)
     n = robot.n_tubes
-    given = {"rotations_deg": joints.rotations_deg, "translations_mm": joints.translations_mm}
+    given = {key: joints.si(key) for key in JointsFile.model_fields}
     problems = [
         f"{key} has {len(values)} numbers; it must be {n} (one per tube)"
         for key, values in given.items()
         if values is not None and len(values) != n
     ]
     refuse(path, problems)
-    return joints_of(robot, joints.rotations_deg, joints.translations_mm)
+    return joints_of(robot, *given.values())

@@ -35,12 +35,13 @@ LENGTHS = {"meters": "m", "metres": "m", "centimeters": "cm", "millimeters": "mm
 
 @dataclass(frozen=True)
 class Recorded:
-    """A table, what its columns mean (name -> "meaning, unit": the header says it, or nothing does), and what was
-    noticed when it was read."""
+    """A table as it was recorded."""
 
     table: CsvTable
     meaning: dict[str, str]
+    """Name of a column -> "meaning, unit": the header says it, or nothing does."""
     remarks: tuple[str, ...] = ()
+    """What was noticed when it was read."""
 
 
 def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) -> Recorded:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
-from ..files.units import MM, to_si
+from ..typing import Progress
 from ..validation import (
     BasePose,
     Comparison,
@@ -23,7 +23,7 @@ from ..validation import (
     validate,
     where_to_measure,
 )
-from .base import Progress, RobotPath, Study
+from .base import RobotPath, Study
 from .measurement_file import load_measurements
 
 MeasurementsPath = Annotated[
@@ -78,8 +78,7 @@ class ValidationStudy(Study):
         return self
 
     def _base(self) -> BasePose:
-        position = tuple(to_si(x, MM) for x in self.base_position_mm or (Decimal(0),) * 3)
-        return BasePose(position, tuple(float(x) for x in self.base_axis or (0.0, 0.0, 1.0)))
+        return BasePose(self.si("base_position_mm") or (0.0, 0.0, 0.0), self.si("base_axis") or (0.0, 0.0, 1.0))
 
     def _options(self) -> FitOptions:
         folds = self.folds if self.folds is not None else min(10 if self.compare else 5, len(self.measurements))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from decimal import Decimal
 from os import PathLike
 from typing import Annotated, Literal
 
@@ -12,11 +11,11 @@ from pydantic import Field
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..files.checked import NotNegative, check_kind, in_file
-from ..files.units import MM, UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
-from .base import Progress, RobotPath
+from ..typing import Progress
+from .base import RobotPath
 from .load_file import LoadedStudy
 from .obstacle_file import Surrounded
 from .plan_study import PlanStudy, RatesEntry
@@ -91,10 +90,10 @@ class VerifyStudy(Surrounded, LoadedStudy):
             joints.translations,
             start=joints.start(asked.pushing()),
             obstacles=asked.bodies,
-            min_margin=float(asked.min_margin or 0),
-            clearance=to_si(asked.clearance_mm or Decimal(0), MM),
+            min_margin=asked.si("min_margin") or 0.0,
+            clearance=asked.si("clearance_mm") or 0.0,
             rate_limits=None if asked.rates is None else asked.rates.build(),
-            max_force=to_si(asked.max_tip_force_mN or Decimal(0), UNITS["mN"]),
+            max_force=asked.si("max_tip_force_mN") or 0.0,
             load=asked.pushing(),
         )
         return Checked(file, joints, proof, asked.bodies)

@@ -9,10 +9,10 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from ..files.checked import Number, Positive, Whole
-from ..files.units import MM, to_si
+from ..typing import Progress
 from ..workspaces import Findings, examine, workspace
 from ..workspaces.loss import require_centred
-from .base import Progress, RobotPath, Study
+from .base import RobotPath, Study
 
 
 class WorkspaceStudy(Study):
@@ -55,5 +55,4 @@ class WorkspaceStudy(Study):
             progress=progress,
             **self.in_si("method", "seed", "workers"),
         )
-        size = None if self.voxel_mm is None else to_si(self.voxel_mm, MM)
-        return examine(found, size, min_margin=float(self.min_margin), loss=self.loss, progress=progress)
+        return examine(found, self.si("voxel_mm"), progress=progress, **self.in_si("min_margin", "loss"))

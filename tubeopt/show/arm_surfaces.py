@@ -116,12 +116,16 @@ def shade(part: float) -> float:
 
 @dataclass(frozen=True)
 class Bundle:
-    """Tubes side by side that show between the same arc lengths, m, with the radius around them all, m."""
+    """Tubes side by side that show between the same arc lengths."""
 
     tubes: tuple[int, ...]
+    """From 0."""
     start: float
+    """m, of arc length."""
     end: float
+    """m."""
     radius: float
+    """m, around them all."""
 
 
 def bundles(equilibrium: Equilibrium) -> list[Bundle]:
@@ -137,17 +141,15 @@ def bundles(equilibrium: Equilibrium) -> list[Bundle]:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A surface with a name, a colour and an opacity.
-
-    `lift`, m: how much nearer to whom it faces it counts where facets are sorted by depth, so that a surface stays
-    outside of what touches it from within.
-    """
+    """A surface as it is seen."""
 
     name: str
     surface: Surface
     colour: Colour
     opacity: float = 1.0
     lift: float = 0.0
+    """m, by which it counts as nearer to whom it faces where facets are sorted by depth, so that a surface stays
+    outside of what touches it from within."""
 
 
 def _mixed(colour: Colour, other: float, part: float) -> Colour:

@@ -25,7 +25,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
 from ..runs.region_part import RegionAnswer
-from .quantities import Quantity, line, within
+from .quantities import Quantity, columns, line, within
 from .report import Drawing, Report, drawing, file_name, grid
 from .snap_report import JOINTS
 
@@ -44,11 +44,11 @@ CAPTIONS = {
 }
 
 DIMENSION: tuple[Quantity[Dimension], ...] = (
-    Quantity("name", "of which tube"),
+    Quantity("name", "of which tube", label="", words=lambda d: f"{d.name} ({d.unit})" if d.unit else d.name),
     Quantity("unit", "of the numbers"),
-    Quantity("before", "in the robot that was given"),
-    Quantity("after", "in the design"),
-    Quantity("bound", "the bound on which it lies", lambda d: d.bound or None),
+    Quantity("before", "in the robot that was given", label="before", form=".5g"),
+    Quantity("after", "in the design", label="after", form=".5g"),
+    Quantity("bound", "the bound on which it lies", lambda d: d.bound or None, label="", words="at its {bound} bound"),
 )
 
 BINDING: tuple[Quantity[Sensitivity], ...] = (
@@ -66,9 +66,9 @@ POSE: tuple[Quantity[Equilibrium], ...] = (
 )
 
 CHECK: tuple[Quantity[Check], ...] = (
-    Quantity("what", "what was promised"),
-    Quantity("found", "what was found"),
-    Quantity("kept", "whether it is kept"),
+    Quantity("what", "what was promised", label="", words="{what}"),
+    Quantity("found", "what was found", label="found", words="{found}"),
+    Quantity("kept", "whether it is kept", label="", words=lambda check: "kept" if check.kept else "BROKEN"),
 )
 
 
@@ -189,27 +189,14 @@ def _stock(a: DesignAnswer) -> list[dict[str, Any]] | None:
     ]
 
 
-DIMENSIONS = ("", "before", "after", "")
-"""Columns of `dimension_rows`."""
-
-
-def dimension_rows(s: DesignSolution) -> list[tuple[str, ...]]:
-    """Name, before, after, and the bound on which a dimension lies."""
-    return [
-        (
-            f"{d.name} ({d.unit})" if d.unit else d.name,
-            f"{d.before:.5g}",
-            f"{d.after:.5g}",
-            f"at its {d.bound} bound" if d.bound else "",
-        )
-        for d in s.dimensions
-    ]
+def dimensions(s: DesignSolution, of: str = "") -> RenderableType:
+    """What was free: before, after, and the bound on which it lies."""
+    return grid(*columns(s.dimensions, DIMENSION), title=f"dimensions{of}", key=True)
 
 
 def checked_again(s: DesignSolution) -> RenderableType:
     """What was promised, and what other code found."""
-    rows = [(check.what, check.found, "kept" if check.kept else "BROKEN") for check in s.verification.checks]
-    return grid(("", "found", ""), rows, title="checked again by other code", key=True)
+    return grid(*columns(s.verification.checks, CHECK), title="checked again by other code", key=True)
 
 
 def before_after(s: DesignSolution, name: str) -> Drawing:
@@ -235,7 +222,7 @@ class DesignReport(Report[DesignAnswer]):
     def below(self) -> list[RenderableType]:
         """Dimensions, what binds, checks."""
         s = self.answer.solution
-        parts: list[RenderableType] = [grid(DIMENSIONS, dimension_rows(s), title="dimensions", key=True)]
+        parts: list[RenderableType] = [dimensions(s)]
         parts += [Text(f"  {words}") for words in self.answer.remarks]
         if s.sensitivities:
             parts.append(Text("what binds, and what easing it would buy", style="italic"))
@@ -295,7 +282,7 @@ class DesignReport(Report[DesignAnswer]):
         s = self.answer.solution
         lines = [f"# {s.robot.name or 'Design'}", ""]
         lines += _markdown(("", ""), self.rows())
-        lines += ["", "## Dimensions", "", *_markdown(DIMENSIONS, dimension_rows(s))]
+        lines += ["", "## Dimensions", "", *_markdown(*columns(s.dimensions, DIMENSION))]
         remarks = self.answer.remarks
         lines += ["", *(f"- {words}" for words in remarks)] if remarks else []
         lines += ["", "## Requirements that bind", ""]
@@ -336,6 +323,6 @@ def _key(one: AnyObjective) -> str:
     return f"{key_of(one)}{unit}"
 
 
-def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
+def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     return lines + [f"| {' | '.join(row)} |" for row in rows]

@@ -46,19 +46,23 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Doctor:
-    """An installation: versions by library, the compiled kernel (its place, or why there is none), variables that set
-    threads, the cache and its bytes, what each extra lacks; and its self-test, a robot solved, and integrated again by
-    another method: `difference` of the tips, m, and `solve`, s, that one solve took."""
+    """An installation, and its self-test: a robot solved, and integrated again by another method."""
 
     versions: dict[str, str]
+    """Library -> version."""
     system: str
     kernel: str
+    """Of what the compiled kernel is, or why there is none."""
     threads: dict[str, str]
+    """Variables that set threads."""
     cache: Path
     cache_bytes: int
     missing: dict[str, tuple[str, ...]]
+    """Extra -> modules that it lacks."""
     difference: float
+    """m, of the tips by both methods."""
     solve: float
+    """s, that one solve takes."""
     passed: bool
 
 
@@ -104,8 +108,6 @@ DOCTOR: tuple[Quantity[Doctor], ...] = (
 
 
 class DoctorReport(Report[Doctor]):
-    """What is said about an installation."""
-
     command = "doctor"
     quantities = DOCTOR
     file = "doctor.json"

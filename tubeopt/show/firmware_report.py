@@ -12,18 +12,19 @@ from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.law import Contribution, Feedback
 from .heat_report import missed
-from .quantities import Quantity, line, within
+from .quantities import Quantity, columns, line, within
 from .report import Report, grid, remarks
 
 CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
-    Quantity("name", "what is not known"),
-    Quantity("deviation_K", "standard deviation of the hold's temperature by it"),
-)
+    Quantity("name", "what is not known", label="not known", words=lambda item: item.name.replace("_", " ")),
+    Quantity("deviation_K", "standard deviation of the hold's temperature by it", label="moves the hold by >",
+             form=".2f"),
+)  # fmt: skip
 
 PART: tuple[Quantity[Part], ...] = (
-    Quantity("name", "what is needed"),
-    Quantity("rating", "what it must be, in words"),
-    Quantity("why", "from what that follows"),
+    Quantity("name", "what is needed", label="part", words="{name}"),
+    Quantity("rating", "what it must be, in words", label="rating", words="{rating}"),
+    Quantity("why", "from what that follows", label="why", words="{why}"),
 )
 
 FEEDBACK: tuple[Quantity[Feedback], ...] = (
@@ -74,11 +75,10 @@ class LedHeatingReport(Report[LedHeating]):
     def below(self) -> list[RenderableType]:
         """What moves the temperature, and what to buy."""
         answer = self.answer
-        moved = [(item.name.replace("_", " "), f"{item.deviation:.2f} K") for item in answer.feedback.contributions[:6]]
-        bought = [(part.name, part.rating, part.why) for part in parts_list(answer.plan, answer.wiring)]
+        moved = columns(answer.feedback.contributions[:6], CONTRIBUTION)
         return [
-            grid(("not known", "moves the hold by >"), moved, title="what moves the temperature (standard deviation)"),
-            grid(("part", "rating", "why"), bought, title="what to build it of"),
+            grid(*moved, title="what moves the temperature (standard deviation)"),
+            grid(*columns(parts_list(answer.plan, answer.wiring), PART), title="what to build it of"),
             *remarks(answer.plan.problems, what="problem"),
         ]
 

@@ -163,8 +163,6 @@ HEATING: tuple[Quantity[Heating], ...] = (
 
 
 class HeatingReport(Report[Heating]):
-    """What is said and saved about a plan, its tables by the battery's charge, and its band over uncertain rigs."""
-
     command = "heat plan"
     quantities = HEATING
     file = "plan.json"
@@ -262,8 +260,6 @@ RIG_FIT: tuple[Quantity[RigFit], ...] = (
 
 
 class RigFitReport(Report[RigFit]):
-    """What is said and saved about a rig calibrated to a log."""
-
     command = "heat calibrate"
     quantities = RIG_FIT
     file = "calibration.json"
@@ -304,8 +300,6 @@ TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (
 
 
 class TrialFitReport(Report[TrialFit]):
-    """What is said and saved about a rig calibrated to trials."""
-
     command = "heat calibrate --trials"
     quantities = TRIAL_FIT
     file = "calibration.json"

@@ -86,8 +86,6 @@ POSTURES: tuple[Quantity[Postures], ...] = (
 
 
 class PosturesReport(Report[Postures]):
-    """What is said and saved about the answers for one target."""
-
     command = "ik"
     quantities = POSTURES
     file = "solutions.json"
@@ -205,8 +203,6 @@ def _why(r: Row) -> str:
 
 
 class TargetTableReport(Report[TargetTable]):
-    """What is said and saved about a table of targets. Targets are counted from 1."""
-
     command = "ik --targets"
     quantities = TARGETS
 

@@ -57,8 +57,6 @@ BEARING: tuple[Quantity[Bearing], ...] = (
 
 
 class BearingReport(Report[Bearing]):
-    """What is said and saved about how much a robot bears."""
-
     command = "load-limit"
     quantities = BEARING
     file = "load_limit.json"
@@ -141,8 +139,6 @@ def _untold(r: ForceRecord) -> str:
 
 
 class ForceReport(Report[ForceRecord]):
-    """What is said and saved about forces told from a recording. Rows are counted from 1."""
-
     command = "force"
     quantities = RECORD
     file = "forces.json"

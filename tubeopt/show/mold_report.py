@@ -111,8 +111,6 @@ MOLD: tuple[Quantity[RobotMold], ...] = (
 
 
 class MoldReport(Report[RobotMold]):
-    """What is said and saved about the mold for tubes of a robot."""
-
     command = "mold plan"
     quantities = MOLD
     file = "mold.json"
@@ -202,8 +200,6 @@ CALIBRATION: tuple[Quantity[Calibration], ...] = (
 
 
 class CalibrationReport(Report[Calibration]):
-    """What is said and saved about spring-back fitted to trials."""
-
     command = "mold calibrate"
     quantities = CALIBRATION
     file = "calibration.json"
@@ -256,8 +252,6 @@ RANKING: tuple[Quantity[Ranking], ...] = (
 
 
 class RankingReport(Report[Ranking]):
-    """What is said and saved about mold materials for a tube, best first."""
-
     command = "mold materials"
     quantities = RANKING
     file = "materials.json"

@@ -19,9 +19,9 @@ from ..planning import PairShare, ReachShare
 from ..robots.file import save_robot
 from ..runs.pair_study import PairAnswer
 from ..typing import Array
-from .design_report import CHECK, DIMENSION, DIMENSIONS, before_after, checked_again, dimension_rows
+from .design_report import CHECK, DIMENSION, before_after, checked_again, dimensions
 from .quantities import Quantity, line
-from .report import Drawing, Report, drawing, grid
+from .report import Drawing, Report, drawing
 from .words import at_least
 
 
@@ -120,9 +120,7 @@ class PairReport(Report[PairAnswer]):
         """Of each arm its dimensions and what was checked again; the remarks."""
         parts: list[RenderableType] = []
         for arm in _arms(self.answer):
-            rows = dimension_rows(arm.solution)
-            parts.append(grid(DIMENSIONS, rows, title=f"dimensions of {arm.name}", key=True))
-            parts.append(checked_again(arm.solution))
+            parts += [dimensions(arm.solution, f" of {arm.name}"), checked_again(arm.solution)]
         return [*parts, *(Text(f"  {words}") for words in self.answer.remarks)]
 
     def save(self, directory: Path) -> list[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from rich.console import RenderableType
@@ -10,18 +9,26 @@ from rich.console import RenderableType
 from ..shaping.mold.lattice import Peg
 from ..shaping.mold.peg_files import write_pegs
 from ..shaping.mold.pegs import PegBoard
-from .quantities import Quantity
+from .quantities import Quantity, columns, line, within
 from .report import Report, grid
 
 PEG: tuple[Quantity[Peg], ...] = (
-    Quantity("hole", "row from below by letter, place in the row from the left"),
-    Quantity("angle_deg", "at which its pin is set, from x", form=".4g"),
-    Quantity("left", "whether it stands to the left of the tube"),
-    Quantity("pin_mm", "where its pin stands", form=".3f"),
-    Quantity("arc_length_mm", "of the tube beside it, from the proximal clamp", form=".2f"),
-    Quantity("room_um", "between it and a tube that lay on its curve", form=".1f"),
-    Quantity("force_N", "with which it pushes while the tube is cold", form=".2f"),
+    Quantity("hole", "row from below by letter, place in the row from the left", label="hole", words="{hole}"),
+    Quantity("angle_deg", "at which its pin is set, from x", label="angle", form="g"),
+    Quantity("left", "whether it stands to the left of the tube", label="side",
+             words=lambda peg: "left" if peg.left else "right"),
+    Quantity("pin_mm", "where its pin stands"),
+    Quantity("arc_length_mm", "of the tube beside it, from the proximal clamp", label="along mm",
+             words="{arc_length_mm:.1f}"),
+    Quantity("room_um", "between it and a tube that lay on its curve"),
+    Quantity("force_N", "with which it pushes while the tube is cold", label="push N", words="{force_N:.2f}"),
+)  # fmt: skip
+
+COOLED: tuple[Quantity[tuple[Peg, float]], ...] = (
+    *within(PEG, lambda at: at[0]),
+    line("colder K", lambda at: f"{at[1]:.0f}"),
 )
+"""Of a peg, and of how much colder the tube is there."""
 
 PEGS: tuple[Quantity[PegBoard], ...] = (
     Quantity("tube", "which tube of the robot, from 1", lambda b: b.number),
@@ -50,19 +57,8 @@ class PegReport(Report[PegBoard]):
 
     def below(self) -> list[RenderableType]:
         """Where every peg goes, then the remarks."""
-        heads = ("hole", "angle", "side", "along mm", "push N", "colder K")
-        rows = [
-            (
-                peg.hole,
-                f"{math.degrees(peg.angle):g} deg",
-                "left" if peg.left else "right",
-                f"{peg.arc_length * 1e3:.1f}",
-                f"{peg.force:.2f}",
-                f"{dip:.0f}",
-            )
-            for peg, dip in zip(self.answer.pegs, self.answer.heat.dip, strict=True)
-        ]
-        return [grid(heads, rows), *super().below()]
+        cooled = zip(self.answer.pegs, self.answer.heat.dip.tolist(), strict=True)
+        return [grid(*columns(cooled, COOLED)), *super().below()]
 
     def save(self, directory: Path) -> list[Path]:
         """Write pegs.json, pegs.csv, board.dxf, board.svg and the board's programs."""

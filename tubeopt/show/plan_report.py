@@ -195,8 +195,6 @@ def _found(t: Trajectory) -> str:
 
 
 class TrajectoryReport(Report[Trajectory]):
-    """What is said and saved about a plan; joint values over time are in the CSV file."""
-
     command = "plan"
     quantities = TRAJECTORY
     file = "plan.json"
@@ -263,8 +261,6 @@ CHECKED: tuple[Quantity[Checked], ...] = (
 
 
 class CheckedReport(Report[Checked]):
-    """What is said about a trajectory that was checked."""
-
     command = "verify"
     quantities = CHECKED
     file = "verify.json"

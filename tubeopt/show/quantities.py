@@ -24,31 +24,28 @@ B = TypeVar("B")
 
 @dataclass(frozen=True)
 class Quantity(Generic[A]):
-    """One entry of an answer.
-
-    Args:
-        key: name in JSON, with its unit as suffix (see `files.units.UNITS`); "" for a row of the table alone.
-        about: what it is; the name of its row too.
-        get: answer -> value in SI (temperatures in degC where the key says so); by default the attribute that the key
-            names without its unit. Numbers, arrays, text, None, lists and mappings of them.
-        of: what describes a part of the answer, or each of several; `get` then gives that part, several, or None.
-        form: format of the number or numbers in the table, which the unit follows; "" for no row.
-        words: row of the table in place of the number: a template that names keys of the record, as in
-            "{tip_error_mm:.1e} mm", or a function of the answer that may give None for no row.
-        label: name of the row where that is not `about`.
-        digits: to which the number is rounded in its unit, where the last ones only tell how SI became that unit.
-        optional: the key is left out, not null, where there is no value.
-    """
+    """One entry of an answer."""
 
     key: str
+    """Name in JSON, with its unit as suffix (see `files.units.UNITS`); "" for a row of the table alone."""
     about: str
+    """What it is; the name of its row too."""
     get: Callable[[A], Any] | None = None
+    """Answer -> value in SI (temperatures in degC where the key says so); by default the attribute that the key names
+    without its unit. Numbers, arrays, text, None, lists and mappings of them."""
     form: str = ""
+    """Format of the number or numbers in the table, which the unit follows; "" for no row."""
     words: str | Callable[[A], str | None] | None = None
+    """Row of the table in place of the number: a template that names keys of the record, as in "{tip_error_mm:.1e} mm",
+    or a function of the answer that may give None for no row."""
     of: Sequence[Quantity[Any]] | None = None
+    """What describes a part of the answer, or each of several; `get` then gives that part, several, or None."""
     label: str | None = None
+    """Name of the row where that is not `about`."""
     digits: int | None = None
+    """To which the number is rounded in its unit, where the last ones only tell how SI became that unit."""
     optional: bool = False
+    """The key is left out, not null, where there is no value."""
 
     @functools.cached_property
     def unit(self) -> str:
@@ -58,6 +55,11 @@ class Quantity(Generic[A]):
     @functools.cached_property
     def _attribute(self) -> str:
         return self.key.removesuffix(f"_{self.unit}") if self.unit else self.key
+
+    @property
+    def name(self) -> str:
+        """Of its row."""
+        return self.about if self.label is None else self.label
 
     @property
     def sign(self) -> str:
@@ -127,8 +129,15 @@ def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:
 def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
     """An answer as names and values for a person."""
     known = record(answer, quantities)
-    told = ((q.about if q.label is None else q.label, q.text(answer, known)) for q in quantities)
+    told = ((q.name, q.text(answer, known)) for q in quantities)
     return [(name, text) for name, text in told if text is not None]
+
+
+def columns(parts: Iterable[B], quantities: Sequence[Quantity[B]]) -> tuple[list[str], list[list[str]]]:
+    """Parts of an answer for a person: names of the quantities that have words or a format, and a row for each part."""
+    shown = [quantity for quantity in quantities if quantity.words or quantity.form]
+    known = ((part, record(part, quantities)) for part in parts)
+    return [q.name for q in shown], [[q.text(part, told) or "" for q in shown] for part, told in known]
 
 
 _AS_IT_IS = frozenset([bool, str, dict, type(None)])

@@ -45,8 +45,6 @@ def _held(run: HeatingRun) -> str:
 
 
 class HeatingRunReport(Report[HeatingRun]):
-    """What is said about a heating that was run."""
-
     command = "heat run"
     quantities = RUN
 

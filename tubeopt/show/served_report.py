@@ -45,8 +45,6 @@ SERVED: tuple[Quantity[Served], ...] = (
 
 
 class ViewedReport(Report[Viewed]):
-    """What is said about a robot in the browser."""
-
     command = "view"
     quantities = VIEWED
 
@@ -55,8 +53,6 @@ class ViewedReport(Report[Viewed]):
 
 
 class ServedReport(Report[Served]):
-    """What is said about a robot over WebSocket."""
-
     command = "serve"
     quantities = SERVED
 

@@ -127,8 +127,6 @@ def way_sentence(w: Way) -> str:
 
 
 class EquilibriaReport(Report[Equilibria]):
-    """What is said and saved about all equilibria at given joint values."""
-
     command = "equilibria"
     quantities = EQUILIBRIA
     file = "equilibria.json"
@@ -156,8 +154,6 @@ class EquilibriaReport(Report[Equilibria]):
 
 
 class WayReport(Report[Way]):
-    """What is said and saved about a straight way of joint values, with a snap or without."""
-
     command = "snap"
     quantities = WAY
     file = "snap.json"
@@ -178,8 +174,6 @@ class WayReport(Report[Way]):
 
 
 class PathReport(Report[stability.Path]):
-    """What is said and saved about motion through waypoints. Waypoints are counted from 1."""
-
     command = "follow"
     quantities = PATH
     drawn = (("path", "path.plot_path"),)
@@ -265,8 +259,6 @@ MAP: tuple[Quantity[RobotMap], ...] = (
 
 
 class RobotMapReport(Report[RobotMap]):
-    """What is said and saved about a stability map."""
-
     command = "stability-map"
     quantities = MAP
 

@@ -23,10 +23,12 @@ SIDES = 32
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Vertices (v, 3) m and triangles (f, 3) by their corners, counter-clockwise from outside."""
+    """A surface as triangles with shared vertices."""
 
     vertices: Array
+    """(v, 3) m."""
     faces: Faces
+    """(f, 3): corners of every triangle, counter-clockwise from outside."""
 
 
 @lru_cache(maxsize=64)

@@ -42,8 +42,6 @@ def _points(a: Sweep) -> str:
 
 
 class SweepReport(Report[Sweep]):
-    """What is said about a sweep, which has saved its table itself."""
-
     command = "sweep"
     quantities = SWEEP
 

@@ -140,8 +140,6 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
 
 
 class ValidationReport(Report[Validation]):
-    """What is said and saved about a comparison."""
-
     command = "validate"
     quantities = COMPARISON
     file = "report.json"
@@ -220,8 +218,6 @@ FIT: tuple[Quantity[Fit], ...] = (
 
 
 class FitReport(Report[Fit]):
-    """What is said and saved about a fit."""
-
     command = "validate --fit"
     quantities = (*FIT_ERRORS, *FIT)
     file = "report.json"
@@ -306,8 +302,6 @@ EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
 
 
 class EffectsReport(Report[Comparison]):
-    """What is said and saved about the effects that pay."""
-
     command = "validate --compare"
     quantities = EFFECTS_THAT_PAY
     file = "report.json"
