@@ -208,12 +208,12 @@ class Equilibrium(Displayed):
     @property
     def tip_position(self) -> Array:
         """(3,) end of the longest tube in the plate frame, m."""
-        return self.position[-1]
+        return np.asarray(self.position[-1])
 
     @property
     def tip_rotation(self) -> Array:
         """(3, 3) its frame."""
-        return self.frame[-1]
+        return np.asarray(self.frame[-1])
 
     @property
     def value(self) -> Array:
