@@ -53,9 +53,11 @@ Mover = tuple[int, tuple[int, ...], tuple[int, ...]]
 """Column of a parameter that moves breakpoints, with the tubes whose transitions and whose ends move along."""
 
 
-def moving_breakpoints(assembly: Assembly, cuts: Array, movers: Sequence[Mover], side: int, size: int) -> Jumps:
+@lru_cache(maxsize=64)
+def moving_breakpoints(assembly: Assembly, between: bytes, movers: tuple[Mover, ...], side: int, size: int) -> Jumps:
     """Every breakpoint in front of the plate that a parameter, one of `size`, moves towards the tip (`side` 1) or the
-    plate (-1); `cuts` (P + 1,) are the arc lengths between the pieces."""
+    plate (-1), the same for all rotations of the bundle; `between` are the arc lengths (P + 1,) between the pieces."""
+    cuts = np.frombuffer(between)
     n, nudge = assembly.n_tubes, side * ROUND_OFF
     begin, end = assembly.transition.tolist(), assembly.end.tolist()
     least = -nudge if len(cuts) > 1 else np.inf
@@ -80,12 +82,6 @@ def moving_breakpoints(assembly: Assembly, cuts: Array, movers: Sequence[Mover],
         moment=there[:, 1] * (assembly.bending_stiffness * assembly.curvature),
         spread=(np.array(column)[:, None] == np.arange(size)).astype(float),
     )
-
-
-@lru_cache(maxsize=64)
-def _known_jumps(assembly: Assembly, cuts: bytes, movers: tuple[Mover, ...], side: int, size: int) -> Jumps:
-    """`moving_breakpoints`, which are the same for all rotations of the bundle."""
-    return moving_breakpoints(assembly, np.frombuffer(cuts), movers, side, size)
 
 
 def _there(transition: list[float], end: list[float], s: float) -> tuple[list[bool], list[bool]]:
@@ -205,7 +201,7 @@ class ArmChange:
     @cached_property
     def jumps(self) -> Jumps:
         """Every breakpoint in front of the plate that a parameter moves."""
-        return _known_jumps(self.assembly, self.cuts.tobytes(), tuple(self.movers), self.side, self.size)
+        return moving_breakpoints(self.assembly, self.cuts.tobytes(), tuple(self.movers), self.side, self.size)
 
     @cached_property
     def cuts(self) -> Array:

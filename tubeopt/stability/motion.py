@@ -202,7 +202,7 @@ def _lost(family: Family, last: LoadedPoint) -> LoadedPoint | Event[LoadedPoint]
     loss = branch_end(family, last, 1.0)
     if loss is None:
         # Close to where breakpoints meet the exact fold may not be told; the last stable point is next to it.
-        loss = Loss(last.t, last, "fold", last.softest)
+        loss = Loss(last, "fold", last.softest)
     left, t = loss.point, loss.t
     if loss.kind == "bifurcation":
         t = min(1.0, loss.t + CONTINUATION.past)
