@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubeopt.block.transcription.arm import ArmShape
+from tubeopt.block.transcription.arm import ArmShape, CollocationPoints
 from tubeopt.equilibrium.file import ALONG_THE_ARM, ARRAYS, PARTS, load_equilibrium, save_equilibrium
-from tubeopt.equilibrium.result import Accuracy, CollocationPoints, Equilibrium, Statistics, Status, Verification
+from tubeopt.equilibrium.result import Accuracy, Equilibrium, Statistics, Status, Verification
 from tubeopt.errors import InputError
 from tubeopt.robots.concentric import ConcentricRobot
 from tubeopt.robots.limits import JointLimits

@@ -15,13 +15,13 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, create_model
 
-from ..block.transcription.arm import ArmShape
+from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..errors import InputError
 from ..files.checked import check
 from ..files.files import atomic_write, read_bytes, read_text, write_text
 from ..robots.file import AnyRobot
 from ..typing import Array
-from .result import Accuracy, CollocationPoints, Equilibrium, Status
+from .result import Accuracy, Equilibrium, Status
 
 LOAD_FIELDS = ("load", "work", "point_curvature", "friction")
 """What a file written without loads and friction does not have."""

@@ -6,13 +6,14 @@ import time
 
 import numpy as np
 
+from ..block.transcription.arm import CollocationPoints
 from ..block.transcription.loaded import base_wrench, compliance, tip_position, tip_slopes
 from ..block.transcription.loaded_arm import loaded_arm
 from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
 from .load_continuation import LoadedPoint, Member, carry
 from .load_problem import EXTRA_POINTS
-from .result import Accuracy, CollocationPoints, Equilibrium, Statistics, Status
+from .result import Accuracy, Equilibrium, Statistics, Status
 from .solving import told_by_arm
 
 

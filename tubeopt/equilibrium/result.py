@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..block.transcription.arm import ArmShape
+from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.friction import Friction
@@ -126,18 +126,6 @@ class Jacobian(Displayed):
     """(Q,); NaN where the margin is a double eigenvalue."""
     energy: Array
     """(Q,) J."""
-
-
-@dataclass(frozen=True, eq=False)
-class CollocationPoints:
-    """The N collocation points of an equilibrium: where a warm start begins."""
-
-    point: Array
-    """(N,) arc length, m."""
-    point_rotation: Array
-    """(N, n) theta_i of the tubes that are coupled there, rad; their base rotation for the others."""
-    point_curvature: Array = field(default_factory=lambda: np.zeros(0))
-    """(N, 2) curvature under load, 1/m; empty without one."""
 
 
 @dataclass(frozen=True)

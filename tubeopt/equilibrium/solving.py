@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..block.transcription import arm as arms
-from ..block.transcription.arm import ArmShape
+from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..block.transcription.collocated import ENDS, STEPS
 from ..block.transcription.mesh import make_mesh, piece_counts
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, pull_rate, reduce, residual, to_unknowns
@@ -23,7 +23,7 @@ from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..solvers.settings import NEWTON, Newton
 from ..typing import Array
-from .result import Accuracy, CollocationPoints, Equilibrium, Statistics, Status, refuse_load
+from .result import Accuracy, Equilibrium, Statistics, Status, refuse_load
 
 
 @dataclass(frozen=True)

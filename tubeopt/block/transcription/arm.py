@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -171,6 +171,18 @@ class ArmShape:
     """(m, 3) of the centreline, m."""
     frame: Array
     """(m, 3, 3) its Bishop frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class CollocationPoints:
+    """The N collocation points of an equilibrium: where a warm start begins."""
+
+    point: Array
+    """(N,) arc length, m."""
+    point_rotation: Array
+    """(N, n) theta_i of the tubes that are coupled there, rad; their base rotation for the others."""
+    point_curvature: Array = field(default_factory=lambda: np.zeros(0))
+    """(N, 2) curvature under load, 1/m; empty without one."""
 
 
 @dataclass(frozen=True, eq=False)
