@@ -41,7 +41,7 @@ PROBLEMS = sorted((Path(__file__).resolve().parents[1] / "problems").glob("*.py"
 def test_problem(
     script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(vars(DEFAULT_HEATING), "law_rigs", LAW_RIGS)
+    monkeypatch.setitem(vars(DEFAULT_HEATING.law), "rigs", LAW_RIGS)
     spec = importlib.util.spec_from_file_location(script.stem, script)
     assert spec is not None
     assert spec.loader is not None

@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Thermocouple, Tube, TubeResistance, lead_by
+from tubeopt import (
+    Camera,
+    Feedback,
+    HeatingPlan,
+    HeatingSolver,
+    HeatingSpec,
+    InputError,
+    Thermocouple,
+    Tube,
+    TubeResistance,
+    lead_by,
+)
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
@@ -22,6 +33,7 @@ from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.replanning import Leader, planner_for
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.sensors import followed
+from tubeopt.shaping.heating.settings import LawSolver
 from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
@@ -37,7 +49,7 @@ def plan() -> HeatingPlan:
 
 def on_few_rigs() -> HeatingPlan:
     """It, with gains that are chosen on fewer rigs than usual."""
-    return replace(plan(), spec=replace(plan().spec, solver=replace(plan().spec.solver, law_rigs=12)))
+    return replace(plan(), spec=replace(plan().spec, solver=HeatingSolver(law=LawSolver(rigs=12))))
 
 
 @functools.lru_cache(maxsize=1)

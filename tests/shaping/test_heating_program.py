@@ -14,7 +14,7 @@ from tubeopt.shaping.heating.counts import soonest
 from tubeopt.shaping.heating.ideal import Ideal, planned_ramp, solve_ideal
 from tubeopt.shaping.heating.instant import DURATION, VENTS, physics
 from tubeopt.shaping.heating.program import WISHES, Structure, program
-from tubeopt.shaping.heating.settings import OPTIMAL_CONTROL
+from tubeopt.shaping.heating.settings import OPTIMAL_CONTROL, ProgramSolver
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
 from tubeopt.typing import Array
 
@@ -88,7 +88,7 @@ def test_time_that_may_be_taken_costs_nothing() -> None:
 
 
 def test_how_it_is_searched_is_told() -> None:
-    half = HeatingSpec(ramp=1000.0, solver=HeatingSolver(ramp_kept=0.5))
+    half = HeatingSpec(ramp=1000.0, solver=HeatingSolver(program=ProgramSolver(ramp_kept=0.5)))
     assert planned_ramp(TUBE, thesis_rig(), half, 0.0) == pytest.approx(500.0)
     with pytest.raises(InputError, match="solver is 3; it must be a HeatingSolver"):
         HeatingSpec(solver=3)  # type: ignore[arg-type]

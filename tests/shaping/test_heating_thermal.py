@@ -144,9 +144,9 @@ def test_it_is_of_second_order_along_the_tube() -> None:
 
 def test_it_is_of_second_order_in_time() -> None:
     model = thermal_model(TUBE, thesis_rig(), COARSE)
-    exact = integrate(model, 0.5, SCHEDULE[:40], rtol=1e-10, atol=1e-8).final.cells
+    exact = integrate(model, 0.5, SCHEDULE[:40], rtol=1e-10, atol=1e-8).state(-1).cells
     errors = [
-        np.abs(simulate(model, 0.5, SCHEDULE[:40], steps=steps).final.cells - exact).max() for steps in (8, 16, 32)
+        np.abs(simulate(model, 0.5, SCHEDULE[:40], steps=steps).state(-1).cells - exact).max() for steps in (8, 16, 32)
     ]
     assert errors[0] < 0.5
     assert 3.3 < errors[1] / errors[2] < 4.7
@@ -159,8 +159,8 @@ def test_energy_is_conserved(method: str, material: object) -> None:
     duty = SCHEDULE[:40]
     history = simulate(model, 0.5, duty) if method == "ros2" else integrate(model, 0.5, duty, method=method)
     assert history.imbalance[0] < 1e-3
-    lumped = history.final.lumped[0]
-    assert lumped[DRAWN] > stored(model, history.final)[0] > 0
+    lumped = history.state(-1).lumped[0]
+    assert lumped[DRAWN] > stored(model, history.state(-1))[0] > 0
 
 
 def test_the_integrators_agree() -> None:

@@ -29,7 +29,7 @@ from tubeopt.shaping import (
     VentSpec,
     predict_tubes,
 )
-from tubeopt.shaping.mold.groove import Arc, Centreline, polygon
+from tubeopt.shaping.mold.groove import Centreline, polygon
 
 THESIS = Tube(1.92e-3, 1.57e-3, 0.0, 94e-3, 1 / 120e-3)
 PAIR = (Tube(1.6e-3, 1.1e-3, 20e-3, 80e-3, 25.0), Tube(2.1e-3, 1.8e-3, 0.3, 120e-3, -20.0))
@@ -55,7 +55,6 @@ def test_the_thesis_tube() -> None:
     mold = plan_mold(THESIS)
     (groove,) = mold.grooves
     (bend,) = groove.centreline.bend
-    assert isinstance(bend, Arc)
     assert bend.radius == pytest.approx(120e-3, abs=1e-12)
     assert bend.length == pytest.approx(94e-3, abs=1e-12)
     assert (groove.width, groove.depth) == pytest.approx((2e-3, 2e-3))
@@ -201,10 +200,9 @@ def test_vents_follow_their_profile() -> None:
     profile = (0.2, 0.1, 0.0, 0.15)
     (groove,) = plan_mold(THESIS, MoldSpec(vents=VentSpec(diameter=1e-3, profile=profile))).grooves
     (bend,) = groove.centreline.bend
-    assert isinstance(bend, Arc)
     middle = np.array([vent.centre for vent in groove.vents])
     assert np.linalg.norm(middle - bend.centre, axis=1) == pytest.approx(np.full(len(middle), bend.radius))
-    from_start = bend.start_angle - np.arctan2(*(middle - bend.centre).T[::-1])
+    from_start = bend.heading + math.pi / 2 - np.arctan2(*(middle - bend.centre).T[::-1])
     cells = np.bincount((from_start * bend.radius / bend.length * 4).astype(int), minlength=4)
     opened = cells * math.pi / 4 * 1e-6 / (groove.width * bend.length / 4)
     each = math.pi / 4 * 1e-6 / (groove.width * bend.length / 4)

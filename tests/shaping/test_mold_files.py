@@ -145,7 +145,7 @@ def test_gcode_follows_the_centreline() -> None:
     groove = mold.grooves[0]
     (bend,) = groove.centreline.bend
     x = y = z = 0.0
-    radius, centre = groove.radius * 1e3, np.asarray(bend.centre) * 1e3  # type: ignore[union-attr]
+    radius, centre = groove.radius * 1e3, np.asarray(bend.centre) * 1e3
     deepest, arcs, depths = 0.0, 0, []
     for word, to in moves(groove_gcode(mold)):
         end = (to.get("X", x), to.get("Y", y))

@@ -42,6 +42,15 @@ def test_a_straight_beam_that_is_pushed_in_its_middle() -> None:
     assert held.offset[: len(x)] == pytest.approx(shape, abs=1e-12)
 
 
+def test_a_straight_beam_that_is_pushed_anywhere() -> None:
+    """A support stands where it is said to, not at the next node: clamped at both ends by F a^3 b^3 / (3 EI L^3)."""
+    length, by = 0.12, 0.3e-3
+    for a in (0.0431234567891, 0.0812345678949):
+        held = held_between(np.array([length]), np.zeros(1), np.array([a]), np.ones(1), np.array([-by]))
+        assert held.force[0] == pytest.approx(3 * by * length**3 / (a * (length - a)) ** 3, rel=1e-6)
+        assert np.interp(a, held.arc_length, held.offset) == pytest.approx(-by, rel=1e-5)
+
+
 def test_a_support_does_not_pull() -> None:
     held = held_between(
         np.array([0.1]), np.zeros(1), np.array([0.03, 0.06]), np.array([1.0, -1.0]), np.array([1e-4, 0.0])
@@ -142,7 +151,7 @@ def test_the_tube_between_pegs_is_an_elastica() -> None:
     mine = np.interp(where, board.held.arc_length, board.held.offset)
     assert np.abs(board.held.offset).max() > 120e-6
     # The beam is of first order in how far it leaves the curve.
-    assert np.abs(off - mine).max() < 18e-6
+    assert np.abs(off - mine).max() < 9e-6
 
 
 def test_pins_touch_the_curve_from_outside_and_stand_off_their_holes() -> None:
@@ -189,7 +198,7 @@ def test_pegs_chill_a_tube_like_sinks_a_fin() -> None:
 @pytest.mark.parametrize("dialect", ["grbl", "linuxcnc", "mach"])
 def test_the_board_is_drilled_where_its_holes_are(dialect: str, tmp_path: Path) -> None:
     board = plan_pegs(TUBE, MoldSpec(workshop=WorkshopSpec(dialect=dialect)))
-    seen = mill(next(iter(board_programs(board).values())))
+    seen = mill(board_programs(board)[0].text)
     assert not seen.errors
     assert seen.ended
     thickness = 1e3 * board.spec.plate.thickness
@@ -210,15 +219,22 @@ def test_the_board_is_drilled_where_its_holes_are(dialect: str, tmp_path: Path) 
         assert math.dist((x + 3e-3 * math.cos(angle), y + 3e-3 * math.sin(angle)), peg.pin) < 1e-6
 
 
+def test_a_cold_end_that_is_given_is_that_of_the_board() -> None:
+    board = plan_pegs(TUBE, MoldSpec(cold_length=30e-3))
+    overrun = board.spec.solver.pegs.overrun * board.spec.pegs.pitch
+    assert board.cold.length == 30e-3
+    assert board.centreline.lead_out.length == pytest.approx(30e-3 - overrun)
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_pegs_for_the_robots(robot: str) -> None:
-    """Within 50 um; a tube of 27 mm radius 1 mm thick is told to be beyond that."""
+    """Within 50 um; a tube of 27 mm radius 1 mm thick, and one that changes side at once, are told to be beyond."""
     found = load_robot(CONFIGS / "robots" / robot)
     for number in chosen_tubes(found)[0]:
         board = plan_pegs(found.tubes[number - 1], number=number)
         told = any("leaves its curve" in words for words in board.remarks)
         assert (board.deviation > board.spec.pegs.most_deviation) == told
-        assert told == (robot == "till_snapping_pair.yaml" and number == 1)
+        assert told == ((robot, number) in (("till_snapping_pair.yaml", 1), ("example_pieces.yaml", 2)))
         assert all(0 <= peg.room < 60e-6 and peg.force > 0 for peg in board.pegs)
 
 
@@ -227,6 +243,10 @@ def test_pegs_for_the_robots(robot: str) -> None:
     [
         (lambda: PegSpec(pitch=7e-3), "pitch of the pegs is 7 mm; it must be at least twice the eccentricity"),
         (lambda: PegSpec(pin=-1.0), "pin of the pegs is"),
+        (
+            lambda: plan_pegs(replace(TUBE, curvature=25.0), MoldSpec(springback=Springback(0.1, 0.02)), number=2),
+            "tube 2: curvature is 25 per m; with this spring-back no mold yields more",
+        ),
         (lambda: plan_pegs(replace(TUBE, curved_length=0.0, straight_length=0.1)), "has no curved part"),
         (lambda: plan_pegs(tube_of("example_pieces.yaml", 1)), "is a space curve"),
         (lambda: plan_pegs(TUBE, MoldSpec(pegs=PegSpec(board=(0.1, 0.1)))), "board of the pegs is 100 x 100 mm"),

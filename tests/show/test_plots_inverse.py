@@ -43,11 +43,12 @@ def test_a_path_of_targets(tmp_path: Path) -> None:
     assert (tmp_path / "path.pdf").read_bytes().startswith(b"%PDF")
     assert "a line: 3 targets" in figure.get_suptitle()
     labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels[1:] == ["rotations (deg)", "translations (mm)", "margin"]
+    assert labels[1:] == ["rotation (deg)", "translation (mm)", "margin"]
     way = arc_length(np.array([each.target_position for each in found]))
     assert way[-1] == pytest.approx(2 * np.hypot(1e-3, 5e-4))
     margin = figure.axes[3].lines[0].get_ydata()
     np.testing.assert_allclose(margin, [each.margin for each in found])
+    assert len(plot_targets([*found, found[-1]]).axes[3].lines[0].get_xydata()) == 4  # one target twice
 
 
 def test_unknown_formats_are_refused(tmp_path: Path) -> None:

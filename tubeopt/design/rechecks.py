@@ -17,7 +17,6 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
-from ..robots.pieces import Piece
 from ..robots.series import Series
 from ..robots.tubes import Tube, piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
@@ -90,7 +89,7 @@ def _own(tube: Tube, place: Array) -> tuple[Array, Array, Array]:
     it is strained, (m,) each, at places from where its straight part ends, m."""
     bend, whole = np.zeros(len(place), dtype=complex), float(tube.bending_stiffness)
     stiffness, ratio, begin = np.full(len(place), whole), np.ones(len(place)), 0.0
-    for piece in tube.pieces or (Piece(tube.curved_length, tube.curvature),) * (tube.curved_length > 0):
+    for piece in tube.chain:
         here = (place > begin) & (place <= begin + piece.length)
         x, y, kb = (_at(part, place[here] - begin) for part in (*piece.precurvature[:2], piece.bending_stiffness))
         bend[here] = x + 1j * y

@@ -67,12 +67,17 @@ def _parsed(text: str, path: str) -> Any:
 
 def save_yaml(path: str | PathLike[str], data: Mapping[str, Any], header: str) -> None:
     """Write `data` as YAML below the comment `header`, whole or not at all; raises InputError where that cannot be."""
+    write_text(path, to_yaml(data, header))
+
+
+def to_yaml(data: Mapping[str, Any], header: str) -> str:
+    """The text of such a file."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
     if len(text.splitlines()) != text.count("\n"):
         # Some text holds a line break that is not a newline, which YAML would fold into a space: escape it.
         text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=120)
-    write_text(path, comment + text)
+    return comment + text
 
 
 def _noun(data: object) -> str:

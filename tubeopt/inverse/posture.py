@@ -17,8 +17,8 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
 from ..errors import InputError, SolveError
 from ..solvers.settings import CONTINUATION
-from ..typing import Array
-from .joints import JointSpace
+from ..typing import Array, Of
+from .joints import Configuration, JointSpace, configuration
 from .outline import Contacts, Outline
 
 _Slopes = tuple[tuple[Array, Array, Array], Array]
@@ -39,15 +39,12 @@ class Posture:
     q: Array
     equilibrium: Equilibrium
 
+    margin = Of[float]("equilibrium")
+
     @cached_property
     def room(self) -> Array:
         """(2m + k,) bounds of a step that stays admissible, as `JointSpace.inequalities`."""
         return self.space.inequalities(self.q)[1]
-
-    @property
-    def margin(self) -> float:
-        """Stability margin."""
-        return self.equilibrium.margin
 
     @property
     def tip(self) -> Array:
@@ -186,3 +183,13 @@ def same_place(one: Posture | None, other: Posture) -> bool:
 def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
     """The posture of an equilibrium."""
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
+
+
+def seed_posture(space: JointSpace, seed: Configuration) -> Posture:
+    """The equilibrium of a seed: its own, else that of a cold forward kinematics at its joint values."""
+    q = configuration(space, "seed", seed)
+    known = seed if isinstance(seed, Equilibrium) else getattr(seed, "equilibrium", None)
+    if isinstance(known, Equilibrium) and known.robot == space.robot:
+        return posture_of(space, known)
+    rotations, shift = space.split(q)
+    return posture_of(space, forward_kinematics(space.robot, rotations, shift))

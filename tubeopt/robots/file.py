@@ -17,9 +17,10 @@ from pydantic_core import PydanticCustomError
 from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
 from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
+from ..files.files import write_text
 from ..files.marks import Usual
 from ..files.units import MM, in_unit, to_si
-from ..files.yaml_file import load_yaml, save_yaml
+from ..files.yaml_file import load_yaml, to_yaml
 from .calibration import TABLES, Calibration
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
@@ -255,7 +256,12 @@ def save_robot(robot: Robot, path: str | PathLike[str]) -> None:
         ...     tubeopt.load_robot(f"{folder}/robot.yaml") == robot
         True
     """
-    save_yaml(path, robot_to_dict(robot), "A robot for tubeopt.")
+    write_text(path, robot_to_yaml(robot))
+
+
+def robot_to_yaml(robot: Robot) -> str:
+    """The text of such a file."""
+    return to_yaml(robot_to_dict(robot), "A robot for tubeopt.")
 
 
 def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:

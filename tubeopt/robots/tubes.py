@@ -176,6 +176,13 @@ class Tube(Displayed):
         return bool(self.pieces)
 
     @property
+    def chain(self) -> tuple[Piece, ...]:
+        """Its pieces; the one piece that its curved part is where it is not made of any."""
+        if self.pieces or self.curved_length == 0:
+            return self.pieces
+        return (Piece(self.curved_length, self.curvature),)
+
+    @property
     def length(self) -> float:
         """Overall length, m."""
         return self.straight_length + self.curved_length
@@ -238,11 +245,10 @@ def must_follow_section(tubes: Iterable[Tube], what: str) -> None:
 def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:
     """Length, u*, EI and GJ of every stretch of a tube from its held end, the straight part first."""
     own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
-    chain = tube.pieces or ((Piece(tube.curved_length, tube.curvature),) if tube.curved_length > 0 else ())
     out: list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]] = []
     if tube.straight_length > 0:
         out.append((tube.straight_length, (0.0, 0.0, 0.0), *own))
-    for piece in chain:
+    for piece in tube.chain:
         stiffness = (piece.bending_stiffness, piece.torsional_stiffness)
         bending, torsional = (b if a is None else a for a, b in zip(stiffness, own, strict=True))
         out.append((piece.length, piece.precurvature, bending, torsional))

@@ -77,6 +77,6 @@ class FabricationStudy(Study):
                 progress(k, len(chosen))
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
             made = plan_tube(self.robot.tubes[number - 1], self.rig, asked, spec, number=number)
-            drawn = RobotMold(made.mold, self.robot.name, (number,), ())
+            drawn = RobotMold(made.mold, self.robot.name, ())
             parts.append(TubeParts(number, made, drawn, heating_of(made.heating, charges, samples=self.samples)))
         return Fabrication(self.robot, tuple(parts), tuple(left_out))

@@ -42,22 +42,22 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class TubeFabrication:
-    """How one tube is made.
-
-    Attributes:
-        tube: what it is to become. mold: with one groove, that of the tube.
-        rig: the rig with the mold as drawn. heating: planned on it, of the tube with a curved part as long as the bend.
-        rounds: molds that were drawn. disagreement: in words, what mold and heating do not agree on; "" where they do.
-        remarks: what to keep in mind.
-    """
+    """How one tube is made."""
 
     tube: Tube
+    """What it is to become."""
     mold: Mold
+    """With one groove, that of the tube."""
     rig: Rig
+    """The rig with the mold as drawn."""
     heating: HeatingPlan
+    """Planned on it, of the tube with a curved part as long as the bend."""
     rounds: int
+    """Molds that were drawn."""
     disagreement: str
+    """In words, what mold and heating do not agree on; "" where they do."""
     remarks: tuple[str, ...] = ()
+    """What to keep in mind."""
 
     @property
     def groove(self) -> Groove:
@@ -92,7 +92,8 @@ def plan_tube(
     heated, remarks = _with_thermal_data(tube)
     remarks += _air(heated, rig)
     on, known, plan, drawn = rig, None, None, None
-    for round_ in range(1, heating.solver.molds + 1):
+    solver = heating.solver.fabrication
+    for round_ in range(1, solver.molds + 1):
         try:
             following = plan_mold(heated, mold_spec_for(on, heated, asked, heating, known, rig), numbers=[number])
         except InputError as error:
@@ -100,7 +101,7 @@ def plan_tube(
                 raise
             return TubeFabrication(tube, drawn, on, plan, round_ - 1, f"{_needed(plan)}: {error}", remarks)
         drawn, before, on = following, on, rig_as_drawn(rig, following)
-        if plan is None or not _alike(before, on, heating.solver.same_length):
+        if plan is None or not _alike(before, on, solver.same_length):
             # As it lies in its groove: bent so, its curved part as long as the bend.
             plan = plan_heating(following.grooves[0].held, on, heating)
         elif _settled(drawn, plan):
@@ -108,11 +109,9 @@ def plan_tube(
         known = _known(drawn.grooves[0], plan, heating)
     assert drawn is not None
     assert plan is not None
-    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + heating.solver.same_length
+    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + solver.same_length
     words = _needed(plan) if short else "the mold as drawn still changes"
-    return TubeFabrication(
-        tube, drawn, on, plan, heating.solver.molds, f"{words} after {heating.solver.molds} rounds", remarks
-    )
+    return TubeFabrication(tube, drawn, on, plan, solver.molds, f"{words} after {solver.molds} rounds", remarks)
 
 
 def heating_for(heat: HeatSpec) -> HeatingSpec:
@@ -243,7 +242,7 @@ def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
 
 def _known(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> Known:
     """What the heating tells the next mold; leads that are too short, or let too much current flow, get longer."""
-    held, end, solver = _lead_and_gap(groove), plan.cold_end, spec.solver
+    held, end, solver = _lead_and_gap(groove), plan.cold_end, spec.solver.fabrication
     if math.isinf(end):
         # The whole tube is cold, for which no lead helps.
         end = groove.cold.length
@@ -260,7 +259,7 @@ def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
     The current is greatest through the cold tube at rest, whose resistance grows as its length.
     """
     tube, rig = plan.tube, plan.rig
-    now, most = full_current(tube, rig, leaking=False), spec.solver.lead_peak * rig.circuit.peak_limit
+    now, most = full_current(tube, rig, leaking=False), spec.solver.fabrication.lead_peak * rig.circuit.peak_limit
     whole = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
     ohm = rig.battery.voltage / now - rig.battery.internal_resistance - rig.circuit.resistance
     needed = whole * (1 + rig.battery.voltage * (1 / most - 1 / now) / ohm)
@@ -287,11 +286,11 @@ def _settled(mold: Mold, plan: HeatingPlan) -> bool:
     uneven = abs(groove.centreline.lead_in.length - groove.centreline.lead_out.length)
     differences = [groove.free_length - plan.free_length, uneven, groove.growth - plan.growth]
     short = 0.0 if math.isinf(plan.cold_end) else plan.cold_end - _lead_and_gap(groove)
-    same = plan.spec.solver.same_length
+    same = plan.spec.solver.fabrication.same_length
     return max(abs(x) for x in differences) < same and short < same
 
 
 def _needed(plan: HeatingPlan) -> str:
-    need = 1e3 * (plan.cold_end + plan.spec.solver.longer_lead)
+    need = 1e3 * (plan.cold_end + plan.spec.solver.fabrication.longer_lead)
     have = 1e3 * (plan.rig.clamps.clearance + plan.rig.mold.lead)
     return f"the heating needs {need:.1f} mm from clamp to bend, the mold has {have:.1f} mm"

@@ -28,7 +28,7 @@ LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
 EXTRAS = {
     "planning": ("ompl", "trimesh", "rtree", "manifold3d"),
     "fabrication": ("ezdxf", "trimesh", "manifold3d"),
-    "view": ("viser", "manifold3d"),
+    "view": ("viser", "trimesh", "manifold3d"),
     "anatomy": ("nibabel", "nrrd", "trimesh"),
     "control": ("websockets",),
     "cluster": ("dask", "distributed"),

@@ -95,7 +95,7 @@ MOLD: tuple[Quantity[RobotMold], ...] = (
         "a groove per tube",
         lambda a: [(a, k) for k in range(len(a.mold.grooves))],
         of=(
-            Quantity("tube", "which tube of the robot, from 1", lambda at: at[0].numbers[at[1]]),
+            Quantity("tube", "which tube of the robot, from 1", lambda at: at[0].mold.grooves[at[1]].number),
             *within(GROOVE, lambda at: at[0].mold.grooves[at[1]]),
             Quantity("predicted", "what comes out of it", lambda at: predict_tube(at[0].mold, at[1]), of=PREDICTED),
         ),
@@ -126,7 +126,7 @@ class MoldReport(Report[RobotMold]):
         cells = [
             [f"{q.about} ({q.sign})", *(f"{groove[q.key]:{q.form}}" for groove in grooves)] for q in GROOVE if q.form
         ]
-        numbers = [f"{number} >" for number in self.answer.numbers]
+        numbers = [f"{groove.number} >" for groove in self.answer.mold.grooves]
         lines = remarks((*self.answer.left_out, *self.answer.mold.remarks), what="remark")
         return Group(Text(self.title(), style="italic"), grid(("tube", *numbers), cells, key=True), *lines)
 

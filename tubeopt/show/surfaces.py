@@ -37,9 +37,14 @@ def grid_faces(rows: int, columns: int) -> Faces:
     corners."""
     k, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
     ahead = (j + 1) % columns
-    a, b, c, d = k * columns + j, k * columns + ahead, (k + 1) * columns + ahead, (k + 1) * columns + j
-    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
-    return faces.reshape(-1, 3).astype(np.uint32)
+    return two_of_four(
+        np.stack([k * columns + j, k * columns + ahead, (k + 1) * columns + ahead, (k + 1) * columns + j], axis=-1)
+    )
+
+
+def two_of_four(corners: NDArray[np.integer]) -> Faces:
+    """(2k, 3) triangles, two of each facet of four corners (..., 4)."""
+    return corners[..., [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.uint32)
 
 
 def join(surfaces: list[Surface]) -> Surface:
@@ -70,7 +75,7 @@ def obstacle_surface(obstacle: Obstacle, reach: float, *, sides: int = SIDES) ->
         return Surface(np.array(obstacle.vertices), np.array(obstacle.faces, dtype=np.uint32))
     if isinstance(obstacle, DistanceField):
         vertices, faces = surface_net(obstacle)
-        return Surface(vertices, faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.uint32))
+        return Surface(vertices, two_of_four(faces))
     if isinstance(obstacle, Turned):
         inner = obstacle_surface(obstacle.body, reach, sides=sides)
         return Surface(obstacle.frame.seen(inner.vertices), inner.faces)
@@ -114,8 +119,7 @@ def _box(low: Array, high: Array) -> Surface:
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     # Corners are not shared between sides, so that edges stay sharp.
     vertices = np.concatenate([corner[list(side)] for side in sides])
-    faces = np.array([[4 * k + a for a in triangle] for k in range(6) for triangle in ((0, 1, 2), (0, 2, 3))])
-    return Surface(low + vertices * (high - low), faces.astype(np.uint32))
+    return Surface(low + vertices * (high - low), two_of_four(np.arange(24).reshape(6, 4)))
 
 
 def _plane(point: Array, normal: Array, reach: float) -> Surface:

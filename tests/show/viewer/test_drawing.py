@@ -23,6 +23,7 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.bodies.plane import Plane
 from tubeopt.planning.file import load_trajectory
 from tubeopt.robots.calibration import Calibration
+from tubeopt.robots.file import robot_to_yaml
 from tubeopt.show.arm_surfaces import Centreline, plate_part, robot_parts
 from tubeopt.show.colours import margin_colour
 from tubeopt.show.surfaces import Surface, obstacle_surface
@@ -237,7 +238,7 @@ def test_saved_files_are_read_back(tmp_path: Path) -> None:
     rotations, translations = load_joints(tmp_path / "joints.yaml", THESIS)
     assert np.array_equal(rotations, session.equilibrium.rotations)
     assert np.array_equal(translations, session.equilibrium.translations)
-    (tmp_path / "robot.yaml").write_text(export.robot_yaml(THESIS))
+    (tmp_path / "robot.yaml").write_text(robot_to_yaml(THESIS))
     assert load_robot(tmp_path / "robot.yaml") == THESIS
     save_robot(THESIS, tmp_path / "other.yaml")
     assert (tmp_path / "other.yaml").read_text() == (tmp_path / "robot.yaml").read_text()

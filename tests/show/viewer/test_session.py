@@ -27,7 +27,6 @@ from tubeopt.show.viewer.session import (
     allowed,
     clear_trail,
     go_home,
-    joint_names,
     move,
     move_joint,
     open_session,
@@ -160,8 +159,8 @@ def test_a_home_out_of_order_is_where_it_begins_and_gets_no_worse() -> None:
 
 
 def test_tubes_on_one_carriage_are_one_joint() -> None:
-    assert joint_names(ETR)[3:] == ["translation of tubes 1 to 3"]
-    assert len(joint_names(SEGMENTS)) == 12
+    assert space_of(ETR).names[3:] == ["translation of tubes 1 to 3"]
+    assert len(space_of(SEGMENTS).names) == 12
     session = open_session(ETR)
     moved, _ = move_joint(session, 3, -0.02)
     assert moved.equilibrium.translations == pytest.approx([-0.02] * 3)
@@ -170,7 +169,7 @@ def test_tubes_on_one_carriage_are_one_joint() -> None:
 
 
 def test_two_tubes_with_lengths_in_step_move_together() -> None:
-    assert joint_names(TWO_TUBE)[2:] == ["translation of tubes 1 to 2"]
+    assert space_of(TWO_TUBE).names[2:] == ["translation of tubes 1 to 2"]
     assert turned(open_session(TWO_TUBE), 30).equilibrium.margin > 0
 
 

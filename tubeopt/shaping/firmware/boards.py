@@ -192,11 +192,14 @@ SPARE = 1.25
 
 @dataclass(frozen=True)
 class Part:
-    """name: what is needed. rating: what it must be, in words. why: from what that follows."""
+    """A part of a rig."""
 
     name: str
+    """What is needed."""
     rating: str
+    """What it must be, in words."""
     why: str
+    """From what that follows."""
 
 
 def root_mean_square(plan: HeatingPlan) -> float:

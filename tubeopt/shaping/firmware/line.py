@@ -73,17 +73,19 @@ class SerialLine:
 
 @dataclass
 class SimulatedRig:
-    """One member of a thermal model that is switched and read like a rig.
-
-    model: one member. bias: K, of the sensor where `hot` degC are reached. noise: seed of the sensor's.
-    """
+    """One member of a thermal model that is switched and read like a rig."""
 
     model: ThermalModel
+    """Of one member."""
     sensor: Sensor
     bias: float = 0.0
+    """Of the sensor where `hot` is reached, K."""
     hot: float = 550.0
+    """degC."""
     seed: int = 0
+    """Of the sensor's noise."""
     time: float = field(default=0.0, init=False)
+    """s."""
 
     def __post_init__(self) -> None:
         self._felt = Felt.at_rest(self.model, self.sensor)

@@ -72,24 +72,24 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class RigFit(Displayed):
-    """A rig calibrated to a log.
-
-    Attributes:
-        rig: with the factors applied. estimates: one for every factor that was asked for. confidence: of the intervals.
-        noise: standard deviation of the residuals of each channel, K, V, A.
-        log: that was fitted, without what was not believed.
-        before, after: predicted channels (T,) of the rig as given and as fitted, biases included.
-        remarks: in words, what the log does not determine, and what the model does not explain.
-    """
+    """A rig calibrated to a log."""
 
     rig: Rig
+    """With the factors applied."""
     estimates: tuple[Estimate, ...]
+    """One for every factor that was asked for."""
     confidence: float
+    """Of the intervals."""
     noise: dict[str, float]
+    """Standard deviation of the residuals of each channel, K, V, A."""
     before: dict[str, Array]
+    """(T,) channels that the rig predicts as given."""
     after: dict[str, Array]
+    """(T,) channels that it predicts as fitted, biases included."""
     log: HeatingLog
+    """That was fitted, without what was not believed."""
     remarks: tuple[str, ...]
+    """In words, what the log does not determine, and what the model does not explain."""
 
 
 def predict(

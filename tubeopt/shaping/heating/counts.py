@@ -82,12 +82,12 @@ def guarded_counts(
     counts = np.zeros(len(duty), dtype=np.int64)
     state, given = at_rest(model), 0.0
     slow, fast, _ = extremes(model, state)
-    owed = 0.5 + spec.solver.colder * COUNTS / (spec.slot * float((fast - slow).max()))
+    owed = 0.5 + spec.solver.counts.colder * COUNTS / (spec.slot * float((fast - slow).max()))
     hopeless = most_count(model, state, spec, rig) < 1 + COUNTS * rig.circuit.lost_share
     heated = int(np.count_nonzero(duty))
     if hopeless and rough is not None:
         model, state = rough, at_rest(rough)
-    watched = min(heated, heated - spec.hold_slots + math.ceil(spec.solver.watched / spec.slot))
+    watched = min(heated, heated - spec.hold_slots + math.ceil(spec.solver.counts.watched / spec.slot))
     for k in range(watched):
         due = math.floor(sums[k] - given + 0.5)
         least = math.ceil(sums[k] - given - owed - 1e-9) if hopeless else 0
@@ -106,7 +106,7 @@ def guarded_counts(
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
     """Greatest count that keeps ramp and mean current, less what is `spared`, at a state."""
     slow, fast, now = extremes(model, state)
-    kept = 1 - spec.solver.spared
+    kept = 1 - spec.solver.counts.spared
     room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
     # What a pulse loses does not warm, but it flows.
     return int(COUNTS * max(min(room + rig.circuit.lost_share, kept * rig.circuit.current_limit / now, 1.0), 0.0))
@@ -132,17 +132,17 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
     """
     low, high = spec.window_degC[0] + reserve, min(spec.window_degC[1], spec.limit) - reserve
     state, counts, looked = at_rest(model), [], []
-    slots, apart = int(spec.longest_heating / spec.slot), max(round(spec.solver.stall / spec.slot), 1)
+    slots, apart = int(spec.longest_heating / spec.slot), max(round(spec.solver.counts.stall / spec.slot), 1)
     for k in range(slots):
         coldest = float(seen(model, state.cells[0, :, 0])[0])
         if coldest >= low:
             break
         if k % apart == 0:
             looked.append(coldest)
-            if _stalls(looked, low, spec.solver.sooner * (slots - k) / apart):
+            if _stalls(looked, low, spec.solver.counts.sooner * (slots - k) / apart):
                 return None
         most = most_count(model, state, spec, rig)
-        count, state = _greatest(model, state, most, (spec.slot, high, spec.solver.probe))
+        count, state = _greatest(model, state, most, (spec.slot, high, spec.solver.counts.probe))
         counts.append(count)
     else:
         return None
@@ -174,7 +174,7 @@ def _greatest(model: ThermalModel, state: State, most: int, goal: tuple[float, f
 def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: float) -> Array:
     """(H,) duties that bring the curved part to the middle of the window and keep it there."""
     middle = 0.5 * sum(spec.window_degC)
-    together = max(round(spec.solver.decided / spec.slot), 1)
+    together = max(round(spec.solver.counts.decided / spec.slot), 1)
     levels: list[float] = []
     while len(levels) < spec.hold_slots:
         span = together * spec.slot
@@ -184,7 +184,7 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
         most = most_count(model, state, spec, rig)
         # One count is left for what changes within the slots that share a duty, but the tube need not cool for it.
         for spared in (1, 0):
-            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target, spec.solver.probe))
+            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target, spec.solver.counts.probe))
             after = advance(model, state, level, span)
             if level < (most - spared) / COUNTS or seen(model, after.cells[0, :, 0])[0] >= coldest:
                 break

@@ -20,15 +20,13 @@ from .spec import LONGEST, HeatingSpec
 
 @dataclass(frozen=True)
 class Cure:
-    """A change, in words, and what would still be wrong with it.
-
-    Attributes:
-        shortfall: by how much the window would be missed, K. broken: what of ramp and currents would not be kept.
-    """
+    """A change, in words, and what would still be wrong with it."""
 
     change: str
     shortfall: float
+    """By how much the window would be missed, K."""
     broken: tuple[str, ...] = ()
+    """What of ramp and currents would not be kept."""
 
     @property
     def cures(self) -> bool:
@@ -53,7 +51,7 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple
     assert said is not None
     near = said
     answers = [] if spec.free or spec != plain else [(rig, spec, said.ideal)]
-    for change in _candidates(rig, plain, said.ideal, said.shift)[: spec.solver.cures]:
+    for change in _candidates(rig, plain, said.ideal, said.shift)[: spec.solver.cures.most]:
         if _in_vain(change, answers):
             continue
         cure = _kept(change, tube, limited)
@@ -63,7 +61,7 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple
                 # What frees more begins with what less has made of it.
                 near = replace(near, ideal=tried[1])
             cure = _settled(change, tube, tried, limited)
-        if cure is not None and cure.shortfall < (1 - spec.solver.cure_worth) * best.outcome.shortfall:
+        if cure is not None and cure.shortfall < (1 - spec.solver.cures.worth) * best.outcome.shortfall:
             found.append(cure)
             # No change for the window is one for limits.
             if cure.cures or (limited and cure.shortfall <= 0):
@@ -104,18 +102,18 @@ def _kept(change: Change, tube: Tube, anyway: bool) -> Cure | None:
 def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
     """What is asked for with slots several times as long, where these fill the hold and half a count does not warm by
     much in one; and as it is."""
-    longer = spec.slot * math.floor(spec.solver.cure_slot / spec.slot + 1e-9)
+    longer = spec.slot * math.floor(spec.solver.cures.slot / spec.slot + 1e-9)
     if longer <= spec.slot or abs(spec.hold_time / longer - round(spec.hold_time / longer)) > 1e-9:
         return (spec,)
     low, high = spec.window_degC
     swing = 0.5 * longer * count_rate(tube, rig)
-    return (replace(spec, slot=longer), spec) if swing < spec.solver.cure_swing * (high - low) else (spec,)
+    return (replace(spec, slot=longer), spec) if swing < spec.solver.cures.swing * (high - low) else (spec,)
 
 
 def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: bool) -> Cure:
     """What the program makes of a change, and whole counts of what it would cure."""
     cure, answer = tried
-    if cure.shortfall >= change[2].solver.cure_miss:
+    if cure.shortfall >= change[2].solver.cures.miss:
         return cure
     fixed = replace(change[2], free=())
     if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, limited)) is not None:
@@ -199,7 +197,7 @@ def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) 
     if last.max() < low:
         return _for_power(rig, spec)
     # A mold that had no time to get warm is told by a heating as long as it may be.
-    soon = _more_time(rig, spec) if ideal.heating > (1 - spec.solver.cure_worth) * spec.longest_heating else []
+    soon = _more_time(rig, spec) if ideal.heating > (1 - spec.solver.cures.worth) * spec.longest_heating else []
     if last.max() - last.min() > 0.5 * (high - low):
         return soon + _for_ends(rig, spec)
     return soon + _for_narrow_window(rig, spec)
@@ -240,7 +238,7 @@ def _for_narrow_window(rig: Rig, spec: HeatingSpec) -> list[Change]:
     lead = _for_ends(rig, spec)[0]
     wider = replace(spec, window_degC=(spec.window_degC[0] - 25.0, spec.window_degC[1]))
     wide = (f"a window that begins at {wider.window_degC[0]:g} degC", rig, wider)
-    if spec.slot <= (short := spec.solver.quick_slot):
+    if spec.slot <= (short := spec.solver.cures.quick_slot):
         return [lead, wide]
     quick = f"duties kept for {short:g} s instead of {spec.slot:g} s"
     both = (f"{lead[0]}, and {quick}", rig, replace(lead[2], slot=short))

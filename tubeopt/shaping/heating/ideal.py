@@ -36,30 +36,30 @@ WEIGHTS = {
 
 @dataclass(frozen=True, eq=False)
 class Ideal:
-    """The ideal schedule.
-
-    Attributes:
-        heating: time at which the hold begins, s.
-        node_time, node_duty: (K,) between which the duty is linear, s and fraction.
-        miss: by how much the window, narrowed by the reserve, is missed, K; below 0 only for "margin".
-        rig: with clearance, lead and vents as chosen.
-        time: (N,) collocation points, s. tube: (N, n) temperatures there, K.
-        held: (H, 1 + c) at the points of the hold, where the curved part begins and at its cells, K.
-        iterations: of IPOPT. x, multipliers: scaled unknowns and multipliers, for a later guess; without the copies of
-            what is chosen of the rig.
-    """
+    """The ideal schedule."""
 
     heating: float
+    """Time at which the hold begins, s."""
     node_time: Array
+    """(K,) between which the duty is linear, s."""
     node_duty: Array
+    """(K,) duties there, as fractions."""
     miss: float
+    """By how much the window, narrowed by the reserve, is missed, K; below 0 only for "margin"."""
     rig: Rig
+    """With clearance, lead and vents as chosen."""
     time: Array
+    """(N,) collocation points, s."""
     tube: Array
+    """(N, n) temperatures there, K."""
     held: Array
+    """(H, 1 + c) at the points of the hold, where the curved part begins and at its cells, K."""
     iterations: int
+    """Of IPOPT."""
     x: Array
+    """Scaled unknowns, for a later guess; without the copies of what is chosen of the rig."""
     multipliers: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    """Of bounds and constraints, as the unknowns."""
 
     @property
     def lead_gains(self) -> bool:
@@ -77,15 +77,12 @@ class Ideal:
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """What a finer model adds to the program's temperatures, K.
-
-    Attributes:
-        held: (H, 1 + c) at the points of the hold, where the curved part begins and at its cells.
-        tube: (N, n) at all points and cells.
-    """
+    """What a finer model adds to the program's temperatures, K."""
 
     held: Array
+    """(H, 1 + c) at the points of the hold, where the curved part begins and at its cells."""
     tube: Array
+    """(N, n) at all points and cells."""
 
     @classmethod
     def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int) -> Shift:
@@ -133,7 +130,7 @@ def solve_ideal(
         SolveError: IPOPT did not converge; the message says at what the worst constraint is.
     """
     structure = Structure(PROGRAM, clear=below and spec.objective == "margin", chosen=spec.free)
-    made = program(structure, spec.solver.ipopt, spec.solver.again_iterations)
+    made = program(structure, spec.solver.program.ipopt, spec.solver.program.again_iterations)
     x = guess.x if guess is not None else first_guess(made, tube, rig, spec)
     lower, upper = _unknown_bounds(structure, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
@@ -176,9 +173,9 @@ def _solved(
 
 def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> float:
     """The ramp less what the fine grid takes of it and `room` counts, K/s."""
-    ramp, count = (1 - spec.solver.ramp_kept) * spec.ramp, count_rate(tube, rig)
+    ramp, count = (1 - spec.solver.program.ramp_kept) * spec.ramp, count_rate(tube, rig)
     # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
-    return max(ramp - room * count, spec.solver.ramp_left * spec.ramp) if count < ramp else ramp
+    return max(ramp - room * count, spec.solver.program.ramp_left * spec.ramp) if count < ramp else ramp
 
 
 def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], room: float) -> Array:
@@ -222,7 +219,7 @@ def _unknown_bounds(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> tu
         "circuit": (0.0, np.inf),
         "drive": (0.0, drives),
         "durations": (0.5 / DURATION, spec.longest_heating / DURATION),
-        "misses": (-1e3 if spec.objective == "margin" else 0.0, spec.solver.most_miss),
+        "misses": (-1e3 if spec.objective == "margin" else 0.0, spec.solver.program.most_miss),
         "design": [np.concatenate(side) for side in zip(lengths.T, opened, strict=True)],
         "copies": (-np.inf, np.inf),
     }
@@ -252,7 +249,7 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
     heating = DURATION * float(duration[0, 0])
     faces, points = made.structure.mesh.times(heating, spec.covered_time)
     # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
-    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.duty_points)]))
+    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.program.duty_points)]))
     ampere = AMPERE * np.interp(fine, points, circuit[0])
     duty = DRIVE * np.interp(fine, faces, u.ravel()) / ampere**2
     clamps, mold = rig.clamps, rig.mold
@@ -306,7 +303,7 @@ def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float)
     s = made.structure
     model = thermal_model(tube, rig, s.resolution)
     (target, ramp), hold = _aim(spec), spec.covered_time
-    count = int(np.clip(np.ceil((planned + hold) / spec.solver.guess_slot), 200, 2000))
+    count = int(np.clip(np.ceil((planned + hold) / spec.solver.program.guess_slot), 200, 2000))
     slot = (planned + hold) / count
 
     def controller(time: float, state: State) -> float:
@@ -327,7 +324,7 @@ def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array)
     held = joined(model, tube) - ZERO_CELSIUS
     low, high = spec.window_degC
     miss = max(low - float(held.min()), float(held.max()) - high)
-    return 1.1 * miss if miss > spec.solver.guess_miss else 0.0
+    return 1.1 * miss if miss > spec.solver.program.guess_miss else 0.0
 
 
 def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:

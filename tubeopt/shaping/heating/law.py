@@ -31,27 +31,28 @@ from .uncertainty import Uncertainty
 
 @dataclass(frozen=True, eq=False)
 class HeatingLaw:
-    """A schedule and how it is corrected.
-
-    Attributes:
-        slot: s, for which a count is kept.
-        planned: (T,) mean counts of the planned schedule in every slot, 0 to 255. reference: (T,) degC that the sensor
-            should read as the slot begins. hold: first slot of the hold, and the slot before which it ends.
-        proportional: 1/K. integral: 1/(K s).
-        share: greatest correction, as a fraction of what was planned. holdback: K. patience: s that it waits in all.
-        lost: counts that every pulse loses to the loop's inductance, given on top of what is wanted.
-    """
+    """A schedule and how it is corrected."""
 
     slot: float
+    """For which a count is kept, s."""
     planned: Array
+    """(T,) mean counts of the planned schedule in every slot, 0 to 255."""
     reference: Array
+    """(T,) that the sensor should read as the slot begins, degC."""
     hold: tuple[int, int]
+    """First slot of the hold, and the slot before which it ends."""
     proportional: float
+    """1/K."""
     integral: float
+    """1/(K s)."""
     share: float = 0.5
+    """Greatest correction, as a fraction of what was planned."""
     holdback: float = 15.0
+    """By which the reading may be below its reference without a wait, K."""
     patience: float = 60.0
+    """That it waits in all, s."""
     lost: float = 0.0
+    """Counts that every pulse loses to the loop's inductance, given on top of what is wanted."""
 
     @property
     def longest(self) -> float:
@@ -132,22 +133,24 @@ class Fleet:
 
 @dataclass(frozen=True, eq=False)
 class LoopHistory:
-    """What B rigs did in a closed loop, at times (T,), s.
-
-    Attributes:
-        time: (T,). reading: (T, B) degC as the law saw them. count: (T, B). place: (T, B) slot of the schedule.
-        coldest, hottest: (T, B) of the curved part, degC; top: (T, B) of any point.
-        finished: (B,), bool, whether the whole schedule was run through.
-    """
+    """What B rigs did in a closed loop."""
 
     time: Array
+    """(T,) s."""
     reading: Array
+    """(T, B) as the law saw them, degC."""
     count: Array
+    """(T, B)."""
     place: Array
+    """(T, B) slot of the schedule."""
     coldest: Array
+    """(T, B) of the curved part, degC."""
     hottest: Array
+    """(T, B) of the curved part, degC."""
     top: Array
+    """(T, B) of any point, degC."""
     finished: NDArray[np.bool_]
+    """(B,) whether the whole schedule was run through."""
 
     def in_hold(self, law: HeatingLaw) -> Array:
         """(T, B) whether a time lies in the hold, its end included."""
@@ -199,30 +202,32 @@ class Contribution:
 
 @dataclass(frozen=True, eq=False)
 class Feedback(Displayed):
-    """A heating in a closed loop, and what becomes of it on rigs that are not quite the one that it was planned for.
-
-    Attributes:
-        sensor, law: what reads, and what answers.
-        uncertainty: of the rigs. history: of the rig itself (first) and of S others.
-        lowest, highest: (S,) of the curved part in the hold, degC; top: (S,) of any point ever, degC.
-        kept: (S,) whether the window was kept through a whole hold, and the limit always.
-        open_loop: share of rigs that keep it with the schedule alone.
-        contributions: of what is not known, largest first; "sensor" is its bias.
-        window: degC. limit: degC.
-    """
+    """A heating in a closed loop, and what becomes of it on S rigs that are not quite the one it was planned for."""
 
     sensor: Sensor
+    """What reads."""
     law: HeatingLaw
+    """What answers."""
     uncertainty: Uncertainty
+    """Of the rigs."""
     history: LoopHistory
+    """Of the rig itself (first) and of the others."""
     lowest: Array
+    """(S,) of the curved part in the hold, degC."""
     highest: Array
+    """(S,) of the curved part in the hold, degC."""
     top: Array
-    kept: Array
+    """(S,) of any point ever, degC."""
+    kept: NDArray[np.bool_]
+    """(S,) whether the window was kept through a whole hold, and the limit always."""
     open_loop: float
+    """Share of rigs that keep it with the schedule alone."""
     contributions: tuple[Contribution, ...]
+    """Of what is not known, largest first; "sensor" is its bias."""
     window: tuple[float, float]
+    """degC."""
     limit: float
+    """degC."""
 
     @property
     def samples(self) -> int:

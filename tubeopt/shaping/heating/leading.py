@@ -68,12 +68,11 @@ def lead_by(
     lowest, highest = (row[1:] for row in history.extremes(law))
     top = history.top.max(0)[1:]
     low, high = plan.spec.window_degC
-    finished = np.asarray(history.finished[1:], dtype=bool)
-    kept = finished & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
+    kept = history.finished[1:] & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
     names = (*unknown.unknown, "sensor")
     return Feedback(
         sensor=sensor, law=law, uncertainty=unknown, history=history, lowest=lowest, highest=highest, top=top,
-        kept=np.asarray(kept), open_loop=assess(plan, unknown, samples=samples).probability,
+        kept=kept, open_loop=assess(plan, unknown, samples=samples).probability,
         contributions=_contributions(names, np.column_stack([draws, fleet.bias[1:]]), lowest, highest),
         window=plan.spec.window_degC, limit=plan.spec.limit,
     )  # fmt: skip
@@ -96,7 +95,7 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
     slot, planned = plan.spec.slot, round(plan.hold_start / plan.spec.slot)
     low, high = plan.spec.window_degC
     coldest = plan.temperature[planned : planned + plan.spec.hold_slots // 2][:, plan.curved].min(1)
-    well = coldest >= low + plan.spec.solver.law_inside * (high - low)
+    well = coldest >= low + plan.spec.solver.law.inside * (high - low)
     later = int(np.argmax(well)) if well.any() else 0
     last = planned + plan.spec.hold_slots
     model = thermal_model(plan.tube, plan.rig, FINE)
@@ -124,7 +123,7 @@ def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -
     law = nominal_law(plan, sensor)
     nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
     found = response(nominal, sensor, law)
-    fleet, _ = fleet_of(plan, sensor, unknown, plan.spec.solver.law_rigs, seed)
+    fleet, _ = fleet_of(plan, sensor, unknown, plan.spec.solver.law.rigs, seed)
     best: tuple[float, HeatingLaw] | None = None
     for share in (0.002, 0.005, 0.01, 0.02, 0.04):  # per K, from gentle to quick
         proportional, integral = regulator(found, law.slot, share)

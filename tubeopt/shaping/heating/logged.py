@@ -29,26 +29,26 @@ UNITS = {"temperature": "K", "voltage": "V", "current": "A"}
 
 @dataclass(frozen=True, eq=False)
 class HeatingLog:
-    """A logged heating, (T,) each; NaN where nothing was read.
-
-    Attributes:
-        time: s, increasing. duty: counts 0-255, held from each row to the next.
-        temperature: of the tube, K; (T, S) of several thermometers, or of the pixels of a camera.
-        voltage, current: at the battery while the MOSFET conducts, V and A.
-        position: of the thermometer from the middle of the curved part, m; (S,) of several.
-        lag: time constant, s, with which its readings follow the tube; (S,) of several that differ.
+    """A logged heating; NaN where nothing was read.
 
     Raises:
         InputError: fewer than 3 rows, times that do not increase, duties out of range, or nothing that was measured.
     """
 
     time: Array
+    """(T,) s, increasing."""
     duty: Array
+    """(T,) counts 0-255, held from each row to the next."""
     temperature: Array | None = None
+    """(T,) of the tube, K; (T, S) of several thermometers, or of the pixels of a camera."""
     voltage: Array | None = None
+    """(T,) at the battery while the MOSFET conducts, V."""
     current: Array | None = None
+    """(T,) from the battery while the MOSFET conducts, A."""
     position: float | Sequence[float] | Array = 0.0
+    """Of the thermometer from the middle of the curved part, m; (S,) of several."""
     lag: float | Array = 0.0
+    """Time constant, s, with which its readings follow the tube; (S,) of several that differ."""
 
     def __post_init__(self) -> None:
         for f in fields(self):

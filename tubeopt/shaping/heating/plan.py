@@ -267,7 +267,7 @@ class HeatingPlan(Displayed):
             clamp_temperature=history.lumped[:, 0, CLAMP] - ZERO_CELSIUS,
             mold_temperature=walls.max(1) - ZERO_CELSIUS,
         )
-        held = float(stored(model, history.final)[0])
+        held = float(stored(model, history.state(-1))[0])
         return cls(
             tube=tube,
             rig=rig,

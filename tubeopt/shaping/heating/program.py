@@ -83,18 +83,15 @@ class TimeMesh:
 
 @dataclass(frozen=True)
 class Structure:
-    """What a compiled program depends on.
-
-    Attributes:
-        clear: the limit gives way by the miss as the window's ends do; otherwise it is a bound of the unknowns, and no
-            constraint is spent on it.
-        chosen: what of the rig may be chosen: every interval has a copy of it.
-    """
+    """What a compiled program depends on."""
 
     resolution: Resolution
     mesh: TimeMesh = TimeMesh()
     clear: bool = False
+    """The limit gives way by the miss as the window's ends do; otherwise it is a bound of the unknowns, and no
+    constraint is spent on it."""
     chosen: tuple[str, ...] = ()
+    """What of the rig may be chosen: every interval has a copy of it."""
 
     @property
     def copied(self) -> list[int]:

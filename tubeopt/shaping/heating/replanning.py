@@ -21,7 +21,7 @@ from .leading import Response, response
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .sensors import Felt, Sensor
-from .settings import HeatingSolver
+from .settings import ReplanningSolver
 from .simulation import State
 from .thermal import PROGRAM, ThermalModel, thermal_model
 
@@ -69,17 +69,17 @@ def planner_for(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor) -> Planner:
     """The planner for a rig that a law leads."""
     model = thermal_model(plan.tube, plan.rig, PROGRAM)
     found = response(model, sensor, law)
-    return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise, plan.spec.solver))
+    return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise, plan.spec.solver.replanning))
 
 
-def observer_gains(found: Response, slot: float, noise: float, solver: HeatingSolver) -> tuple[float, float]:
+def observer_gains(found: Response, slot: float, noise: float, solver: ReplanningSolver) -> tuple[float, float]:
     """Gains of the Kalman filter in the long run, of temperature and strength."""
     kept = float(np.exp(-slot / found.time_constant))
     A = np.array([[kept, found.gain * (1 - kept)], [0.0, 1.0]])
     C = np.array([[1.0, 0.0]])
-    drift, strength, rough = solver.replanned_drift, solver.replanned_strength, solver.replanned_rough
-    P = scipy.linalg.solve_discrete_are(A.T, C.T, np.diag([drift**2, strength**2]), [[noise**2 + rough**2]])
-    gain = P @ C.T / (C @ P @ C.T + noise**2 + rough**2)
+    expected, wrong = np.diag([solver.drift**2, solver.strength**2]), noise**2 + solver.rough**2
+    P = scipy.linalg.solve_discrete_are(A.T, C.T, expected, [[wrong]])
+    gain = P @ C.T / (C @ P @ C.T + wrong)
     return float(gain[0, 0]), float(gain[1, 0])
 
 
@@ -93,7 +93,7 @@ def observed(planner: Planner, before: Estimate, reading: float, count: float, s
     change = planner.gains[0] * error
     cells = felt.state.cells.copy()
     cells[0, :, 0] += change * rise
-    most = planner.plan.spec.solver.replanned_share
+    most = planner.plan.spec.solver.replanning.share
     strength = float(np.clip(before.strength + planner.gains[1] * error * rise.max(), -most, most))
     part = float(rise.max()) * change
     now = Felt(State(cells, felt.state.lumped), felt.target + part, felt.lagged + part)
@@ -109,7 +109,7 @@ def _after(planner: Planner, now: Estimate, planned: float, span: float) -> Esti
 def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
     """The rest of the heating from a slot of the schedule on: counts with which the sensor reads what the law wants as
     each slot ends, within what the law may change and what ramp and current allow."""
-    law, share, probe = planner.law, planner.law.share, planner.plan.spec.solver.replanned_probe
+    law, share, probe = planner.law, planner.law.share, planner.plan.spec.solver.replanning.probe
     planned, reading = [], []
     for k in range(place, len(law.planned)):
         ends, begins = (float(law.reference[min(at, len(law.reference) - 1)]) for at in (k + 1, k))
@@ -132,13 +132,11 @@ def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
 
 @dataclass
 class Leader:
-    """What leads a board by its reports.
-
-    planner: with what. every: s from one plan to the next.
-    """
+    """What leads a board by its reports."""
 
     planner: Planner
     every: float = 3.0
+    """From one plan to the next, s."""
     rest: Rest | None = field(default=None, init=False)
     """The last plan."""
 

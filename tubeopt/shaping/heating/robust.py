@@ -69,24 +69,26 @@ def charge_tables(plan: HeatingPlan, charges: Sequence[float] = CHARGES) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """What a schedule may do on rigs that are not quite the one that it was planned for.
-
-    Attributes:
-        time: (T,) s. coldest, hottest: (T, S) of the curved part in every sample, degC.
-        lowest, highest: (S,) of the curved part during the hold; top: (S,) of all points at all times, degC.
-        probability: of keeping window and limit. too_cold, too_hot: of falling below the window; of exceeding its upper
-            end or the limit.
-    """
+    """What a schedule may do on S rigs that are not quite the one that it was planned for."""
 
     time: Array
+    """(T,) s."""
     coldest: Array
+    """(T, S) of the curved part, degC."""
     hottest: Array
+    """(T, S) of the curved part, degC."""
     lowest: Array
+    """(S,) of the curved part during the hold, degC."""
     highest: Array
+    """(S,) of the curved part during the hold, degC."""
     top: Array
+    """(S,) of all points at all times, degC."""
     probability: float
+    """Of keeping window and limit."""
     too_cold: float
+    """Probability of falling below the window."""
     too_hot: float
+    """Probability of exceeding its upper end or the limit."""
 
     def quantiles(self, fraction: float = 0.9) -> tuple[Array, Array]:
         """(T,) lower and (T,) upper limit, degC, of the curved part in this fraction of the samples."""
@@ -94,14 +96,12 @@ class Band:
         return np.quantile(self.coldest, tail, axis=1), np.quantile(self.hottest, 1 - tail, axis=1)
 
 
-def assess(
-    plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples: int = 64, duty: Counts | None = None
-) -> Band:
+def assess(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples: int = 64) -> Band:
     """The band of temperatures of a plan over an ensemble of rigs, and the probability of staying in the window.
 
     Args:
         uncertainty: how far the rig may be from what its file says.
-        samples: size of the ensemble, at least 2. duty: (T,) counts in place of the plan's.
+        samples: size of the ensemble, at least 2.
 
     Raises:
         InputError: fewer than 2 samples.
@@ -109,8 +109,7 @@ def assess(
     if samples < 2:
         raise InputError(f"samples is {samples}; it must be at least 2")
     model, _ = (uncertainty or Uncertainty()).models(plan.tube, plan.rig, samples, ENSEMBLE)
-    counts = plan.duty[:-1] if duty is None else duty[: len(plan.duty) - 1]
-    return _band(plan, model, counts)
+    return _band(plan, model, plan.duty[:-1])
 
 
 def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
@@ -140,18 +139,16 @@ def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
 
 @dataclass(frozen=True, eq=False)
 class RobustSchedule:
-    """The schedule of those scaled from a plan's that is most likely to stay in the window.
-
-    Attributes:
-        scale: of the plan's ideal duties. duty: (T,) counts. plan: the nominal rig with it. band, before: with it, and
-            with the plan's own schedule.
-    """
+    """The schedule of those scaled from a plan's that is most likely to stay in the window."""
 
     scale: float
-    duty: Counts
+    """Of the plan's ideal duties."""
     plan: HeatingPlan
+    """Of the nominal rig with it."""
     band: Band
+    """With it."""
     before: Band
+    """With the plan's own schedule."""
 
 
 def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples: int = 64) -> RobustSchedule:
@@ -184,8 +181,8 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     counts = guarded_counts(fine, plan.spec, plan.rig, scaled)
     band = _band(plan, model, counts)
     if band.probability <= before.probability:
-        return RobustSchedule(1.0, plan.duty, plan, before, before)
+        return RobustSchedule(1.0, plan, before, before)
     exact = simulate(fine, plan.spec.slot, scaled)
     run = Run(plan.rig, fine, scaled, exact, plan.mesh_error, plan.hold_start)
     robust = HeatingPlan.of(plan.tube, plan.spec, checked(plan.spec, run, counts), plan.iterations)
-    return RobustSchedule(scale, robust.duty, robust, band, before)
+    return RobustSchedule(scale, robust, band, before)

@@ -30,49 +30,48 @@ from .thermal import COARSE, FINE, ThermalModel, joined, thermal_model
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Mean duties, and what they do.
-
-    Attributes:
-        rig: with clearance, lead and vents as chosen. model: its fine one.
-        levels: mean duties (T,) in every slot. exact: what they do. error: of the mesh, K. start: of the hold, s.
-    """
+    """Mean duties, and what they do."""
 
     rig: Rig
+    """With clearance, lead and vents as chosen."""
     model: ThermalModel
+    """Its fine one."""
     levels: Array
+    """(T,) mean duties in every slot."""
     exact: History
+    """What they do."""
     error: float
+    """Of the mesh, K."""
     start: float
+    """Of the hold, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Programmed:
-    """What the program said of a schedule.
-
-    Attributes:
-        ideal: its answer. shift: of its temperatures, by which it was corrected. reserve: kept from the window's ends,
-            K.
-    """
+    """What the program said of a schedule."""
 
     ideal: Ideal
+    """Its answer."""
     shift: Shift | None
+    """Of its temperatures, by which it was corrected."""
     reserve: tuple[float, float]
+    """Kept from the window's ends, K."""
 
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """A schedule: mean duties, the counts in their place, what these do, and what is kept.
-
-    Attributes:
-        run: of the mean duties. counts: (T,) in their place. checked: what they do.
-        program: what the program said of it, where it was asked.
-    """
+    """A schedule: mean duties, the counts in their place, what these do, and what is kept."""
 
     run: Run
+    """Of the mean duties."""
     counts: Counts
+    """(T,) in their place."""
     checked: History
+    """What they do."""
     outcome: Outcome
+    """What is kept."""
     program: Programmed | None = None
+    """What the program said of it, where it was asked."""
 
     @property
     def kept(self) -> bool:
@@ -88,21 +87,22 @@ def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | N
 
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     """The schedule that keeps everything, or the one that misses the window by least."""
+    room, more = spec.solver.program.room, spec.solver.program.more_room
     if spec.objective == "margin":
         # Nothing is farther from the window's ends than what does not fall behind.
-        return _corrected(tube, rig, spec, spec.solver.more_room)
+        return _corrected(tube, rig, spec, more)
     hasty = spec.objective == "time"
     if hasty and not spec.free and (sooner := _hastened(tube, rig, spec)) is not None:
         return sooner
-    found = _corrected(tube, rig, spec, spec.solver.room)
+    found = _corrected(tube, rig, spec, room)
     if hasty and spec.free and found.outcome.shortfall <= spec.solver.hopeless:
         sooner = _hastened(tube, found.run.rig, spec)
         if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
             return sooner
-    first, second = (planned_ramp(tube, rig, spec, room) for room in (spec.solver.room, spec.solver.more_room))
-    if found.kept or first == second or not _behind(found, spec):
+    same = planned_ramp(tube, rig, spec, room) == planned_ramp(tube, rig, spec, more)
+    if found.kept or same or not _behind(found, spec):
         return found
-    other = _corrected(tube, rig, spec, spec.solver.more_room)
+    other = _corrected(tube, rig, spec, more)
     return other if other.outcome.shortfall < found.outcome.shortfall else found
 
 

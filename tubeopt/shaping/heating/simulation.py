@@ -146,46 +146,42 @@ def imbalance(model: ThermalModel, state: State) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """The extremes of one member, looked for every `LOOK` seconds at least and at the slots' ends.
-
-    Attributes:
-        coldest, hottest: (T-1, n) of the tube's cells within every slot, K.
-        rate: fastest warming of any cell outside of the clamps, K/s, the duty taken for a mean power.
-        current: greatest current while the MOSFET conducts, A; mean_current: the same times the duty.
-    """
+    """The extremes of one member, looked for every `LOOK` seconds at least and at the slots' ends."""
 
     coldest: Array
+    """(T-1, n) of the tube's cells within every slot, K."""
     hottest: Array
+    """(T-1, n) of the tube's cells within every slot, K."""
     rate: float
+    """Fastest warming of any cell outside of the clamps, K/s, the duty taken for a mean power."""
     current: float
+    """Greatest current while the MOSFET conducts, A."""
     mean_current: float
+    """Greatest current times duty, A."""
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """A simulation of B members at times (T,), s.
-
-    Attributes:
-        time: (T,).
-        tube: (T, B, n) temperatures of the tube's cells, K; walls: (T, B, n, M) of the mold's shells.
-        lumped: (T, B, 6), see `thermal_rates`.
-        voltage, current: (T, B) at the battery's terminals and through them while the MOSFET conducts.
-        resistance: (T, B) of the tube between the clamps, ohm.
-        final: the state at the end.
-        imbalance: (B,) energy unaccounted for, as a fraction of what the battery gave.
-        within: the extremes within the slots, where `resimulate` made the history.
-    """
+    """A simulation of B members."""
 
     time: Array
+    """(T,) s."""
     tube: Array
+    """(T, B, n) temperatures of the tube's cells, K."""
     walls: Array
+    """(T, B, n, M) temperatures of the mold's shells, K."""
     lumped: Array
+    """(T, B, 6) by the places in `physics.heat_functions`."""
     voltage: Array
+    """(T, B) at the battery's terminals while the MOSFET conducts, V."""
     current: Array
+    """(T, B) through them then, A."""
     resistance: Array
-    final: State
+    """(T, B) of the tube between the clamps, ohm."""
     imbalance: Array
+    """(B,) energy unaccounted for, as a fraction of what the battery gave."""
     within: Extremes | None = None
+    """Within the slots, where `resimulate` made the history."""
 
     def state(self, k: int) -> State:
         """Temperatures and lumped states at time k."""
@@ -212,7 +208,6 @@ def history_of(model: ThermalModel, slot: float, course: State) -> History:
         voltage=seen("terminal_voltage"),
         current=seen("total"),
         resistance=2 * seen("resistance"),
-        final=State(cells[-1], lumped[-1]),
         imbalance=imbalance(model, State(cells[-1], lumped[-1])),
     )
 

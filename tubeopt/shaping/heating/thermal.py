@@ -84,21 +84,20 @@ def thermal_data(tube: Tube) -> ThermalData:
 
 @dataclass(frozen=True, eq=False)
 class ThermalModel:
-    """The numbers of the finite-volume model of half a tube, for B members at once; n cells.
-
-    Attributes:
-        resolution: the grid. position, width: (n,) middle of each cell from the outer end of the clamp, and its width,
-            m. half_length: m.
-        properties: (B, P) by the names of `physics.heat.PROPERTIES`.
-        volumes: (B, V) columns of `physics.heat.Volumes`.
-    """
+    """The numbers of the finite-volume model of half a tube, for B members at once; n cells."""
 
     resolution: Resolution
+    """The grid."""
     position: Array
+    """(n,) middle of each cell from the outer end of the clamp, m."""
     width: Array
+    """(n,) of each cell, m."""
     half_length: float
+    """m."""
     properties: Array
+    """(B, P) by the names of `physics.heat.PROPERTIES`."""
     volumes: Array
+    """(B, V) columns of `physics.heat.Volumes`."""
 
     @property
     def members(self) -> int:

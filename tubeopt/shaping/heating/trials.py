@@ -122,23 +122,22 @@ NITINOL_COLOURS = ColourTable(
 class Trial:
     """One heating by hand, and what came of it.
 
-    Args:
-        duty: counts 0-255 at the end. duration: s, from switching on to taking the tube out.
-        ramp: s, in which the duty was raised from 0, evenly.
-        result: "under" (it sprang back), "good" (the shape is the mold's and the tube still superelastic), "over" (the
-            shape is the mold's but the tube no longer superelastic), "set" (good or over, not tested), or "" where only
-            the colour was looked at.
-        colour: of the oxide afterwards, one of the table's; None where nobody looked.
-
     Raises:
         InputError: a value is out of its range.
     """
 
     duty: float
+    """Counts 0-255 at the end."""
     duration: float
+    """From switching on to taking the tube out, s."""
     result: str
+    """ "under" (it sprang back), "good" (the shape is the mold's and the tube still superelastic), "over" (the shape is
+    the mold's but the tube no longer superelastic), "set" (good or over, not tested), or "" where only the colour was
+    looked at."""
     ramp: float = 0.0
+    """In which the duty was raised from 0, evenly, s."""
     colour: str | None = None
+    """Of the oxide afterwards, one of the table's; None where nobody looked."""
 
     def __post_init__(self) -> None:
         if self.result or self.colour is None:
@@ -151,24 +150,26 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class TrialFit(Displayed):
-    """The loss factor that trials speak for.
-
-    Attributes:
-        rig: with it. factor, low, high: median and interval, on what the rig's file says. confidence: of the interval.
-        temperatures: (K,) of the middle of the tube at the end of each trial, by the fitted rig, degC.
-        grid, density: (G,) factors, and their probability given the trials.
-        surprise: least probability that any trial had under the fitted rig; small where trials contradict the model.
-    """
+    """The loss factor that trials speak for."""
 
     rig: Rig
+    """With it."""
     factor: float
+    """Median, on what the rig's file says."""
     low: float
+    """Of the interval."""
     high: float
+    """Of the interval."""
     confidence: float
+    """Of the interval."""
     temperatures: Array
+    """(K,) of the middle of the tube at the end of each trial, by the fitted rig, degC."""
     grid: Array
+    """(G,) factors."""
     density: Array
+    """(G,) their probability given the trials."""
     surprise: float
+    """Least probability that any trial had under the fitted rig; small where trials contradict the model."""
 
 
 def calibrate_from_trials(

@@ -15,9 +15,9 @@ from numpy.polynomial import chebyshev
 
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import Arc, Line, Piece, bounds
+from .groove import Piece, bounds
 from .setting import signed_curvature
-from .settings import DEFAULT_MOLD, MoldSolver
+from .settings import MoldSolver
 
 FLAT = 1e-9
 """Arcs that rise less than this (m) above their chord are lines: few cutters take a radius of kilometres."""
@@ -25,7 +25,7 @@ FLAT = 1e-9
 _GAUSS = np.polynomial.legendre.leggauss(16)
 
 
-def bend_of(held: Tube, solver: MoldSolver = DEFAULT_MOLD) -> tuple[Piece, ...]:
+def bend_of(held: Tube, solver: MoldSolver) -> tuple[Piece, ...]:
     """The bend of a groove that holds a planar tube so, from left to right.
 
     The headings of its ends are opposite, and on the whole it turns to the right: one arc stands symmetrically about
@@ -112,12 +112,9 @@ class Stretch:
 
 def _one_arc(start: Array, heading: float, curvature: float, length: float) -> Piece:
     sweep = curvature * length
-    x, y = float(start[0]), float(start[1])
-    if abs(sweep) * length / 8 <= FLAT:
-        return Line((x, y), (x + length * math.cos(heading + sweep / 2), y + length * math.sin(heading + sweep / 2)))
-    radius, left = 1 / abs(curvature), math.copysign(1.0, curvature)
-    centre = (x - radius * left * math.sin(heading), y + radius * left * math.cos(heading))
-    return Arc(centre, radius, heading - left * math.pi / 2, sweep)
+    flat = abs(sweep) * length / 8 <= FLAT
+    at = float(start[0]), float(start[1])
+    return Piece(at, heading + sweep / 2, length) if flat else Piece(at, heading, length, curvature)
 
 
 def _biarc(start: Array, first: float, end: Array, last: float) -> tuple[Piece, Piece]:
@@ -142,9 +139,6 @@ def _sweep(start: Array, heading: float, end: Array) -> float:
 
 def _arc_to(start: Array, heading: float, end: Array) -> Piece:
     """The arc from `start` with `heading` to `end`."""
-    sweep = _sweep(start, heading, end)
+    half = _sweep(start, heading, end) / 2
     chord = float(np.linalg.norm(end - start))
-    if abs(sweep) * chord / 8 <= FLAT:
-        return Line.between(start, end)
-    curvature = 2 * math.sin(sweep / 2) / chord
-    return _one_arc(start, heading, curvature, sweep / curvature)
+    return _one_arc(start, heading, 2 * math.sin(half) / chord, chord / float(np.sinc(half / math.pi)))

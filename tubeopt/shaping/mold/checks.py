@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ...errors import InputError
 from ...robots.tubes import Tube
-from .groove import Arc, Point
-from .heat import ColdEnd, cold_end
+from .groove import Point
 from .nesting import Blank
-from .setting import tube_in_mold
+from .setting import bend_direction, tube_in_mold
 from .spec import EndMill, MoldSpec
 
 SLACK = 1e-12
@@ -29,22 +28,20 @@ THROUGH = 0.5e-3
 
 @dataclass(frozen=True)
 class Check:
-    """One condition on a mold.
-
-    Args:
-        name: what is checked.
-        value, limit: the number and what it is compared with, in `unit`.
-        unit: "m", "1" or "K".
-        at_most: whether the value must not exceed the limit, or not fall below it.
-        failure: the sentence that is said where it fails.
-    """
+    """One condition on a mold."""
 
     name: str
+    """What is checked."""
     value: float
+    """The number, in `unit`."""
     limit: float
+    """What it is compared with, in `unit`."""
     unit: str
+    """ "m", "1" or "K"."""
     at_most: bool
+    """Whether the value must not exceed the limit, or not fall below it."""
     failure: str
+    """The sentence that is said where it fails."""
 
     @property
     def passed(self) -> bool:
@@ -107,7 +104,7 @@ def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
     """The conditions on one groove that do not depend on where it lies."""
     number, tube, mill, width = blank.number, blank.held, blank.mill, blank.width
     depth = groove_depth(tube, spec)
-    radius = min((piece.radius for piece in blank.bend if isinstance(piece, Arc)), default=math.inf)
+    radius = min(piece.radius for piece in blank.bend)
     pressed = f"when it is pressed straight into the mold (radius {radius * 1e3:.4g} mm)"
     remedy = "set it in steps, in molds of smaller and smaller radius"
     floor = spec.plate.thickness - depth
@@ -156,14 +153,22 @@ def wall_check(least_wall: float, spec: MoldSpec) -> Check:
     )
 
 
-def as_held(number: int, tube: Tube, spec: MoldSpec) -> tuple[Tube, ColdEnd]:
-    """A tube as its mold holds it, and its cold end, whose length is that of the specification where one is given."""
+def as_held(number: int, tube: Tube, spec: MoldSpec) -> Tube:
+    """A tube as its mold holds it."""
     try:
-        held = tube_in_mold(tube, spec.springback)
+        return tube_in_mold(tube, spec.springback)
     except InputError as error:
         raise InputError(f"tube {number}: {error}") from None
-    cold = cold_end(tube, spec.material, spec.heat)
-    return held, cold if spec.cold_length is None else replace(cold, length=spec.cold_length)
+
+
+def held_in_plane(number: int, tube: Tube, spec: MoldSpec, who: str) -> Tube:
+    """A tube as its mold holds it; raises InputError where nothing of it is curved, or it is a space curve: `who`, in
+    words, planar bends only."""
+    if tube.curved_length == 0:
+        raise InputError(f"tube {number} has no curved part; it needs no mold")
+    if bend_direction(tube) is None:
+        raise InputError(f"tube {number} is a space curve; {who} planar bends only: it takes a mandrel")
+    return as_held(number, tube, spec)
 
 
 def springback_remarks(spec: MoldSpec) -> list[str]:
@@ -171,6 +176,13 @@ def springback_remarks(spec: MoldSpec) -> list[str]:
     if spec.springback.calibrated:
         return []
     return ["the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"]
+
+
+def stiffness_remarks(tube: Tube) -> list[str]:
+    """What to know of a tube whose pieces have stiffnesses of their own."""
+    if not any(piece.bending_stiffness or piece.torsional_stiffness for piece in tube.pieces):
+        return []
+    return ["the stiffnesses of its pieces are given, not derived: the slots that make them are not drawn"]
 
 
 def material_remarks(spec: MoldSpec) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .groove import Arc, Line, Piece, Point, leads_to_edge
+from .groove import Piece, Point, leads_to_edge
 from .mold import Clamp, Groove, Mold
 
 LAYERS = ("OUTLINE", "GROOVE", "CENTERLINE", "HOLES", "TEXT")
@@ -59,7 +59,7 @@ def groove_walls(groove: Groove, size: Point) -> tuple[Piece, ...]:
     return tuple(piece for wall in walls for piece in leads_to_edge(wall.bend, size).pieces)
 
 
-def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
+def _jaws(clamp: Clamp, mold: Mold) -> list[Piece]:
     """Outline of a clamp's jaws (m), and of where its far side comes to when it slides."""
     along = np.asarray(clamp.direction)
     across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
@@ -67,7 +67,7 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
     lines = _around([near - across, far - across, far + across, near + across])
     if clamp.slides:
         beyond = far + along * clamp.travel
-        lines.append(Line.between(beyond - across, beyond + across))
+        lines.append(Piece.between(beyond - across, beyond + across))
     return lines
 
 
@@ -96,13 +96,11 @@ def rectangle(width: float, height: float) -> tuple[Piece, ...]:
     return tuple(_around(np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])))
 
 
-def _around(corners: Sequence[Array] | Array) -> list[Line]:
-    return [Line.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+def _around(corners: Sequence[Array] | Array) -> list[Piece]:
+    return [Piece.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
 
 
 def in_mm(piece: Piece) -> Piece:
     """A piece in m, in mm."""
-    if isinstance(piece, Line):
-        return Line((piece.start[0] * TO_MM, piece.start[1] * TO_MM), (piece.end[0] * TO_MM, piece.end[1] * TO_MM))
-    centre = (piece.centre[0] * TO_MM, piece.centre[1] * TO_MM)
-    return Arc(centre, piece.radius * TO_MM, piece.start_angle, piece.sweep)
+    (x, y), length = piece.start, piece.length * TO_MM
+    return Piece((x * TO_MM, y * TO_MM), piece.heading, length, piece.curvature / TO_MM)

@@ -17,7 +17,7 @@ from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from .drawing import LAYERS, PARTS, TEXT_HEIGHT_MM, Drawing, draw_plate
 from .gcode import write_gcode
-from .groove import Arc, Line, Piece, farthest, polygon
+from .groove import Piece, farthest, polygon
 from .holes import Hole
 from .mold import Mold
 
@@ -107,11 +107,13 @@ def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
     for entity in document.modelspace().query('*[layer=="CENTERLINE"]'):
         dxf = entity.dxf
         if entity.dxftype() == "LINE":
-            pieces.append(Line((dxf.start.x / TO_MM, dxf.start.y / TO_MM), (dxf.end.x / TO_MM, dxf.end.y / TO_MM)))
+            ends = ((end.x / TO_MM, end.y / TO_MM) for end in (dxf.start, dxf.end))
+            pieces.append(Piece.between(*ends))
         elif entity.dxftype() == "ARC":
             sweep = math.radians((dxf.end_angle - dxf.start_angle) % 360.0)
-            centre = (dxf.center.x / TO_MM, dxf.center.y / TO_MM)
-            pieces.append(Arc(centre, dxf.radius / TO_MM, math.radians(dxf.start_angle), sweep))
+            first, radius = math.radians(dxf.start_angle), dxf.radius / TO_MM
+            start = dxf.center.x / TO_MM + radius * math.cos(first), dxf.center.y / TO_MM + radius * math.sin(first)
+            pieces.append(Piece(start, first + math.pi / 2, radius * sweep, 1 / radius))
     return tuple(pieces)
 
 
@@ -125,12 +127,12 @@ def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str]) -> float:
 
 def _add(space: object, piece: Piece, layer: str) -> None:
     attributes = {"layer": layer}
-    if isinstance(piece, Line):
+    if not piece.curvature:
         space.add_line(piece.start, piece.end, dxfattribs=attributes)  # type: ignore[attr-defined]
         return
     # DXF arcs run counter-clockwise.
-    first, last = piece.start_angle, piece.start_angle + piece.sweep
-    start, end = (math.degrees(angle) for angle in ((first, last) if piece.sweep > 0 else (last, first)))
+    low, high = sorted((piece.heading, piece.heading + piece.sweep))
+    start, end = (math.degrees(angle - math.copysign(math.pi / 2, piece.curvature)) for angle in (low, high))
     space.add_arc(piece.centre, piece.radius, start, end, dxfattribs=attributes)  # type: ignore[attr-defined]
 
 
@@ -164,7 +166,7 @@ def svg_of(drawing: Drawing) -> str:
 
 def _path(piece: Piece) -> str:
     (x0, y0), (x1, y1) = piece.start, piece.end
-    if isinstance(piece, Line):
+    if not piece.curvature:
         return f"M{x0:.6f},{y0:.6f} L{x1:.6f},{y1:.6f}"
     large, sweep = int(abs(piece.sweep) > math.pi), int(piece.sweep > 0)
     return f"M{x0:.6f},{y0:.6f} A{piece.radius:.6f},{piece.radius:.6f} 0 {large} {sweep} {x1:.6f},{y1:.6f}"

@@ -25,11 +25,11 @@ from .gcode_reader import (
     Relief,
     cutter_ways,
     hazards,
-    machining_time,
     milled,
+    read_gcode,
     toolpath_deviation,
 )
-from .groove import Line, Piece, Point
+from .groove import Piece, Point
 from .holes import Hole
 from .mold import Groove, Mold
 from .spec import WORK_OFFSETS, MoldSpec
@@ -60,33 +60,38 @@ class Stage:
 def write_gcode(mold: Mold, directory: Path) -> list[Path]:
     """Write the programs of both plates, and return their paths; raises SolveError where, read again, a cutter
     leaves its way by more than 10 um, or moves where it must not."""
-    texts = {name: text for part in PARTS for name, text in programs(mold, part).items()}
+    made = programs_of(mold)
     deviation = toolpath_deviation(mold, groove_gcode(mold))
     if deviation > TOLERANCE:
         raise SolveError(f"{directory}: a cutter's way lies {deviation * 1e6:.3g} um from its groove's")
-    for name, text in texts.items():
-        write_text(directory / name, text)
-    return [directory / name for name in texts]
+    return write_programs(made, directory)
 
 
 @dataclass(frozen=True)
 class Program:
-    """A program: its file, the plate, the tool that it begins with, and how long its moves take, s."""
+    """A program: its file, the plate, the tool that it begins with, and what it says."""
 
     file: str
     part: str
     tool: str
-    time: float
+    text: str
+
+    @property
+    def time(self) -> float:
+        """How long its moves take, s; without dwells and changes of tools."""
+        return sum(motion.time for motion in read_gcode(self.text))
+
+
+def write_programs(made: Sequence[Program], directory: Path) -> list[Path]:
+    """Write programs, and return their paths."""
+    for each in made:
+        write_text(directory / each.file, each.text)
+    return [directory / each.file for each in made]
 
 
 def programs_of(mold: Mold) -> list[Program]:
     """The programs of both plates."""
-    found = []
-    for part in PARTS:
-        stages = stages_of(mold, part)
-        for (name, text), stage in zip(programs(mold, part).items(), stages, strict=False):
-            found.append(Program(name, part, stage.tool, machining_time(text)))
-    return found
+    return [each for part in PARTS for each in programs(mold, part)]
 
 
 def clear_room(mold: Mold) -> float:
@@ -99,23 +104,23 @@ def as_milled(mold: Mold, part: str) -> Relief:
     return milled(mold.size, [("\n".join(stage.lines), stage.diameter) for stage in stages_of(mold, part)])
 
 
-def programs(mold: Mold, part: str) -> dict[str, str]:
-    """The programs of a plate by the names of their files: one, or one for each tool where there is no touch plate."""
+def programs(mold: Mold, part: str) -> list[Program]:
+    """The programs of a plate: one, or one for each tool where there is no touch plate."""
     title = f"{part} of a mold, {mold.spec.material.name}"
-    return files_of(part, title, clear_room(mold), mold.spec, stages_of(mold, part))
+    return programs_for(part, title, clear_room(mold), mold.spec, stages_of(mold, part))
 
 
-def files_of(part: str, title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> dict[str, str]:
-    """The programs of stages by the names of their files; `title` and `clear` as in `program`. Raises SolveError where,
-    read again, one moves where it must not."""
+def programs_for(part: str, title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> list[Program]:
+    """The programs of stages; `title` and `clear` as in `program`. Raises SolveError where, read again, one moves where
+    it must not."""
     files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
     if spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}
-    texts = {name: program(title, clear, spec, some) for name, some in files.items()}
-    for name, text in texts.items():
-        for wrong in hazards(text):
-            raise SolveError(f"{name}: {wrong}")
-    return texts
+    made = [Program(name, part, some[0].tool, program(title, clear, spec, some)) for name, some in files.items()]
+    for each in made:
+        for wrong in hazards(each.text):
+            raise SolveError(f"{each.file}: {wrong}")
+    return made
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
@@ -209,22 +214,22 @@ def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
         yield from _down(corners[0], depth, spec)
         for start, end in pairwise(corners):
             for part in _tabs(start, end, spec) if depth > top else ():
-                yield _move(Line(start, part.start)) + _feed(shop.outline_feed)
+                yield _move(Piece.between(start, part.start)) + _feed(shop.outline_feed)
                 yield f"G1 Z{_mm(-top)}"
                 yield _move(part)
                 yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
-            yield _move(Line(start, end)) + _feed(shop.outline_feed)
+            yield _move(Piece.between(start, end)) + _feed(shop.outline_feed)
         yield from _up(spec)
 
 
-def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Line]:
+def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Piece]:
     """Where the cutter is lifted on one side of the outline."""
-    shop, side = spec.workshop, math.dist(start, end)
-    count = max(1, round(side / shop.tab_pitch))
-    half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side / count)
+    shop, side = spec.workshop, Piece.between(start, end)
+    count = max(1, round(side.length / shop.tab_pitch))
+    half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side.length / count)
     for k in range(count):
-        middle = (k + 0.5) / count * side
-        yield Line.between(*Line(start, end).point(np.array([middle - half, middle + half])))
+        middle = (k + 0.5) / count * side.length
+        yield Piece.between(*side.point(np.array([middle - half, middle + half])))
 
 
 def _above(place: Point, spec: MoldSpec) -> Iterator[str]:
@@ -299,7 +304,7 @@ def _feed(feed: float) -> str:
 
 def _move(piece: Piece) -> str:
     x, y = piece.end
-    if isinstance(piece, Line):
+    if not piece.curvature:
         return f"G1 X{_mm(x)} Y{_mm(y)}"
     i, j = piece.centre[0] - piece.start[0], piece.centre[1] - piece.start[1]
     return f"G{2 if piece.sweep < 0 else 3} X{_mm(x)} Y{_mm(y)} I{_mm(i)} J{_mm(j)}"

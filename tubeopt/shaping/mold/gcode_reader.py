@@ -16,7 +16,7 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...typing import Array
 from .checks import overrun
-from .groove import Arc, Centreline, Line, Piece, Point, farthest, spaced
+from .groove import Centreline, Piece, Point, farthest, spaced
 from .mold import Groove, Mold
 
 PER_MINUTE = 60.0
@@ -96,12 +96,14 @@ def _motions(machine: _Machine, number: int, words: list[tuple[str, float]]) -> 
     end = given.get("X", machine.place[0]), given.get("Y", machine.place[1])
     if machine.motion == 83:
         machine.depth, machine.above = given.get("Z", machine.depth), given.get("R", machine.above)
-        yield Motion(number, Line(machine.place, end), machine.z, machine.z, None, machine.spindle)
+        yield Motion(number, Piece.between(machine.place, end), machine.z, machine.z, None, machine.spindle)
         machine.place = end
-        yield Motion(number, Line(end, end), machine.above, machine.depth, machine.feed, machine.spindle, cycle=True)
+        yield Motion(
+            number, Piece.between(end, end), machine.above, machine.depth, machine.feed, machine.spindle, cycle=True
+        )
         return
     z = given.get("Z", machine.z)
-    piece: Piece = Line(machine.place, end)
+    piece = Piece.between(machine.place, end)
     if machine.motion > 1:
         centre = machine.place[0] + given.get("I", 0.0), machine.place[1] + given.get("J", 0.0)
         piece = _arc(number, machine.place, end, centre=centre, left=machine.motion == 3)
@@ -109,15 +111,16 @@ def _motions(machine: _Machine, number: int, words: list[tuple[str, float]]) -> 
     machine.place, machine.z = end, z
 
 
-def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) -> Arc:
+def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) -> Piece:
     radius, other = math.dist(start, centre), math.dist(end, centre)
     if abs(radius - other) > 5e-6:
         raise InputError(
             f"line {number} of the G-code: the arc's ends lie {radius * TO_MM:g} and {other * TO_MM:g} mm off centre"
         )
-    first = math.atan2(start[1] - centre[1], start[0] - centre[0])
-    turn = (math.atan2(end[1] - centre[1], end[0] - centre[0]) - first) % (2 * math.pi)
-    return Arc(centre, radius, first, turn if left else turn - 2 * math.pi)
+    first, last = (math.atan2(place[1] - centre[1], place[0] - centre[0]) for place in (start, end))
+    side = 1 if left else -1
+    turn = side * (last - first) % (2 * math.pi)
+    return Piece(start, first + side * math.pi / 2, radius * turn, side / radius)
 
 
 def hazards(text: str) -> list[str]:
@@ -179,7 +182,7 @@ def milled(size: Point, cuts: list[tuple[str, float]]) -> Relief:
 def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float) -> None:
     """Take away what a cutter of this radius reaches in one move, as deep as the lower of its ends."""
     piece = motion.piece
-    way = piece.point(spaced(piece.length, 0.5e-3)) if piece.length else np.array([piece.start])
+    way = piece.point(spaced(piece.length, 0.5e-3))
     low, high = way.min(0) - radius, way.max(0) + radius
     window = tuple(
         slice(*np.searchsorted(axis, [a, b])) for axis, a, b in zip(axes[::-1], low[::-1], high[::-1], strict=True)
@@ -188,12 +191,6 @@ def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float)
     points = np.column_stack([gx.ravel(), gy.ravel()])
     if not len(points):
         return
-    away = piece.distance(points) if piece.length else np.linalg.norm(points - way[0], axis=1)
-    level = -motion.end if piece.length else -min(motion.start, motion.end)
+    level = np.where(piece.distance(points) <= radius, -min(motion.start, motion.end), 0.0)
     view = depth[window]
-    np.maximum(view, np.where(away <= radius, level, 0.0).reshape(gx.shape), out=view)
-
-
-def machining_time(text: str) -> float:
-    """How long the moves of a program take, s; without dwells and changes of tools."""
-    return sum(motion.time for motion in read_gcode(text))
+    np.maximum(view, level.reshape(gx.shape), out=view)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,105 +15,80 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Line:
-    """A straight piece from `start` to `end` (m)."""
+class Piece:
+    """A piece of one curvature: an arc, or a line where that is 0."""
 
     start: Point
-    end: Point
+    """m."""
+    heading: float
+    """Where it starts, rad."""
+    length: float
+    """m."""
+    curvature: float = 0.0
+    """1/m, positive where it turns left."""
 
     @classmethod
-    def between(cls, start: Array, end: Array) -> Line:
-        """From one point (2,) to another."""
-        return cls(_point(start), _point(end))
+    def between(cls, start: Array | Point, end: Array | Point) -> Piece:
+        """The line from one point (2,) to another."""
+        (x, y), way = start, np.subtract(end, start)
+        return cls((float(x), float(y)), math.atan2(way[1], way[0]), math.hypot(*way))
 
     @property
-    def length(self) -> float:
-        """Length, m."""
-        return math.dist(self.start, self.end)
-
-    def point(self, s: Array) -> Array:
-        """(N, 2) points at arc lengths `s` (N,), also beyond the ends."""
-        return np.asarray(self.start) + np.asarray(s)[:, None] * self.tangent(np.zeros(1))
-
-    def tangent(self, s: Array) -> Array:
-        """(N, 2) unit tangents."""
-        step = (np.asarray(self.end) - np.asarray(self.start)) / self.length
-        return np.tile(step, (len(s), 1))
-
-    def offset(self, distance: float) -> Line:
-        """The parallel piece at `distance` (m) to the left."""
-        (tx, ty) = self.tangent(np.zeros(1))[0]
-        shift = np.array([-ty, tx]) * distance
-        return Line.between(self.start + shift, self.end + shift)
-
-    def distance(self, points: Array) -> Array:
-        """(N,) distances (m) of `points` (N, 2) from the piece."""
-        start, way = np.asarray(self.start), np.asarray(self.end) - np.asarray(self.start)
-        along = np.clip((points - start) @ way / (way @ way), 0.0, 1.0)
-        return np.asarray(np.linalg.norm(points - start - along[:, None] * way, axis=1))
-
-    def moved(self, shift: Point) -> Line:
-        """The piece, moved by `shift` (m)."""
-        return Line(_sum(self.start, shift), _sum(self.end, shift))
-
-
-@dataclass(frozen=True)
-class Arc:
-    """A circular piece: centre and radius (m), angle of its start and sweep (rad, positive turns left)."""
-
-    centre: Point
-    radius: float
-    start_angle: float
-    sweep: float
+    def sweep(self) -> float:
+        """Angle by which it turns, rad."""
+        return self.curvature * self.length
 
     @property
-    def length(self) -> float:
-        """Length, m."""
-        return self.radius * abs(self.sweep)
+    def radius(self) -> float:
+        """m; inf of a line."""
+        return 1 / abs(self.curvature) if self.curvature else math.inf
 
     @cached_property
-    def start(self) -> Point:
-        """Where the arc begins, m."""
-        return _point(self.point(np.zeros(1))[0])
+    def centre(self) -> Point:
+        """Of an arc, m."""
+        x, y = self.start
+        return x - math.sin(self.heading) / self.curvature, y + math.cos(self.heading) / self.curvature
 
     @cached_property
     def end(self) -> Point:
-        """Where the arc ends, m."""
+        """m."""
         return _point(self.point(np.array([self.length]))[0])
 
-    def _angle(self, s: Array) -> Array:
-        return np.asarray(self.start_angle + math.copysign(1.0, self.sweep) * np.asarray(s) / self.radius)
-
     def point(self, s: Array) -> Array:
-        """(N, 2) points at arc lengths `s` (N,)."""
-        angle = self._angle(s)
-        return np.asarray(self.centre) + self.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+        """(N, 2) points at arc lengths `s` (N,), also beyond the ends."""
+        half = 0.5 * self.curvature * np.asarray(s)
+        # The chord to a place has half the turn to there, and sinc is sin(pi x) / (pi x).
+        chord, angle = s * np.sinc(half / math.pi), self.heading + half
+        return np.asarray(self.start) + np.column_stack([chord * np.cos(angle), chord * np.sin(angle)])
 
     def tangent(self, s: Array) -> Array:
         """(N, 2) unit tangents."""
-        angle = self._angle(s)
-        return math.copysign(1.0, self.sweep) * np.column_stack([-np.sin(angle), np.cos(angle)])
+        angle = self.heading + self.curvature * np.asarray(s)
+        return np.column_stack([np.cos(angle), np.sin(angle)])
 
-    def offset(self, distance: float) -> Arc:
-        """The parallel piece at `distance` (m) to the left; its radius must stay positive."""
-        radius = self.radius - math.copysign(distance, distance * self.sweep)
-        return Arc(self.centre, radius, self.start_angle, self.sweep)
+    def offset(self, distance: float) -> Piece:
+        """The parallel piece at `distance` (m) to the left; the radius of an arc must stay positive."""
+        shrink = 1 - self.curvature * distance
+        (x, y), h = self.start, self.heading
+        start = x - distance * math.sin(h), y + distance * math.cos(h)
+        return Piece(start, h, shrink * self.length, self.curvature / shrink)
 
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the piece."""
-        away = points - np.asarray(self.centre)
-        turned = (np.arctan2(away[:, 1], away[:, 0]) - self.start_angle) * math.copysign(1.0, self.sweep)
+        if not self.curvature:
+            away, way = points - np.asarray(self.start), self.tangent(np.zeros(1))[0]
+            along = np.clip(away @ way, 0.0, self.length)
+            return np.asarray(np.linalg.norm(away - along[:, None] * way, axis=1))
+        away, left = points - np.asarray(self.centre), math.copysign(1.0, self.curvature)
+        turned = left * (np.arctan2(away[:, 1], away[:, 0]) - self.heading) + math.pi / 2
         inside = np.mod(turned, 2 * math.pi) <= abs(self.sweep)
         to_circle = np.abs(np.linalg.norm(away, axis=1) - self.radius)
         ends = [np.linalg.norm(points - np.asarray(end), axis=1) for end in (self.start, self.end)]
         return np.asarray(np.where(inside, to_circle, np.minimum(*ends)))
 
-    def moved(self, shift: Point) -> Arc:
+    def moved(self, shift: Point) -> Piece:
         """The piece, moved by `shift` (m)."""
-        return Arc(_sum(self.centre, shift), self.radius, self.start_angle, self.sweep)
-
-
-Piece = Line | Arc
+        return replace(self, start=(self.start[0] + shift[0], self.start[1] + shift[1]))
 
 
 @dataclass(frozen=True)
@@ -123,11 +98,11 @@ class Centreline:
     The bend is a chain of tangent pieces: one arc for a tube of one curvature.
     """
 
-    lead_in: Line
-    """Before the bend."""
+    lead_in: Piece
+    """The line before the bend."""
     bend: tuple[Piece, ...]
-    lead_out: Line
-    """Behind the bend."""
+    lead_out: Piece
+    """The line behind the bend."""
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -185,20 +160,16 @@ class Centreline:
 
 def with_leads(bend: Sequence[Piece], lead_in: float, lead_out: float) -> Centreline:
     """The bend with tangent leads of these lengths (m)."""
-    first, last = _end_tangents(bend)
-    start = _point(np.asarray(bend[0].start) - lead_in * first)
-    end = _point(np.asarray(bend[-1].end) + lead_out * last)
-    return Centreline(Line(start, bend[0].start), tuple(bend), Line(bend[-1].end, end))
+    first, last = bend[0], bend[-1]
+    start = _point(np.asarray(first.start) - lead_in * first.tangent(np.zeros(1))[0])
+    out = Piece(last.end, last.heading + last.sweep, lead_out)
+    return Centreline(Piece(start, first.heading, lead_in), tuple(bend), out)
 
 
 def leads_to_edge(bend: Sequence[Piece], size: Point) -> Centreline:
     """The bend with tangent leads that end at the edge of the plate [0, width] x [0, height]; the bend lies inside."""
-    first, last = _end_tangents(bend)
+    first, last = bend[0].tangent(np.zeros(1))[0], bend[-1].tangent(np.array([bend[-1].length]))[0]
     return with_leads(bend, way_to_edge(bend[0].start, -first, size), way_to_edge(bend[-1].end, last, size))
-
-
-def _end_tangents(bend: Sequence[Piece]) -> tuple[Array, Array]:
-    return bend[0].tangent(np.zeros(1))[0], bend[-1].tangent(np.array([bend[-1].length]))[0]
 
 
 def way_to_edge(start: Point, direction: Array, size: Point) -> float:
@@ -214,7 +185,7 @@ def bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
     """Least and greatest coordinates of pieces, exact for arcs."""
     points = [end for piece in pieces for end in (piece.start, piece.end)]
     for piece in pieces:
-        if isinstance(piece, Arc):
+        if piece.curvature:
             compass = np.asarray(piece.centre) + piece.radius * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
             points += [_point(p) for p in compass[piece.distance(compass) < 1e-12]]
     array = np.array(points)
@@ -266,7 +237,7 @@ def _polyline(curve: Centreline, sagitta: float) -> Array:
     parts = [np.asarray([curve.lead_in.start])]
     for k, piece in enumerate(curve.bend):
         count = 1
-        if isinstance(piece, Arc):
+        if piece.curvature:
             step = 2 * math.acos(max(1 - sagitta / piece.radius, -1.0))
             count = max(2 if len(curve.bend) == 1 else 1, math.ceil(abs(piece.sweep) / step))
         places = np.linspace(0.0, piece.length, count + 1)
@@ -299,7 +270,3 @@ def spaced(length: float, step: float) -> Array:
 
 def _point(array: Array | Sequence[float]) -> Point:
     return float(array[0]), float(array[1])
-
-
-def _sum(a: Point, b: Point) -> Point:
-    return a[0] + b[0], a[1] + b[1]

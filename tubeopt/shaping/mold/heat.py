@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -86,17 +86,18 @@ class HeatSpec:
 
 @dataclass(frozen=True)
 class ColdEnd:
-    """The end of a heated tube as a fin: T(x) = set - (set - clamp) exp(-x / decay_length), x from the clamp.
-
-    Args:
-        length: m, from the clamp to where the tube is within the tolerance.
-        decay_length: sqrt(k A / (h P)), m.
-        loss_coefficient: h of the mold at the end of the hold, W/(m^2 K).
-    """
+    """The end of a heated tube as a fin: T(x) = set - (set - clamp) exp(-x / decay_length), x from the clamp."""
 
     length: float
+    """From the clamp to where the tube is within the tolerance, m."""
     decay_length: float
+    """sqrt(k A / (h P)), m."""
     loss_coefficient: float
+    """h of what is around the tube at the end of the hold, W/(m^2 K)."""
+
+    def of_length(self, length: float | None) -> ColdEnd:
+        """With a length (m) that is known; as it is where that is None."""
+        return self if length is None else replace(self, length=length)
 
 
 def heat_flow(diameter: float, material: MoldMaterial, heat: HeatSpec, times: Array) -> Array:

@@ -27,19 +27,18 @@ _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """How a tube lies between its supports.
-
-    Attributes:
-        arc_length: (N,) along the wanted curve, m. offset: (N,) of the tube from it, to the left, m.
-        curvature, wanted: (N,) of the tube and of the curve, 1/m.
-        force: (M,) with which each support pushes, over the tube's bending stiffness, 1/m^2; 0 where it does not touch.
-    """
+    """How a tube lies between its supports."""
 
     arc_length: Array
+    """(N,) along the wanted curve, m."""
     offset: Array
+    """(N,) of the tube from it, to the left, m."""
     curvature: Array
+    """(N,) of the tube, 1/m."""
     wanted: Array
+    """(N,) of the curve, 1/m."""
     force: Array
+    """(M,) with which each support pushes, over the tube's bending stiffness, 1/m^2; 0 where it does not touch."""
 
 
 def held_between(
@@ -49,7 +48,7 @@ def held_between(
     sides: Array,
     rooms: Array,
     *,
-    element: float = DEFAULT_MOLD.peg_element,
+    element: float = DEFAULT_MOLD.pegs.element,
 ) -> Held:
     """The tube along a chain of pieces of one curvature each, clamped at both ends.
 
@@ -72,7 +71,7 @@ def held_between(
     inner = matrix[:, free]
     reduced = (inner.T @ scipy.sparse.diags_array(weight) @ inner).tocsc()
     load = (matrix.T @ (weight * np.repeat(kappa, len(_PLACES))))[free]
-    touched = 2 * np.searchsorted(nodes, places - 1e-12) - 2
+    touched = 2 * np.searchsorted(nodes, np.round(places, 9)) - 2
     pushed = np.zeros((len(free), len(places)))
     pushed[touched, np.arange(len(places))] = sides
     solved = scipy.sparse.linalg.splu(reduced).solve(np.column_stack([-load, -pushed]))

@@ -23,24 +23,24 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 @dataclass(frozen=True)
 class Peg:
-    """One peg.
-
-    Args:
-        hole: its name: letters for the row from below, number in the row from the left.
-        place: of the hole, m. pin: where its pin stands, m. angle: at which it is set, rad, from x.
-        left: whether it stands to the left of the tube, seen from its proximal end.
-        arc_length: of the tube beside it, m, from the proximal clamp. room: between it and the tube on its curve, m.
-        force: with which it pushes against the tube while that is cold and straight by itself, N.
-    """
+    """One peg."""
 
     hole: str
+    """Its name: letters for the row from below, number in the row from the left."""
     place: Point
+    """Of the hole, m."""
     pin: Point
+    """Where its pin stands, m."""
     angle: float
+    """At which it is set, rad, from x."""
     left: bool
+    """Whether it stands to the left of the tube, seen from its proximal end."""
     arc_length: float
+    """Of the tube beside it, m, from the proximal clamp."""
     room: float
+    """Between it and the tube on its curve, m."""
     force: float = 0.0
+    """With which it pushes against the tube while that is cold and straight by itself, N."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Lattice:
     reach: float
 
     @classmethod
-    def of(cls, size: Point, spec: PegSpec, reach: float = DEFAULT_MOLD.peg_reach) -> Lattice:
+    def of(cls, size: Point, spec: PegSpec, reach: float = DEFAULT_MOLD.pegs.reach) -> Lattice:
         """Rows half a diagonal of the lattice apart, every other one shifted by as much; as far as the margin."""
         half, margin = spec.pitch / math.sqrt(2), 0.5 * spec.pitch + 0.5 * spec.shank
         rows = int((size[1] - 2 * margin) / half + 1e-9) + 1

@@ -26,10 +26,11 @@ from .checks import (
     material_remarks,
     refuse_failed,
     springback_remarks,
+    stiffness_remarks,
     strain_check,
 )
 from .groove import comes_back, way_to_edge
-from .heat import ColdEnd
+from .heat import ColdEnd, cold_end
 from .setting import bend_direction, tube_from_mold
 from .settings import MoldSolver
 from .spec import MoldSpec
@@ -72,10 +73,10 @@ class Winding:
 
 def helix_of(held: Tube) -> tuple[float, float] | None:
     """Curvature and torsion (1/m) where the whole curved part is one helix in constant components; else None."""
-    if any(vary(piece.precurvature) for piece in held.pieces):
+    if any(vary(piece.precurvature) for piece in held.chain):
         return None
-    u = np.array([piece.precurvature for piece in held.pieces])
-    if not len(u) or np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():
+    u = np.array([piece.precurvature for piece in held.chain])
+    if np.abs(u - u[0]).max() > 1e-12 * np.abs(u[0]).max():
         return None
     curvature, torsion = float(np.hypot(u[0, 0], u[0, 1])), float(u[0, 2])
     return (curvature, torsion) if curvature > 0 and torsion != 0 else None
@@ -85,7 +86,7 @@ def bend_in_space(held: Tube, solver: MoldSolver) -> Winding:
     """The bend from the origin, along z at first: R' = R hat(u*), p' = R e3, to 1e-12."""
     state = np.concatenate([np.zeros(3), np.eye(3).ravel()])
     s, rows = [0.0], [state]
-    for piece in held.pieces or (Piece(held.curved_length, held.curvature),):
+    for piece in held.chain:
         breaks = breaks_of(piece.precurvature, piece.length)
         for low, high in pairwise(breaks):
             bent = max(held.curvature, 1.0)
@@ -144,28 +145,30 @@ class MandrelStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Mandrel(Displayed):
-    """A mandrel for one tube.
-
-    Attributes:
-        number: of the tube in texts. tube: what it is to become. held: the tube as the mandrel holds it.
-        body: what is turned or printed. winding: centreline of the groove in it, leads included.
-        width: of the groove, and diameter of its round bottom, m.
-        cold: the cold end of the tube. free_length: from clamp to clamp, m.
-        checks, remarks: as of a `Mold`.
-    """
+    """A mandrel for one tube."""
 
     number: int
+    """Of the tube in texts."""
     tube: Tube
+    """What it is to become."""
     held: Tube
+    """The tube as the mandrel holds it."""
     spec: MoldSpec
     """What was asked for."""
     body: Cylinder | Block
+    """What is turned or printed."""
     winding: Winding
+    """Centreline of the groove in it, leads included."""
     width: float
+    """Of the groove, and diameter of its round bottom, m."""
     cold: ColdEnd
+    """The cold end of the tube; its length is that of the specification where one is given."""
     free_length: float
+    """From clamp to clamp, m."""
     checks: tuple[Check, ...]
+    """What was checked, with numbers and limits."""
     remarks: tuple[str, ...]
+    """What to keep in mind."""
 
     @property
     def value(self) -> Winding:
@@ -205,7 +208,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     instance("tube", tube, Tube)
     if bend_direction(tube) is not None:
         raise InputError(f"tube {number} is bent in a plane; it takes a plate, not a mandrel")
-    held, cold = as_held(number, tube, spec)
+    held, cold = as_held(number, tube, spec), cold_end(tube, spec.material, spec.heat).of_length(spec.cold_length)
     wound = "wound into the groove"
     checks = [strain_check(number, held, spec, wound, f"when it is {wound}", "set it in steps")]
     refuse_failed(checks)
@@ -346,6 +349,4 @@ def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
         remarks.append("the leads lie in air, which cools them less than a mold: their cold ends may be longer")
     else:
         remarks.append("print it of what endures the set temperature: ceramic, or metal that is insulated")
-    if any(piece.bending_stiffness or piece.torsional_stiffness for piece in tube.pieces):
-        remarks.append("the stiffnesses of its pieces are given, not derived: the slots that make them are not drawn")
-    return remarks
+    return [*remarks, *stiffness_remarks(tube)]

@@ -15,26 +15,26 @@ import numpy as np
 from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
-from ...typing import Array, Sentence
+from ...typing import Array, Of, Sentence
 from .arcs import bend_of
 from .checks import (
     Check,
-    as_held,
     choose_mill,
     groove_depth,
+    held_in_plane,
     machining_remarks,
     material_remarks,
     pressing_strain,
     refuse_failed,
     springback_remarks,
+    stiffness_remarks,
     tube_checks,
     wall_check,
 )
-from .groove import Arc, Centreline, Point, clipped_area, polygon
-from .heat import ColdEnd, thermal_growth
+from .groove import Centreline, Point, clipped_area, polygon
+from .heat import ColdEnd, cold_end, thermal_growth
 from .holes import Hole, place_fasteners, place_vents
 from .nesting import Blank, nest
-from .setting import bend_direction
 from .spec import ENDS, EndMill, MoldSpec
 
 TRAVEL_STEP = 0.5e-3
@@ -46,19 +46,16 @@ CLAMP_CLEARANCE = 1e-3
 
 @dataclass(frozen=True)
 class Clamp:
-    """A clamp outside the plate.
-
-    Args:
-        end: "proximal" or "distal".
-        face: where its jaws begin, on the tube's axis, m.
-        direction: of the tube, outwards, unit.
-        travel: m by which it may slide outwards; 0 for the fixed one.
-    """
+    """A clamp outside the plate."""
 
     end: str
+    """ "proximal" or "distal"."""
     face: Point
+    """Where its jaws begin, on the tube's axis, m."""
     direction: Point
+    """Of the tube, outwards, unit."""
     travel: float
+    """By which it may slide outwards, m; 0 for the fixed one."""
 
     @property
     def slides(self) -> bool:
@@ -68,33 +65,26 @@ class Clamp:
 
 @dataclass(frozen=True)
 class Groove:
-    """The groove of one tube.
+    """The groove of one tube: a blank that has its place on a plate, and is read at the groove too."""
 
-    Args:
-        number: of the tube in texts and drawings.
-        tube: what it is to become.
-        centreline: from plate edge to plate edge.
-        held: the tube as the groove holds it, with the curvatures and the length of its bend.
-        width, depth: m.
-        mill: the end mill that cuts it.
-        cold: the cold end of the tube; its length is that of the specification where one is given.
-        growth: of the tube between the clamps when it is hot, m; that of the specification where one is given.
-        clamps: the proximal and the distal one.
-        vents: over the bend.
-    """
-
-    number: int
-    tube: Tube
+    blank: Blank
+    """What is cut."""
     centreline: Centreline
-    held: Tube
-    width: float
+    """From plate edge to plate edge."""
     depth: float
-    mill: EndMill
-    cold: ColdEnd
+    """m."""
     growth: float
+    """Of the tube between the clamps when it is hot, m; that of the specification where one is given."""
     clamps: tuple[Clamp, Clamp]
+    """The proximal and the distal one."""
     grip: float
+    """Length of tube in each clamp, m."""
     vents: tuple[Hole, ...] = ()
+    """Over the bend."""
+
+    number, mill, cold = Of[int]("blank"), Of[EndMill]("blank"), Of[ColdEnd]("blank")
+    tube, held = Of[Tube]("blank"), Of[Tube]("blank")
+    width, bend_angle = Of[float]("blank"), Of[float]("blank")
 
     @property
     def curvature(self) -> float:
@@ -110,11 +100,6 @@ class Groove:
     def bend_length(self) -> float:
         """Length of the bend along its centreline, m."""
         return self.centreline.bend_length
-
-    @property
-    def bend_angle(self) -> float:
-        """Angle through which the groove bends, to either side, rad."""
-        return sum(abs(piece.sweep) for piece in self.centreline.bend if isinstance(piece, Arc))
 
     @property
     def strain(self) -> float:
@@ -192,23 +177,20 @@ class MoldStatistics:
 
 @dataclass(frozen=True)
 class Mold(Displayed):
-    """Two plates with the grooves of one or several tubes.
-
-    Args:
-        spec: what was asked for.
-        size: width and height of both plates, m.
-        grooves: one per tube.
-        holes: bolts and dowels, through both plates.
-        checks: what was checked, with numbers and limits.
-        remarks: what to keep in mind.
-    """
+    """Two plates with the grooves of one or several tubes."""
 
     spec: MoldSpec
+    """What was asked for."""
     size: Point
+    """Width and height of both plates, m."""
     grooves: tuple[Groove, ...]
+    """One per tube."""
     holes: tuple[Hole, ...]
+    """Bolts and dowels, through both plates."""
     checks: tuple[Check, ...]
+    """What was checked, with numbers and limits."""
     remarks: tuple[str, ...]
+    """What to keep in mind."""
 
     @property
     def value(self) -> tuple[Groove, ...]:
@@ -303,11 +285,8 @@ def groove_area(groove: Groove, size: Point) -> float:
 def _blank(number: int, tube: Tube, spec: MoldSpec) -> Blank:
     if not isinstance(tube, Tube):
         raise InputError(f"tube {number} is a {type(tube).__name__}; it must be a Tube")
-    if tube.curved_length == 0:
-        raise InputError(f"tube {number} has no curved part; it needs no mold")
-    if bend_direction(tube) is None:
-        raise InputError(f"tube {number} is a space curve; a plate holds planar bends only: it takes a mandrel")
-    held, cold = as_held(number, tube, spec)
+    held = held_in_plane(number, tube, spec, "a plate holds")
+    cold = cold_end(tube, spec.material, spec.heat).of_length(spec.cold_length)
     mill, width = choose_mill(number, tube, spec)
     lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
     return Blank(number, tube, held, cold, mill, width, bend_of(held, spec.solver), lead)
@@ -329,14 +308,9 @@ def _placed(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Gro
         slide = travel if end == clamps.sliding_end else 0.0
         placed.append(Clamp(end, (float(face[0]), float(face[1])), (float(way[0]), float(way[1])), slide))
     return Groove(
-        number=blank.number,
-        tube=blank.tube,
+        blank=blank,
         centreline=curve,
-        held=blank.held,
-        width=blank.width,
         depth=groove_depth(blank.tube, spec),
-        mill=blank.mill,
-        cold=blank.cold,
         growth=growth,
         clamps=(placed[0], placed[1]),
         grip=clamps.grip,
@@ -374,9 +348,5 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "
                 "nitinol are taken"
             )
-        if any(piece.bending_stiffness or piece.torsional_stiffness for piece in groove.tube.pieces):
-            remarks.append(
-                f"tube {groove.number}: the stiffnesses of its pieces are given, not derived: the slots that make them "
-                "are not drawn"
-            )
+        remarks += [f"tube {groove.number}: {words}" for words in stiffness_remarks(groove.tube)]
     return [*remarks, *material_remarks(spec)]

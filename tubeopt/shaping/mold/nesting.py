@@ -14,7 +14,6 @@ from ...errors import InputError
 from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import (
-    Arc,
     Centreline,
     Piece,
     Point,
@@ -27,26 +26,30 @@ from .groove import (
 from .heat import ColdEnd
 from .spec import EndMill, MoldSpec
 
-DIRECTIONS = {"one above the other": (0.0, 1.0), "side by side": (1.0, 0.0)}
+DIRECTIONS = ((0.0, 1.0), (1.0, 0.0))
+"""In which grooves stand in a row: one above the other, side by side."""
 
 
 @dataclass(frozen=True)
 class Blank:
-    """A groove before it has a place.
-
-    Attributes:
-        number, tube, held, cold, mill, width: as of a `Groove`.
-        bend: with its top at y = 0. least_lead: m.
-    """
+    """A groove before it has a place."""
 
     number: int
+    """Of the tube in texts and drawings."""
     tube: Tube
+    """What it is to become."""
     held: Tube
+    """The tube as the groove holds it, with the curvatures and the length of its bend."""
     cold: ColdEnd
+    """Of the tube; its length is that of the specification where one is given."""
     mill: EndMill
+    """That cuts it."""
     width: float
+    """m."""
     bend: tuple[Piece, ...]
+    """With its top at y = 0."""
     least_lead: float
+    """m."""
 
     @cached_property
     def core(self) -> Centreline:
@@ -59,9 +62,9 @@ class Blank:
         return np.array(bounds(self.bend)), np.array(bounds(self.core.pieces))
 
     @property
-    def turn(self) -> float:
-        """Angle (rad) through which it bends, to either side."""
-        return sum(abs(piece.sweep) for piece in self.bend if isinstance(piece, Arc))
+    def bend_angle(self) -> float:
+        """Angle through which it bends, to either side, rad."""
+        return sum(abs(piece.sweep) for piece in self.bend)
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
         if crosses_itself(blank.core, blank.width + spec.groove.wall):
             raise _crossing(blank)
     found = []
-    for way in DIRECTIONS.values():
+    for way in DIRECTIONS:
         for order in _orders(blanks):
             layout = _arrange([blanks[k] for k in order], spec, np.array(way))
             if layout is not None:
@@ -93,7 +96,7 @@ def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
 
 def _orders(blanks: Sequence[Blank]) -> list[list[int]]:
     """Orders that are tried, each once: as given; flatter bends over sharper ones; wider ones over narrower ones."""
-    turn = [blank.turn for blank in blanks]
+    turn = [blank.bend_angle for blank in blanks]
     wide = [high[0] - low[0] for low, high in (blank.boxes[0] for blank in blanks)]
     given = list(range(len(blanks)))
     orders = [given, sorted(given, key=lambda k: -turn[k]), sorted(given, key=lambda k: wide[k])]
@@ -201,7 +204,7 @@ def _why_not(blanks: Sequence[Blank], spec: MoldSpec) -> InputError:
 
 
 def _crossing(blank: Blank) -> InputError:
-    turn = math.degrees(blank.turn)
+    turn = math.degrees(blank.bend_angle)
     return InputError(
         f"the groove of tube {blank.number} crosses itself: it bends through {turn:.1f} deg and its leads are at least "
         f"{blank.least_lead * 1e3:.1f} mm long; shorten the curved part or the leads, or set the tube in two molds"

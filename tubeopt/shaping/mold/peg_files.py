@@ -16,7 +16,7 @@ from ...files.units import TO_MM
 from .checks import beyond_edge
 from .drawing import TEXT_HEIGHT_MM, Drawing, in_mm, rectangle
 from .files import write_drawing
-from .gcode import files_of, plate_stages
+from .gcode import Program, plate_stages, programs_for, write_programs
 from .gcode_reader import TOLERANCE, read_gcode
 from .holes import Hole
 from .pegs import PegBoard
@@ -33,15 +33,13 @@ def write_pegs(board: PegBoard, directory: Path) -> list[Path]:
         InputError: a file cannot be written.
         SolveError: read back, a pin stands, or a hole is drilled, more than 10 um from where it is meant to be.
     """
-    table, texts = pegs_csv(board), board_programs(board)
-    off = max(_pins_off(board, table), *(_holes_off(board, text) for text in list(texts.values())[:1]))
+    table, made = pegs_csv(board), board_programs(board)
+    off = max(_pins_off(board, table), *(_holes_off(board, each.text) for each in made[:1]))
     if off > TOLERANCE:
         raise SolveError(f"{directory}: a pin or a hole lies {off * 1e6:.3g} um from where it is meant to be")
     paths = write_drawing(draw_board(board), board.centreline.pieces, directory / "board")
-    for name, text in {"pegs.csv": table, **texts}.items():
-        write_text(directory / name, text)
-        paths.append(directory / name)
-    return paths
+    write_text(directory / "pegs.csv", table)
+    return [*paths, directory / "pegs.csv", *write_programs(made, directory)]
 
 
 def pegs_csv(board: PegBoard) -> str:
@@ -65,13 +63,13 @@ def pegs_csv(board: PegBoard) -> str:
     return to_csv(COLUMNS, rows, comment)
 
 
-def board_programs(board: PegBoard) -> dict[str, str]:
-    """The programs of the board by the names of their files: its holes, and its outline where it is cut out."""
+def board_programs(board: PegBoard) -> list[Program]:
+    """The programs of the board: its holes, and its outline where it is cut out."""
     spec = board.spec
     holes = [Hole("hole", place, spec.pegs.shank) for place in board.holes.values()]
     stages = plate_stages(holes, board.size, spec.plate.thickness, spec)
     clear = beyond_edge([], spec) if spec.workshop.cut_out else 0.0
-    return files_of("board", "board of pegs", clear, spec, stages)
+    return programs_for("board", "board of pegs", clear, spec, stages)
 
 
 def draw_board(board: PegBoard) -> Drawing:

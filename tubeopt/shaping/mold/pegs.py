@@ -24,12 +24,11 @@ from ..heating.groove_air import STANDOFF
 from ..heating.rig import air_conductivity, natural_convection
 from ..heating.thermal import STEFAN_BOLTZMANN
 from .arcs import bend_of
-from .checks import refuse_failed, springback_remarks, strain_check
-from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
+from .checks import held_in_plane, refuse_failed, springback_remarks, strain_check
+from .groove import Centreline, Piece, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd, HeatSpec, fin, thermal_data
 from .held import Held, held_between
 from .lattice import Lattice, Peg, Sampled
-from .setting import bend_direction, tube_in_mold
 from .spec import MoldSpec
 
 
@@ -51,29 +50,32 @@ class PegStatistics:
 
 @dataclass(frozen=True, eq=False)
 class PegBoard(Displayed):
-    """Pegs that hold one tube.
-
-    Attributes:
-        number: of the tube, for texts. tube: what it is to become. spec: what was asked for.
-        size: of the board, m. holes: all that are drilled, m, by their names.
-        centreline: wanted, from clamp to clamp. held: how the tube lies. pegs: those that touch, along the tube.
-        kept: arc lengths from the proximal clamp between which the tube is not cut off, m.
-        cold: the cold end of the tube in air. heat: what the pegs draw, in their order.
-        remarks: what to keep in mind.
-    """
+    """Pegs that hold one tube."""
 
     number: int
+    """Of the tube, for texts."""
     tube: Tube
+    """What it is to become."""
     spec: MoldSpec
+    """What was asked for."""
     size: Point
+    """Of the board, m."""
     holes: dict[str, Point]
+    """All that are drilled, m, by their names."""
     centreline: Centreline
+    """Wanted, from clamp to clamp."""
     held: Held
+    """How the tube lies."""
     pegs: tuple[Peg, ...]
+    """Those that touch, along the tube."""
     kept: tuple[float, float]
+    """Arc lengths from the proximal clamp between which the tube is not cut off, m."""
     cold: ColdEnd
+    """The cold end of the tube in air; its length is that of the specification where one is given."""
     heat: PegHeat
+    """What the pegs draw, in their order."""
     remarks: tuple[str, ...]
+    """What to keep in mind."""
 
     @property
     def value(self) -> tuple[Peg, ...]:
@@ -120,19 +122,20 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
     """
     spec = MoldSpec() if mold is None else mold
     instance("mold", spec, MoldSpec)
-    held = _to_be_held(tube, spec, number)
-    cold = tube_in_air(tube, spec.heat)
-    bend, over = _going_on(bend_of(held, spec.solver), tube, spec.solver.peg_overrun * spec.pegs.pitch)
-    leads = [
-        max(spec.clamps.least_lead, (cold.length if spec.cold_length is None else spec.cold_length) - x) for x in over
-    ]
+    instance("tube", tube, Tube)
+    held = held_in_plane(number, tube, spec, "pegs hold")
+    remedy = "set it in steps, on wider curves first"
+    refuse_failed([strain_check(number, held, spec, "between its pegs", "between its pegs", remedy)])
+    cold = tube_in_air(tube, spec.heat).of_length(spec.cold_length)
+    bend, over = _going_on(bend_of(held, spec.solver), tube, spec.solver.pegs.overrun * spec.pegs.pitch)
+    leads = [max(spec.clamps.least_lead, cold.length - x) for x in over]
     curve = with_leads(bend, *leads)
     # The straight part of the tube lies in the lead, or hangs out of the clamp.
     kept = max(0.0, leads[0] + over[0] - tube.straight_length), curve.length - leads[1] - over[1]
     if crosses_itself(curve, tube.outer_diameter + 2 * spec.pegs.pin):
         raise InputError(f"tube {number} comes back to itself: pegs find no room between")
     size, curve = _on_board(curve, spec, number)
-    lattice = Lattice.of(size, spec.pegs, spec.solver.peg_reach)
+    lattice = Lattice.of(size, spec.pegs, spec.solver.pegs.reach)
     worst, placed, pegs, lying = _pegged(curve, lattice, tube, spec, kept)
     conductance = pin_conductance(tube, spec.heat, spec.pegs.pin, spec.pegs.height, spec.pegs.conductivity)
     heat = peg_heat(tube, spec.heat, np.array([peg.arc_length for peg in pegs]), conductance)
@@ -146,13 +149,13 @@ def _pegged(
 ) -> tuple[float, Centreline, tuple[Peg, ...], Held]:
     """Greatest deviation (m), the curve where it lies, the pegs that touch the tube, and how it lies."""
     pegging, solver = spec.pegs, spec.solver
-    places = sorted(_shifts(curve, spec), key=lambda c: _unevenness(c, lattice, tube, spec))[: solver.peg_places]
+    places = sorted(_shifts(curve, spec), key=lambda c: _unevenness(c, lattice, tube, spec))[: solver.pegs.places]
     found: list[tuple[float, Centreline, tuple[Peg, ...], Held]] = []
     for placed in places:
-        every = lattice.all_pegs(Sampled.of(placed, solver.peg_sampled), tube, pegging)
+        every = lattice.all_pegs(Sampled.of(placed, solver.pegs.sampled), tube, pegging)
         for pitches in (6.0, 5.0, 4.0, 3.25, 2.75, 2.25, 1.75, 1.4, 1.0, 0.3):
-            pegs = _chosen(every, placed.length, pegging.pitch, pitches * pegging.pitch, solver.peg_room)
-            lying = _held(placed, pegs, solver.peg_element)
+            pegs = _chosen(every, placed.length, pegging.pitch, pitches * pegging.pitch, solver.pegs.room)
+            lying = _held(placed, pegs, solver.pegs.element)
             found.append((_worst(lying.offset, lying.arc_length, kept), placed, pegs, lying))
             if found[-1][0] <= pegging.most_deviation:
                 break
@@ -173,25 +176,13 @@ def _going_on(bend: Sequence[Piece], tube: Tube, length: float) -> tuple[list[Pi
     pieces, over = list(bend), [0.0, 0.0]
     for end in (0, -1):
         last = pieces[end]
-        if isinstance(last, Line) or (end == 0 and tube.straight_length > 0):
+        if not last.curvature or (end == 0 and tube.straight_length > 0):
             continue
-        turn = math.copysign(length / last.radius, last.sweep)
-        start = last.start_angle - turn if end == 0 else last.start_angle
-        pieces[end] = Arc(last.centre, last.radius, start, last.sweep + turn)
+        back = length if end == 0 else 0.0
+        x, y = last.point(np.array([-back]))[0].tolist()
+        pieces[end] = Piece((x, y), last.heading - back * last.curvature, last.length + length, last.curvature)
         over[end] = length
     return pieces, (over[0], over[1])
-
-
-def _to_be_held(tube: Tube, spec: MoldSpec, number: int) -> Tube:
-    instance("tube", tube, Tube)
-    if tube.curved_length == 0:
-        raise InputError(f"tube {number} has no curved part; it needs no mold")
-    if bend_direction(tube) is None:
-        raise InputError(f"tube {number} is a space curve; pegs hold planar bends only: it takes a mandrel")
-    held = tube_in_mold(tube, spec.springback)
-    remedy = "set it in steps, on wider curves first"
-    refuse_failed([strain_check(number, held, spec, "between its pegs", "between its pegs", remedy)])
-    return held
 
 
 def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Centreline]:
@@ -213,7 +204,7 @@ def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Ce
 
 def _shifts(curve: Centreline, spec: MoldSpec) -> list[Centreline]:
     """The curve at places of one cell of the lattice around the middle of the board."""
-    count, pitch = spec.solver.peg_shifts, spec.pegs.pitch
+    count, pitch = spec.solver.pegs.shifts, spec.pegs.pitch
     steps = (np.arange(count) - count // 2) / count
     return [
         curve.moved((float(x * math.sqrt(2) * pitch), float(y * pitch / math.sqrt(2)))) for x in steps for y in steps
@@ -222,7 +213,7 @@ def _shifts(curve: Centreline, spec: MoldSpec) -> list[Centreline]:
 
 def _unevenness(curve: Centreline, lattice: Lattice, tube: Tube, spec: MoldSpec) -> float:
     """The longest stretch (m) without a hole that serves, on either side."""
-    sampled = Sampled.of(curve, 5 * spec.solver.peg_sampled)
+    sampled = Sampled.of(curve, 5 * spec.solver.pegs.sampled)
     gaps = []
     for side in (1, -1):
         s = np.sort(lattice.serving(sampled, tube, spec.pegs, side)[1])
@@ -246,10 +237,9 @@ def _chosen(pegs: Sequence[Peg], length: float, margin: float, spacing: float, r
 
 
 def _held(curve: Centreline, pegs: Sequence[Peg], element: float) -> Held:
-    kappa = [math.copysign(1 / piece.radius, piece.sweep) if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
     return held_between(
         np.array([piece.length for piece in curve.pieces]),
-        np.array(kappa),
+        np.array([piece.curvature for piece in curve.pieces]),
         np.array([peg.arc_length for peg in pegs]),
         np.array([1.0 if peg.left else -1.0 for peg in pegs]),
         np.array([peg.room for peg in pegs]),
@@ -278,17 +268,16 @@ def _remarks(spec: MoldSpec, worst: float, heat: PegHeat) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class PegHeat:
-    """What pegs make of the tube's temperature.
-
-    Attributes:
-        dip: (M,) by which the tube is colder at each peg than without any, K. drawn: (M,) heat into each, W.
-        decay_length: of a cold spot along the tube, m. loss: of the tube to air, W/m.
-    """
+    """What pegs make of the tube's temperature."""
 
     dip: Array
+    """(M,) by which the tube is colder at each peg than without any, K."""
     drawn: Array
+    """(M,) heat into each, W."""
     decay_length: float
+    """Of a cold spot along the tube, m."""
     loss: float
+    """Of the tube to air, W/m."""
 
 
 def tube_in_air(tube: Tube, heat: HeatSpec) -> ColdEnd:

@@ -22,25 +22,22 @@ SECTION_WIDTH = 50e-3
 
 @dataclass(frozen=True)
 class MaterialRating:
-    """A mold material for one tube.
-
-    Args:
-        material: the material.
-        heat_drawn: J per m of tube that the mold takes in the hold time, the tube being hot from its beginning.
-        heat_flow: W per m at the end of the hold.
-        leak: part of the current that bypasses the tube through the plates, with perfect contact: an upper bound.
-        energy: J from the source to heat the curved part and hold it: for the tube, the mold and what leaks.
-        limit_margin: K, the material's limit less the tube's set temperature.
-        reasons: why it is suitable or not, in words.
-    """
+    """A mold material for one tube."""
 
     material: MoldMaterial
+    """Which."""
     heat_drawn: float
+    """By the mold in the hold time, the tube being hot from its beginning, J per m of tube."""
     heat_flow: float
+    """At the end of the hold, W per m of tube."""
     leak: float
+    """Part of the current that bypasses the tube through the plates, with perfect contact: an upper bound."""
     energy: float
+    """From the source to heat the curved part and hold it, for the tube, the mold and what leaks, J."""
     limit_margin: float
+    """The material's limit less the tube's set temperature, K."""
     reasons: tuple[str, ...] = ()
+    """Why it is suitable or not, in words."""
 
     @property
     def suitable(self) -> bool:

@@ -17,16 +17,14 @@ from .springback import Springback
 
 @dataclass(frozen=True, eq=False)
 class RobotMold(Displayed):
-    """A mold for tubes of a robot.
-
-    Attributes:
-        mold: as planned. name: of the robot. numbers: the tube of each groove, from 1. left_out: why others have none.
-    """
+    """A mold for tubes of a robot."""
 
     mold: Mold
+    """As planned; its grooves are numbered as the tubes of the robot."""
     name: str
-    numbers: tuple[int, ...]
+    """Of the robot."""
     left_out: tuple[str, ...]
+    """Why other tubes have no groove."""
 
 
 def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[int] | None = None) -> RobotMold:
@@ -40,7 +38,7 @@ def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[
     """
     numbers, left_out = chosen_tubes(robot, tubes)
     mold = plan_mold([robot.tubes[number - 1] for number in numbers], spec, numbers=numbers)
-    return RobotMold(mold, robot.name, tuple(numbers), tuple(left_out))
+    return RobotMold(mold, robot.name, tuple(left_out))
 
 
 def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list[int], list[str]]:

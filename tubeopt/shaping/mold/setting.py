@@ -103,13 +103,11 @@ def _fitted(function: Callable[[Array], Array], breaks: list[float]) -> Series:
 
 def bend_direction(tube: Tube) -> tuple[float, float] | None:
     """The line of the cross-section (unit, in its right half) along which all precurvature lies, or None."""
-    if not tube.general:
+    if tube.curvature == 0 or tube.curved_length == 0:
         return 1.0, 0.0
-    u = np.vstack([_sampled(piece) for piece in tube.pieces])
+    u = np.vstack([_sampled(piece) for piece in tube.chain])
     sizes = np.hypot(u[:, 0], u[:, 1])
     largest = float(sizes.max())
-    if largest == 0:
-        return 1.0, 0.0
     ex, ey = u[int(sizes.argmax()), :2] / largest
     if ex < 0 or (ex == 0 and ey < 0):
         ex, ey = -ex, -ey
@@ -132,10 +130,8 @@ def signed_curvature(tube: Tube) -> list[tuple[float, Array]]:
     direction = bend_direction(tube)
     if direction is None:
         raise InputError("the tube is a space curve; a groove in a plate holds planar bends only")
-    if not tube.general:
-        return [(tube.curved_length, np.array([tube.curvature]))]
     out: list[tuple[float, Array]] = []
-    for piece in tube.pieces:
+    for piece in tube.chain:
         x, y, _ = piece.precurvature
         breaks = breaks_of([x, y], piece.length)
         panels = zip(np.diff(breaks), on_panels(x, breaks), on_panels(y, breaks), strict=True)

@@ -28,9 +28,6 @@ class Springback:
     The fraction holds all that happens between the mold and the bench: relaxation that was not complete, and the
     contraction when the tube cools, since that is how trials see it.
 
-    Args:
-        curvature_range: mold curvatures (1/m) of the trials that the numbers are from, or None without trials.
-
     Raises:
         InputError: a number is out of its range.
     """
@@ -41,6 +38,7 @@ class Springback:
     slope: Annotated[float, unit("mm"), "growth of the lost part with the mold's curvature"] = 0.0
     shrinkage: Annotated[float, unit("percent"), "part of the bend's length that is lost on cooling"] = 0.0
     curvature_range: tuple[float, float] | None = None
+    """Mold curvatures of the trials that the numbers are from, 1/m, or None without trials."""
 
     def __post_init__(self) -> None:
         check_fields(self, "the spring-back")
@@ -81,25 +79,24 @@ class Springback:
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Displayed):
-    """Spring-back fitted to trials.
-
-    Args:
-        springback: the fitted model, with the range of the trials.
-        model: constant or linear.
-        mold_curvature, obtained_curvature: (N,) 1/m, the trials.
-        fraction_interval, slope_interval: 95 % intervals; None where there are too few trials to know, or no slope.
-        noise: standard deviation of the lost fraction about the model; NaN where there are too few trials.
-        remarks: what to keep in mind.
-    """
+    """Spring-back fitted to trials."""
 
     springback: Springback
+    """The fitted model, with the range of the trials."""
     model: str
+    """Constant or linear."""
     mold_curvature: Array
+    """(N,) of the molds of the trials, 1/m."""
     obtained_curvature: Array
+    """(N,) of the tubes that came out of them, 1/m."""
     fraction_interval: tuple[float, float] | None
+    """95 % interval; None where there are too few trials to know."""
     slope_interval: tuple[float, float] | None
+    """95 % interval, m; None where there are too few trials to know, or no slope."""
     noise: float
+    """Standard deviation of the lost fraction about the model; NaN where there are too few trials."""
     remarks: tuple[str, ...]
+    """What to keep in mind."""
 
     @property
     def lost(self) -> Array:

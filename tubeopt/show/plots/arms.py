@@ -10,11 +10,9 @@ import numpy as np
 from ...files.units import TO_MM
 from ...planning import ArmsPlan
 from ...typing import Array
-from .mesh import Mesh
-from .shape import robot_mesh
-from .stage import Box, View, draw_box, facets, note
+from .stage import Box, View, note
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
-from .trajectory import SWEEPING, body_meshes, film_ending, save_film, stage_for
+from .trajectory import Sweep, draw_sweeps, film_ending, save_film, stage_for
 
 SHOWN = 6
 """Instants at which the arms are drawn in the picture."""
@@ -37,8 +35,8 @@ def plot_arms(plan: ArmsPlan, *, title: str = "", view: tuple[float, float] | No
     """
     figure = new_figure(10.0, 4.8)
     scene, curve = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    stage = _stage(plan, view)
-    _draw(scene, plan, np.linspace(0.0, plan.duration, SHOWN), stage)
+    sweeps = _sweeps(plan, np.linspace(0.0, plan.duration, SHOWN))
+    _draw(scene, plan, sweeps, stage_for(sweeps, plan.obstacles, view))
     _distances(curve, plan, np.linspace(0.0, plan.duration, CURVE))
     curve.legend(loc="best")
     headed(figure, title or " and ".join(arm.called for arm in plan.arms))
@@ -55,39 +53,33 @@ def animate_arms(
         InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
     """
     film_ending(path)
-    stage, times = _stage(plan, view), np.linspace(0.0, plan.duration, frames)
+    times = np.linspace(0.0, plan.duration, frames)
+    stage = stage_for(_sweeps(plan, times), plan.obstacles, view)
 
     def draw(scene: Axes, below: Axes, k: int) -> None:
-        _draw(scene, plan, times[k : k + 1], stage)
+        _draw(scene, plan, _sweeps(plan, times[k : k + 1]), stage)
         _distances(below, plan, times)
         below.axvline(float(times[k]), color=INK, lw=0.8)
 
     return save_film(path, f"{len(plan.arms)} arms: {number(plan.duration, 1)} s", frames, draw)
 
 
-def _stage(plan: ArmsPlan, view: tuple[float, float] | None) -> tuple[View, Box]:
-    points = []
-    for arm, motion in zip(plan.arms, plan.trajectories, strict=True):
-        ends = (motion.start, motion.end)
-        points += [arm.base.placed(each) for each in (motion.tip_position, *(e.position for e in ends))]
-    return stage_for(np.concatenate(points), plan.obstacles, view)
+def _sweeps(plan: ArmsPlan, times: Array) -> list[Sweep]:
+    """Every arm at some instants, and the way of its tip up to the last."""
+    out = []
+    rows = zip(*(plan.rows_at(float(t)) for t in times), strict=True)
+    for arm, motion, own in zip(plan.arms, plan.trajectories, rows, strict=True):
+        passed = slice(own[-1] + 1)
+        tips = arm.base.placed(motion.tip_position[passed])
+        out.append(Sweep([motion.arms[row] for row in own], motion.time[passed], tips, arm.base))
+    return out
 
 
-def _draw(scene: Axes, plan: ArmsPlan, times: Array, stage: tuple[View, Box]) -> None:
-    """All arms at some instants, paler but for the last, and the ways of their tips up to it."""
-    seen, box = stage
-    draw_box(scene, box, seen)
-    parts = body_meshes(plan.obstacles)
-    for k, t in enumerate(times):
-        strong = 1.0 if k == len(times) - 1 else 0.45 if k == 0 else 0.15
-        for arm, motion, row in zip(plan.arms, plan.trajectories, plan.rows_at(float(t)), strict=True):
-            parts.append(robot_mesh(motion.arms[row], opacity=strong, detail=SWEEPING).placed(arm.base))
-    scene.add_collection(facets(Mesh.join(parts), seen))
-    for arm, motion, row in zip(plan.arms, plan.trajectories, plan.rows_at(float(times[-1])), strict=True):
-        tips = seen.project(arm.base.placed(motion.tip_position[: row + 1]))
-        scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5)
-        scene.plot(*tips[-1, :2], "o", color=INK, ms=3, zorder=6)
-        note(scene, arm.called, seen.project(arm.base.origin)[:2], np.array([7.0, 0.0]))
+def _draw(scene: Axes, plan: ArmsPlan, sweeps: list[Sweep], stage: tuple[View, Box]) -> None:
+    """All arms, with their names."""
+    draw_sweeps(scene, stage, sweeps, plan.obstacles, faint=0.15)
+    for arm in plan.arms:
+        note(scene, arm.called, stage[0].project(arm.base.origin)[:2], np.array([7.0, 0.0]))
 
 
 def _distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:

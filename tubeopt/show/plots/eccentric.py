@@ -27,11 +27,14 @@ ARM_POINTS = 33
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line in space (k, 3), m, the value that colours it, (k,) or one for all, and whether its end is a tip."""
+    """A line in space, coloured by values."""
 
     points: Array
+    """(k, 3) m."""
     value: Array | float
+    """(k,), or one for all."""
     tip: bool = True
+    """Whether its end is a tip."""
 
 
 def arm_curve(equilibrium: Equilibrium, value: float) -> Curve:
@@ -112,25 +115,24 @@ def _draw_curves(axes: Axes, curves: Sequence[tuple[Curve, Array]], scale: Norma
 
 @dataclass(frozen=True, eq=False)
 class Permutations:
-    """What `permuted_tips` gives for one mirror actuation, and how far tips get from the reference elsewhere.
-
-    Attributes:
-        tips (6, 3), reference (3,): tips of the assignments, and at d = 0, m.
-        names: of the assignments, six.
-        frame: (3, 3) of the tip: where the picture looks along its last column.
-        separation (k,), deviation (k,): rad; largest distance from the reference over all directions, m.
-        shown: separation of the tips that are drawn, rad.
-        published: a published largest distance, m, and who says so.
-    """
+    """What `permuted_tips` gives for one mirror actuation, and how far tips get from the reference elsewhere."""
 
     tips: Array
+    """(6, 3) of the assignments, m."""
     reference: Array
+    """(3,) tip at d = 0, m."""
     names: Sequence[str]
+    """Of the assignments, six."""
     frame: Array
+    """(3, 3) of the tip: the picture looks along its last column."""
     separation: Array
+    """(k,) rad."""
     deviation: Array
+    """(k,) largest distance from the reference over all directions, m."""
     shown: float
+    """Separation of the tips that are drawn, rad."""
     published: tuple[float, str]
+    """A published largest distance, m, and who says so."""
 
 
 @picture

@@ -11,8 +11,8 @@ from ...shaping.firmware.boards import root_mean_square
 from ...shaping.heating.plan import HeatingPlan
 from ...shaping.tube_fabrication import TubeFabrication
 from .heating import draw_duty, draw_temperature
-from .mold import A4, EDGE, INCH, sheet_text
-from .style import Figure, new_figure, picture
+from .sheet import A4, EDGE, new_sheet, write, write_rows
+from .style import Figure, picture
 
 WRAPPED = 84
 """Letters per line of the steps."""
@@ -28,7 +28,7 @@ QUARTERS = (0.25, 0.5, 0.75)
 def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
     """The sheet for the one who heats the tube: one page A4."""
     plan = made.heating
-    figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
+    figure = new_sheet(f"Heating sheet: {title or f'tube {made.groove.number}'}")
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]
     over_time = figure.add_axes((left, 0.66, wide, 0.23))
     duty = figure.add_axes((left, 0.53, wide, 0.11), sharex=over_time)
@@ -36,20 +36,16 @@ def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
     draw_duty(duty, plan)
     over_time.tick_params(labelbottom=False)
     duty.set_xlabel("time (s)")
-    name = title or f"tube {made.groove.number}"
-    sheet_text(figure, EDGE, A4[1] - EDGE, f"Heating sheet: {name}", size=13, weight="bold")
-    sheet_text(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
-    for k, (what, value) in enumerate(sheet_numbers(made)):
-        for x, words in ((EDGE, what), (EDGE + 62.0, value)):
-            sheet_text(figure, x, top - STEP * k, words)
+    write(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
+    write_rows(figure, (EDGE, EDGE + 62.0), top, sheet_numbers(made), STEP)
     for head, lines, y in (
         ("Time line", time_line(plan), A4[1] - EDGE - 6),
         ("Before", before(made), A4[1] - EDGE - 50),
         ("Safety", safety(plan), A4[1] - EDGE - 104),
     ):
-        sheet_text(figure, 152.0, y, head, weight="bold")
+        write(figure, 152.0, y, head, weight="bold")
         wrapped = [textwrap.fill(line, WRAPPED, initial_indent="- ", subsequent_indent="  ") for line in lines]
-        sheet_text(figure, 152.0, y - STEP, "\n".join(wrapped))
+        write(figure, 152.0, y - STEP, "\n".join(wrapped))
     return figure
 
 

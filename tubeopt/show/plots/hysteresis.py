@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 from os import PathLike
 from typing import NamedTuple
@@ -10,17 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Path
 from ...typing import Array
-from .path import place_of, stretches
+from .path import Value, draw_broken, place_of, stretches
 from .stage import note
 from .style import Axes, Figure, angle_locator, finish, new_figure, styled
-
-Value = Callable[[Equilibrium], float]
-"""What is drawn of an equilibrium."""
 
 
 class Way(NamedTuple):
@@ -103,16 +98,11 @@ def _liveliest(forth: Path, back: Path) -> int:
 
 def _draw_way(axes: Axes, way: Way, quantity: Value) -> None:
     """One way: its stretches, and an arrow for each snap between them."""
-    colour = way.colour
-    parts = [(where, np.array([quantity(e) for e in what])) for where, what in stretches(way.path, way.angles)]
-    for k, (where, values) in enumerate(parts):
-        axes.plot(where, values, color=colour, lw=way.width, label=way.name if k == 0 else "_", zorder=3)
-    for (where, values), (_, following) in pairwise(parts):
-        x, old, new = float(where[-1]), float(values[-1]), float(following[0])
-        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 0.9, "shrinkA": 2, "shrinkB": 2, "mutation_scale": 8}
-        axes.annotate("", (x, new), (x, old), arrowprops=arrow, zorder=2)
-        axes.plot(where[-1:], values[-1:], "o", ms=4.5, mfc="white", mec=colour, mew=1.2, zorder=4)
-        axes.plot(where[-1:], following[:1], "o", ms=4.5, color=colour, zorder=4)
+    parts = stretches(way.path, way.angles)
+    drawn = draw_broken(axes, parts, quantity, way.colour, width=way.width, label=way.name)
+    arrow = {"arrowstyle": "-|>", "color": way.colour, "lw": 0.9, "shrinkA": 2, "shrinkB": 2, "mutation_scale": 8}
+    for (where, _), (old, new) in zip(parts, pairwise(drawn), strict=False):
+        axes.annotate("", (where[-1], new[0]), (where[-1], old[-1]), arrowprops=arrow, zorder=2)
 
 
 def _name_snaps(axes: Axes, way: Way, quantity: Value) -> None:

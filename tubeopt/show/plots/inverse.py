@@ -6,15 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...inverse import InverseSolution
 from ...typing import Array
-from ..colours import tube_colour
-from .mesh import Mesh
-from .shape import draw_scenes, robot_mesh
-from .stage import Box, View, draw_arrow, draw_box, facets, note, widest_view
-from .style import FAINT, INK, Axes, Figure, caption, headed, new_figure, picture
+from .shape import draw_scenes
+from .stage import View, draw_arrow, note
+from .style import INK, Axes, Figure, caption, headed, new_figure, picture
+from .trajectory import Sweep, along, beside_scene, draw_joints, margin_scale
 
 TARGET = "#B00020"
 ARROW_SHARE = 0.12
@@ -75,7 +73,7 @@ def plot_targets(
 
     Args:
         solutions: one answer per target, in their order.
-        path, view: as in `plot_inverse`.
+        view: as in `plot_inverse`.
         title: heading; default the robot's name.
         shown: at how many of the targets the arm is drawn, the last one solid.
     """
@@ -87,51 +85,18 @@ def plot_targets(
     worst = max(each.position_error for each in solutions)
     least = min(each.margin for each in solutions)
     headed(figure, f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least {least:.3f}")
-    grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
-    scene = figure.add_subplot(grid[:, 0])
-    _draw_arms(scene, [arms[k] for k in chosen], targets, view)
-    rows = [figure.add_subplot(grid[k, 1]) for k in range(3)]
-    _draw_joints(rows, arms, arc_length(targets) * TO_MM)
+    way = arc_length(targets) * TO_MM
+    sweep = Sweep([arms[k] for k in chosen], np.arange(len(arms), dtype=float), targets)
+    rows = beside_scene(figure, 3, sweep, (), view)
+    draw_joints(rows, way, np.array([each.rotations for each in arms]), np.array([each.translations for each in arms]))
+    rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.4)
+    margin_scale(rows[2], least)
+    along(rows, way, "way of the tip (mm)")
+    figure.align_ylabels(rows)
     return figure
-
-
-def _draw_arms(scene: Axes, arms: Sequence[Equilibrium], targets: Array, view: tuple[float, float] | None) -> None:
-    points = np.concatenate([targets, *(each.position for each in arms)])
-    seen = View(*view) if view is not None else widest_view(points)
-    last = len(arms) - 1
-    meshes = [robot_mesh(each, opacity=1.0 if k == last else 0.22) for k, each in enumerate(arms)]
-    box = Box.around(np.concatenate([points, *(mesh.corners.reshape(-1, 3) for mesh in meshes)]))
-    draw_box(scene, box, seen)
-    scene.add_collection(facets(Mesh.join(meshes), seen))
-    way = seen.project(targets)
-    scene.plot(way[:, 0], way[:, 1], color=TARGET, lw=1.1, zorder=5)
-    note(scene, "targets", way[0, :2], np.array([5.0, 5.0]), colour=TARGET)
 
 
 def arc_length(points: Array) -> Array:
     """(T,) length of the way through points (T, 3) up to each, m."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) -> None:
-    """Rotations, translations and margin over the way of the tip."""
-    robot = arms[0].robot
-    rotations = np.degrees([each.rotations for each in arms])
-    translations = np.array([each.translations for each in arms]) * TO_MM
-    for i in range(robot.n_tubes):
-        rows[0].plot(way, rotations[:, i], color=tube_colour(i), lw=1.2)
-        end = np.array([way[-1], rotations[-1, i]])
-        note(rows[0], f"tube {i + 1}", end, np.array([3.0, 0.0]), colour=tube_colour(i), level=True)
-    for tubes in robot.moving_together:
-        rows[1].plot(way, translations[:, tubes[0]], color=tube_colour(tubes[0]), lw=1.2)
-    rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.2)
-    rows[2].axhline(0.0, color=FAINT, lw=0.8)
-    rows[2].set_ylim(-0.05, 1.05)
-    for axes, label in zip(rows, ("rotations (deg)", "translations (mm)", "margin"), strict=True):
-        axes.set_ylabel(label)
-        axes.set_xlim(way[0], max(way[-1], 1e-9))
-        axes.grid()
-    for axes in rows[:2]:
-        axes.tick_params(labelbottom=False)
-    rows[2].set_xlabel("way of the tip (mm)")

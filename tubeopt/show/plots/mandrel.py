@@ -12,7 +12,7 @@ from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mandrel_files import rotation_table
 from ...typing import Array
 from ..colours import tube_colour
-from .mold import A4, EDGE, INCH, sheet_steps, sheet_text
+from .sheet import A4, EDGE, new_sheet, numbered, write, write_rows
 from .style import INK, Axes, Figure, headed, new_figure, picture
 
 BODY = "#D9D4C5"
@@ -103,16 +103,12 @@ def _draw_box(axes: Axes, size: Array) -> None:
 @picture
 def plot_mandrel_sheet(mandrel: Mandrel, *, title: str = "") -> Figure:
     """The set-up sheet for the workshop, one page A4."""
-    figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
+    figure = new_sheet(f"Set-up sheet: {title or f'mandrel of tube {mandrel.number}'}")
     draw_space(figure.add_axes((0.03, 0.5, 0.42, 0.42), projection="3d"), mandrel)
     draw_plan(figure.add_axes((0.55, 0.56, 0.4, 0.34)), mandrel)
-    name = title or f"mandrel of tube {mandrel.number}"
-    sheet_text(figure, EDGE, A4[1] - EDGE, f"Set-up sheet: {name}", size=13, weight="bold")
     top = 0.46 * A4[1]
-    for k, (what, value) in enumerate(_numbers(mandrel)):
-        for x, words in ((EDGE, what), (95.0, value)):
-            sheet_text(figure, x, top - 5.2 * k, words)
-    sheet_text(figure, 150.0, top, sheet_steps(_steps(mandrel), mandrel.remarks))
+    write_rows(figure, (EDGE, 95.0), top, _numbers(mandrel), 5.2)
+    write(figure, 150.0, top, numbered(_steps(mandrel), mandrel.remarks))
     return figure
 
 

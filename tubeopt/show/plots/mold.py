@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,21 +12,19 @@ from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
 from ...shaping.mold.drawing import PARTS, draw_plate
 from ...shaping.mold.gcode import as_milled, clear_room
-from ...shaping.mold.groove import Arc, Piece
+from ...shaping.mold.groove import Piece
 from ...shaping.mold.mold import Groove, Mold
 from ...shaping.mold.ranking import MOST_LEAK, MaterialRating
 from ...shaping.mold.springback import Calibration
 from ...typing import Array
 from ..colours import tube_colour
+from .sheet import A4, EDGE, new_sheet, numbered, write, write_rows
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
 
-INCH = 25.4
 PLATE, SLOT, VENT, CLAMP = "#F1EEE6", "#C9D6E3", "#FFFFFF", "#B9BDC2"
-A4 = (297.0, 210.0)
-EDGE = 12.0
 SCALES = (1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 10.0)
 """Reductions of the drawing on the set-up sheet."""
 
@@ -120,7 +117,7 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
 
 def _line(pieces: Sequence[Piece]) -> Array:
     """(N, 2) points in mm, fine on arcs."""
-    counts = [200 if isinstance(piece, Arc) else 2 for piece in pieces]
+    counts = [200 if piece.curvature else 2 for piece in pieces]
     points = [piece.point(np.linspace(0, piece.length, count)) for piece, count in zip(pieces, counts, strict=True)]
     return np.asarray(np.vstack(points) * TO_MM)
 
@@ -149,7 +146,7 @@ def _heading(mold: Mold) -> str:
 @picture
 def plot_setup_sheet(mold: Mold, *, title: str = "") -> Figure:
     """The set-up sheet for the workshop: one page A4, the drawing to scale, a column of numbers per tube, the steps."""
-    figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
+    figure = new_sheet(f"Set-up sheet{': ' + title if title else ''}")
     low, high = _extent(mold)
     room = np.array([A4[0] - 2 * EDGE, 0.47 * A4[1] - EDGE])
     fitting = [scale for scale in SCALES if (high - low <= room * scale).all()]
@@ -159,25 +156,13 @@ def plot_setup_sheet(mold: Mold, *, title: str = "") -> Figure:
     axes = figure.add_axes((EDGE / A4[0], top / A4[1], wide / A4[0], tall / A4[1]))
     draw_mold(axes, mold)
     axes.set_axis_off()
-    sheet_text(figure, EDGE, A4[1] - EDGE, f"Set-up sheet{': ' + title if title else ''}", size=13, weight="bold")
     key = "White: bolts; dark: dowels; ringed: vents of the lid; grey: clamps, with an arrow where one slides."
     where = f"drawn 1:{scale:g}. Zero: lower left corner, upper face of the base."
-    sheet_text(figure, EDGE, A4[1] - EDGE - 6, f"{_heading(mold)}, {where}")
-    sheet_text(figure, EDGE, EDGE + 3, key)
+    write(figure, EDGE, A4[1] - EDGE - 6, f"{_heading(mold)}, {where}")
+    write(figure, EDGE, EDGE + 3, key)
     _numbers(figure, mold, top - 4)
     _steps(figure, mold, top - 4)
     return figure
-
-
-def sheet_text(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
-    """Words on a sheet, their upper left corner at x, y (mm)."""
-    figure.text(x / A4[0], y / A4[1], text, fontsize=size, fontweight=weight, va="top", ha="left", linespacing=1.35)
-
-
-def sheet_steps(steps: Sequence[str], remarks: Sequence[str]) -> str:
-    """Steps of a sheet, numbered, and below them what to beware of."""
-    marked = [*((f"{k}.", step) for k, step in enumerate(steps, start=1)), *(("!", remark) for remark in remarks)]
-    return "\n".join(f"{mark}  {textwrap.fill(text, 78, subsequent_indent='      ')}" for mark, text in marked)
 
 
 def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
@@ -212,21 +197,16 @@ def _least(tube: Tube, digits: str, unit: str = "") -> str:
 
 
 def _numbers(figure: Figure, mold: Mold, top: float) -> None:
-    column, step, first = 30.0, 4.5, EDGE + 52.0
-    shown = mold.grooves[:3]
-    sheet_text(figure, EDGE, top, "mm, tubes cold", weight="bold")
-    for k, groove in enumerate(shown):
-        x = first + k * column
-        sheet_text(figure, x, top, f"tube {groove.number}", weight="bold")
-        for row, (name, value) in enumerate(_rows(groove, mold)):
-            y = top - (row + 1) * step
-            if k == 0:
-                sheet_text(figure, EDGE, y, name)
-            sheet_text(figure, x, y, value)
+    step, shown = 4.5, mold.grooves[:3]
+    columns = [EDGE, *(EDGE + 52.0 + 30.0 * k for k in range(len(shown)))]
+    for x, words in zip(columns, ("mm, tubes cold", *(f"tube {groove.number}" for groove in shown)), strict=True):
+        write(figure, x, top, words, weight="bold")
+    tables = [_rows(groove, mold) for groove in shown]
+    rows = [(name, *(table[k][1] for table in tables)) for k, (name, _) in enumerate(tables[0])]
+    write_rows(figure, columns, top - step, rows, step)
     if len(mold.grooves) > len(shown):
-        y = top - (len(_rows(shown[0], mold)) + 1.4) * step
         rest = ", ".join(str(groove.number) for groove in mold.grooves[len(shown) :])
-        sheet_text(figure, EDGE, y, f"tubes {rest}: see mold.json")
+        write(figure, EDGE, top - (len(rows) + 1.4) * step, f"tubes {rest}: see mold.json")
 
 
 def _steps(figure: Figure, mold: Mold, top: float) -> None:
@@ -247,7 +227,7 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
         f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
         "Trim the ends. Measure the radius, note it beside the mold radius: `tubeopt mold calibrate TRIALS.csv`.",
     ]
-    sheet_text(figure, 158.0, top, sheet_steps(steps, mold.remarks))
+    write(figure, 158.0, top, numbered(steps, mold.remarks))
 
 
 @picture

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from ...errors import SolveError
 from ...files.units import TO_MM
 from ...stability import Path, Snap
 from ...typing import Array
-from .style import FAINT, INK, Axes, Figure, headed, name_above, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, headed, legend_beside, name_above, new_figure, number, picture
 
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 """Coordinates of the tip and their colours; from the palette of Okabe and Ito (2008)."""
@@ -27,8 +29,11 @@ NEAR_A_SNAP = 16
 MOST_NAMES = 12
 """Snaps that are named in the picture; more would cover each other."""
 
-Curve = list[tuple[float, Equilibrium | None]]
-"""Places in a path, in waypoints from 1, and the equilibria there; None where the curve breaks."""
+Stretch = tuple[Array, list[Equilibrium]]
+"""Places in a path from one snap to the next, and the equilibria there."""
+
+Value = Callable[[Equilibrium], float]
+"""What is drawn of an equilibrium."""
 
 
 @picture
@@ -38,14 +43,15 @@ def plot_path(path: Path) -> Figure:
     Between waypoints equilibria are solved too, closer where a snap is near, towards which the margin falls like a
     root. At a snap the curves break: an open mark where the robot was, a full one where it lands.
     """
-    curve = _curve(path)
+    parts = _refined(stretches(path, _numbers(path)))
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    _draw_curves(above, curve, path, lambda e: e.tip_position * TO_MM, COORDINATES)
-    _draw_curves(below, curve, path, lambda e: np.array([e.margin]), (("margin", INK),))
+    for k, (name, colour) in enumerate(COORDINATES):
+        draw_broken(above, parts, partial(_coordinate, k), colour, label=name)
+    draw_broken(below, parts, lambda e: e.margin, INK)
     _mark_snaps(above, below, path)
     below.axhline(0, color=FAINT, lw=0.7)
-    least = float(np.nanmin([here.margin for _, here in curve if here is not None]))
+    least = float(np.nanmin([each.margin for _, what in parts for each in what]))
     below.set_ylim(min(-0.05, least - 0.05), 1.05)
     above.set_ylabel("tip position (mm)")
     below.set(ylabel="margin", xlabel="waypoint")
@@ -54,9 +60,14 @@ def plot_path(path: Path) -> Figure:
     below.xaxis.get_major_locator().set_params(integer=True)
     for axes in (above, below):
         axes.grid(axis="y")
-    above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.4)
+    legend_beside(above)
     headed(figure, _heading(path))
     return figure
+
+
+def _coordinate(axis: int, equilibrium: Equilibrium) -> float:
+    """Of the tip, mm."""
+    return float(equilibrium.tip_position[axis]) * TO_MM
 
 
 def place_of(snap: Snap, values: Array) -> float:
@@ -64,9 +75,9 @@ def place_of(snap: Snap, values: Array) -> float:
     return float(values[snap.index] + snap.fraction * (values[snap.index + 1] - values[snap.index]))
 
 
-def stretches(path: Path, values: Array) -> list[tuple[Array, list[Equilibrium]]]:
+def stretches(path: Path, values: Array) -> list[Stretch]:
     """A path cut at its snaps: values and equilibria of each stretch, up to and from the very snap."""
-    out: list[tuple[Array, list[Equilibrium]]] = []
+    out: list[Stretch] = []
     where, what, done = [float(values[0])], [path.equilibria[0]], 1
     for snap in path.snaps:
         until = snap.index + 1
@@ -79,16 +90,32 @@ def stretches(path: Path, values: Array) -> list[tuple[Array, list[Equilibrium]]
     return out
 
 
-def _curve(path: Path) -> Curve:
-    """Waypoints, points between them, and both sides of each snap, with a gap between these."""
-    points: Curve = []
-    parts = stretches(path, _numbers(path))
+def draw_broken(
+    axes: Axes, parts: Sequence[Stretch], quantity: Value, colour: str, *, width: float = 1.4, label: str = ""
+) -> list[Array]:
+    """A quantity along the stretches of a path, with an open mark where each snap begins, and a full one where it ends;
+    returns the values of each stretch."""
+    drawn = [np.array([quantity(each) for each in what]) for _, what in parts]
+    for k, ((where, _), values) in enumerate(zip(parts, drawn, strict=True)):
+        axes.plot(where, values, color=colour, lw=width, label="_" if k else label, zorder=3)
+    look: dict[str, Any] = {"ms": 4.5, "mec": colour, "zorder": 4, "clip_on": False}
+    for (where, _), (old, new) in zip(parts, pairwise(drawn), strict=False):
+        axes.plot(where[-1:], old[-1:], "o", mfc="white", mew=1.2, **look)
+        axes.plot(where[-1:], new[:1], "o", mfc=colour, **look)
+    return drawn
+
+
+def _refined(parts: Sequence[Stretch]) -> list[Stretch]:
+    """Stretches with points between their waypoints."""
+    out: list[Stretch] = []
     for k, (where, what) in enumerate(parts):
-        points += [(where[0], None)] * bool(k) + [(where[0], what[0])]
+        points = [(where[0], what[0])]
         for (at, here), (place, there) in pairwise(zip(where, what, strict=True)):
             to_fold = there is what[-1] and k + 1 < len(parts)
             points += [*_between(here, there, at, place, to_fold=to_fold), (place, there)]
-    return points
+        places, shapes = zip(*points, strict=True)
+        out.append((np.array(places), list(shapes)))
+    return out
 
 
 def _numbers(path: Path) -> Array:
@@ -96,7 +123,9 @@ def _numbers(path: Path) -> Array:
     return np.arange(1.0, len(path.equilibria) + 1)
 
 
-def _between(start: Equilibrium, end: Equilibrium, first: float, last: float, *, to_fold: bool) -> Curve:
+def _between(
+    start: Equilibrium, end: Equilibrium, first: float, last: float, *, to_fold: bool
+) -> list[tuple[float, Equilibrium]]:
     """Equilibria on the straight way between two, each from the one before.
 
     What is lost, or comes near no fold from the other side, is left out: the curve is then drawn straight.
@@ -104,7 +133,7 @@ def _between(start: Equilibrium, end: Equilibrium, first: float, last: float, *,
     count = NEAR_A_SNAP if to_fold else BETWEEN
     share = np.arange(1, count) / count
     share = 1 - (1 - share) ** 2 if to_fold else share  # like a root, the margin falls fastest where it ends
-    found: Curve = []
+    found: list[tuple[float, Equilibrium]] = []
     guess = start
     for x in share:
         turns = start.rotations + x * (end.rotations - start.rotations)
@@ -115,21 +144,6 @@ def _between(start: Equilibrium, end: Equilibrium, first: float, last: float, *,
             break
         found.append((first + x * (last - first), guess))
     return found
-
-
-def _draw_curves(
-    axes: Axes, curve: Curve, path: Path, quantities: Callable[[Equilibrium], Array], looks: Sequence[tuple[str, str]]
-) -> None:
-    """Quantities along the curve, with an open mark where each snap begins, and a full one where it ends."""
-    values = [np.full(len(looks), np.nan) if here is None else quantities(here) for _, here in curve]
-    for k, (name, colour) in enumerate(looks):
-        axes.plot([place for place, _ in curve], np.array(values)[:, k], color=colour, lw=1.4, label=name)
-        for snap in path.snaps:
-            for side, face in ((snap.before, "white"), (snap.after, colour)):
-                value = quantities(side)[k]
-                axes.plot(
-                    [place_of(snap, _numbers(path))], [value], "o", ms=4, mfc=face, mec=colour, zorder=4, clip_on=False
-                )
 
 
 def _mark_snaps(above: Axes, below: Axes, path: Path) -> None:

@@ -13,7 +13,7 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...inverse.outline import Outline
 from ...planning import Trajectory
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, headed, legend_beside, new_figure, number, picture
 from .trajectory import some_of
 
 CELLS = 300
@@ -65,7 +65,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     for colour, what in ((ARM, "arm, cut"), (BESIDE, "arm, beside"), (BODY, "body, cut")):
         axes.fill([], [], color=colour, label=what)
     signs = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    axes.legend(signs.values(), signs.keys(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    legend_beside(axes, signs.values(), signs.keys())
     place, across = (
         ", ".join(number(float(x), digits) for x in row)
         for row, digits in ((plane.point * TO_MM, 1), (plane.normal, 2))

@@ -98,7 +98,7 @@ def plot_shapes(
 
     Args:
         equilibria: what to draw, left to right.
-        path, view: as in `plot_shape`.
+        view: as in `plot_shape`.
         titles: a heading for each; None is the robot's name.   heading: above all of them.
     """
     figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)

@@ -151,6 +151,11 @@ def headed(figure: Figure, heading: str) -> Figure:
     return figure
 
 
+def legend_beside(axes: Axes, *entries: Any) -> None:
+    """A legend to the right of a panel: of its own marks, or of entries (handles, names)."""
+    axes.legend(*entries, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+
+
 def name_above(axes: Axes, x: float, words: str, row: int = 0) -> None:
     """Say above the panel what is at x; rows of words from the lowest."""
     place: dict[str, Any] = {

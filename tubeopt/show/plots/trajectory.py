@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from ...bodies.corridors import Corridor, MeshObstacle
 from ...bodies.distance_field import DistanceField
+from ...bodies.frames import Frame
 from ...bodies.obstacles import HalfSpace, Obstacle
 from ...bodies.placed import Turned
 from ...equilibrium.kinematics import forward_kinematics
@@ -28,7 +30,7 @@ from ..surfaces import obstacle_surface, swept
 from .mesh import Mesh, facets_of
 from .shape import robot_mesh
 from .stage import Box, View, draw_box, facets, widest_view
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled, widen
+from .style import FAINT, INK, Axes, Figure, headed, legend_beside, new_figure, number, picture, styled, widen
 
 SHOWN = 9
 """Shapes of the arm in the picture."""
@@ -72,7 +74,7 @@ def plot_trajectory(
     t = trajectory
     figure = new_figure(10.0, 5.4)
     curves = 3 + bool(np.isfinite(t.clearance).all()) + (t.deviation is not None)
-    axes = _beside_scene(figure, curves, some_of(t.arms), t.obstacles, (t.time, t.tip_position), view)
+    axes = beside_scene(figure, curves, Sweep(some_of(t.arms), t.time, t.tip_position), t.obstacles, view)
     _draw_curves(axes, t)
     figure.align_ylabels(axes)
     return headed(figure, _heading(t, title))
@@ -85,16 +87,16 @@ def plot_checked(checked: Checked) -> Figure:
     joints, proof = checked.joints, checked.proof
     figure = new_figure(10.0, 5.4)
     time, followed = _followed(checked)
-    way = time, np.array([e.tip_position for e in followed])
-    axes = _beside_scene(figure, 3, some_of(followed), checked.obstacles, way, None)
-    _draw_joints(axes, joints.time, joints.rotations, joints.translations)
+    sweep = Sweep(some_of(followed), time, np.array([e.tip_position for e in followed]))
+    axes = beside_scene(figure, 3, sweep, checked.obstacles, None)
+    draw_joints(axes, joints.time, joints.rotations, joints.translations)
     axes[2].plot(time, [e.margin for e in followed], color=INK, lw=1.4)
     if proof.snap is not None:
         at = joints.time[0] + proof.snap * (joints.time[-1] - joints.time[0])
         axes[2].axvline(float(at), color="#C1272D", lw=1.2, label="snaps")
-        axes[2].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
-    _margin_scale(axes[2], min(e.margin for e in followed))
-    _along_time(axes, joints.time)
+        legend_beside(axes[2])
+    margin_scale(axes[2], min(e.margin for e in followed))
+    along(axes, joints.time)
     figure.align_ylabels(axes)
     verdict = "holds" if proof.holds else "does not hold"
     seconds = number(float(joints.time[-1] - joints.time[0]), 1)
@@ -119,15 +121,15 @@ def animate_trajectory(
     t = trajectory
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
     arms = [t.arms[row] for row in rows]
-    stage = stage_for(_passed(arms, t.tip_position), t.obstacles, view)
+    stage = stage_for([Sweep(arms, t.time, t.tip_position)], t.obstacles, view)
 
     def draw(scene: Axes, below: Axes, k: int) -> None:
         passed = slice(rows[k] + 1)
-        _draw_scene(scene, stage, [arms[k]], t.obstacles, (t.time[passed], t.tip_position[passed]))
+        draw_sweeps(scene, stage, [Sweep([arms[k]], t.time[passed], t.tip_position[passed])], t.obstacles)
         below.plot(t.time, t.margin, color=FAINT, lw=1)
-        below.plot(t.time[: rows[k] + 1], t.margin[: rows[k] + 1], color=INK, lw=1.4)
+        below.plot(t.time[passed], t.margin[passed], color=INK, lw=1.4)
         below.set_xlabel("time (s)")
-        _margin_scale(below, float(t.margin.min()))
+        margin_scale(below, float(t.margin.min()))
 
     return save_film(path, f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", len(rows), draw)
 
@@ -189,52 +191,61 @@ def some_of(arms: Sequence[Equilibrium]) -> list[Equilibrium]:
     return [arms[k] for k in np.unique(np.linspace(0, len(arms) - 1, SHOWN).astype(int))]
 
 
-def _passed(arms: Sequence[Equilibrium], tips: Array) -> Array:
-    """(k, 3) points of arms, and the way of a tip."""
-    return np.concatenate([*(arm.position for arm in arms), tips])
+class Sweep(NamedTuple):
+    """A motion as it is drawn."""
+
+    arms: Sequence[Equilibrium]
+    """At some instants."""
+    time: Array
+    """(T,) s, or what else rises along the way."""
+    tips: Array
+    """(T, 3) way of the tip, m."""
+    base: Frame = Frame()
+    """Where the plate of the arms stands; the tips are placed already."""
 
 
-def stage_for(points: Array, obstacles: Sequence[Obstacle], view: tuple[float, float] | None) -> tuple[View, Box]:
-    """How points (k, 3), m, are seen, by default across their widest side, and the box around them, bodies, and the
-    plate."""
+def stage_for(
+    sweeps: Sequence[Sweep], obstacles: Sequence[Obstacle], view: tuple[float, float] | None
+) -> tuple[View, Box]:
+    """How motions are seen, by default across their widest side, and the box around them, bodies, and the plate."""
+    passed = [each.base.placed(arm.position) for each in sweeps for arm in each.arms]
+    points = np.concatenate([*passed, *(each.tips for each in sweeps)])
     seen = View(*view) if view is not None else widest_view(points)
     corners = [mesh.corners.reshape(-1, 3) for mesh in body_meshes(obstacles)]
     return seen, Box.around(np.concatenate([points, *corners, np.zeros((1, 3))]))
 
 
-def _beside_scene(
-    figure: Figure,
-    count: int,
-    arms: Sequence[Equilibrium],
-    obstacles: Sequence[Obstacle],
-    way: tuple[Array, Array],
-    view: tuple[float, float] | None,
+def beside_scene(
+    figure: Figure, count: int, sweep: Sweep, obstacles: Sequence[Obstacle], view: tuple[float, float] | None
 ) -> list[Axes]:
-    """Draw a motion, as `_draw_scene` does; so many panels over time beside it, of which the second names its marks."""
+    """Draw a motion; so many panels over time beside it, of which the second names its marks."""
     grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1.0))
     scene, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
     axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, count))]
-    _draw_scene(scene, stage_for(_passed(arms, way[1]), obstacles, view), arms, obstacles, way)
-    axes[1].legend(*scene.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    draw_sweeps(scene, stage_for([sweep], obstacles, view), [sweep], obstacles)
+    legend_beside(axes[1], *scene.get_legend_handles_labels())
     return axes
 
 
-def _draw_scene(
+def draw_sweeps(
     scene: Axes,
     stage: tuple[View, Box],
-    arms: Sequence[Equilibrium],
+    sweeps: Sequence[Sweep],
     obstacles: Sequence[Obstacle],
-    way: tuple[Array, Array],
+    *,
+    faint: float = 0.2,
 ) -> None:
-    """Arms, paler the earlier they are, among bodies, and the way of the tip: instants, and where it is then."""
+    """Arms among bodies, the last solid, the first paler and those between `faint`; and the ways of their tips."""
     seen, box = stage
     draw_box(scene, box, seen)
     parts = body_meshes(obstacles)
-    for k, arm in enumerate(arms):
-        strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else 0.2
-        parts += [robot_mesh(arm, opacity=strong, detail=SWEEPING)]
+    for arms, *_, base in sweeps:
+        for k, arm in enumerate(arms):
+            strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else faint
+            parts.append(robot_mesh(arm, opacity=strong, detail=SWEEPING).placed(base))
     scene.add_collection(facets(Mesh.join(parts), seen))
-    _draw_way(scene, *way, seen)
+    for sweep in sweeps:
+        _draw_way(scene, sweep.time, sweep.tips, seen)
 
 
 def _draw_way(scene: Axes, time: Array, tips: Array, seen: View) -> None:
@@ -266,13 +277,13 @@ def _body_mesh(obstacle: Obstacle, body: Obstacle) -> Mesh:
 
 def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
     """Joint values, margin, clearance and deviation over time."""
-    _draw_joints(axes, t.time, t.rotations, t.translations)
+    draw_joints(axes, t.time, t.rotations, t.translations)
     rest = iter(axes[2:])
     margin = next(rest)
     margin.plot(t.time, t.margin, color=INK, lw=1.4)
     margin.axhline(t.min_margin, color=FAINT, lw=0.8, ls="--", label="asked for")
-    margin.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
-    _margin_scale(margin, float(t.margin.min()))
+    legend_beside(margin)
+    margin_scale(margin, float(t.margin.min()))
     if np.isfinite(t.clearance).all():
         clear = next(rest)
         clear.plot(t.time, t.clearance * TO_MM, color=INK, lw=1.4)
@@ -284,31 +295,32 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
         off.plot(t.time, t.deviation * TO_MM, color=INK, lw=1.4)
         off.set_ylim(bottom=0)
         off.set_ylabel("deviation (mm)")
-    _along_time(axes, t.time)
+    along(axes, t.time)
 
 
-def _draw_joints(axes: Sequence[Axes], time: Array, rotations: Array, translations: Array) -> None:
-    """Joint values over time, in the first two axes."""
+def draw_joints(axes: Sequence[Axes], x: Array, rotations: Array, translations: Array) -> None:
+    """Joint values (T, n), rad and m, over time, or what else there is of (T,), in the first two panels."""
     for name, panel, values in zip(FLAT, axes, (np.degrees(rotations), translations * TO_MM), strict=False):
         for i, row in enumerate(values.T):
-            panel.plot(time, row, color=tube_colour(i), lw=1.2 + 1.1 * i, zorder=2 - 0.01 * i, label=f"tube {i + 1}")
+            panel.plot(x, row, color=tube_colour(i), lw=1.2 + 1.1 * i, zorder=2 - 0.01 * i, label=f"tube {i + 1}")
         panel.set_ylabel(name)
         widen(panel, FLAT[name])
-    axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    legend_beside(axes[0])
 
 
-def _margin_scale(axes: Axes, least: float) -> None:
+def margin_scale(axes: Axes, least: float) -> None:
+    """The scale of a margin that comes down to `least`."""
     axes.set_ylim(min(0.0, least) - 0.02, 1.05)
     axes.set_ylabel("margin")
 
 
-def _along_time(axes: Sequence[Axes], time: Array) -> None:
-    """Rules, and one scale of time below all."""
+def along(axes: Sequence[Axes], x: Array, name: str = "time (s)") -> None:
+    """Rules, and one scale below all panels."""
     for each in axes:
         each.grid(axis="y")
         each.tick_params(labelbottom=each is axes[-1])
-    axes[-1].set_xlabel("time (s)")
-    axes[-1].set_xlim(float(time[0]), max(float(time[-1]), float(time[0]) + 1e-9))
+    axes[-1].set_xlabel(name)
+    axes[-1].set_xlim(float(x[0]), max(float(x[-1]), float(x[0]) + 1e-9))
 
 
 def _under(arm: Equilibrium) -> str:

@@ -9,10 +9,11 @@ import numpy as np
 
 from ...bodies.obstacles import Obstacle, nearest_distance
 from ...bodies.plane import Plane
+from ...errors import extra
 from ...files.units import TO_MM
 from ...typing import Array
 from ..arm_surfaces import Part
-from ..surfaces import Faces, Surface
+from ..surfaces import Surface, two_of_four
 from .scene import obstacle_parts
 
 CELLS = 200
@@ -50,33 +51,11 @@ def cut_words(parts: Sequence[Part], plane: Plane | None) -> str:
 
 def cut_surface(surface: Surface, plane: Plane) -> Surface:
     """The part of a surface up to a plane: triangles across it are cut there."""
-    side = plane.height(surface.vertices)
-    beyond = side[surface.faces] > 0
-    count = beyond.sum(1)
-    kept = [surface.vertices[surface.faces[count == 0]]]
-    for many in (1, 2):  # corners beyond: the one that is alone comes first, the order around is kept
-        some = surface.faces[count == many]
-        alone = beyond[count == many] if many == 1 else ~beyond[count == many]
-        order = (alone.argmax(1)[:, None] + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(some, order, axis=1).T
-        p, q = (_crossing(surface.vertices, side, a, other) for other in (b, c))
-        if many == 1:
-            kept += [np.stack([p, surface.vertices[b], surface.vertices[c]], axis=1)]
-            kept += [np.stack([p, surface.vertices[c], q], axis=1)]
-        else:
-            kept += [np.stack([surface.vertices[a], p, q], axis=1)]
-    return _of_corners(np.concatenate(kept))
-
-
-def _crossing(vertices: Array, side: Array, a: Faces, b: Faces) -> Array:
-    """(k, 3) where sides from corners a to corners b meet the plane."""
-    share = side[a] / (side[a] - side[b])
-    return np.asarray(vertices[a] + share[:, None] * (vertices[b] - vertices[a]))
-
-
-def _of_corners(corners: Array) -> Surface:
-    """Triangles (f, 3, 3) as a surface without shared vertices."""
-    return Surface(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3))
+    trimesh = extra("trimesh.intersections", "view", "bodies that are cut")
+    vertices, faces, _ = trimesh.slice_faces_plane(
+        surface.vertices, surface.faces.astype(np.int64), -plane.normal, plane.point
+    )
+    return Surface(vertices, faces.astype(np.uint32))
 
 
 def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array) -> Surface:
@@ -84,7 +63,7 @@ def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array
     corners = np.array([[(low, high)[k][i] for i, k in enumerate(each)] for each in np.ndindex(2, 2, 2)])
     side, frame = plane.height(corners), plane.frame
     if not side.min() <= 0 <= side.max():
-        return _of_corners(np.zeros((0, 3, 3)))
+        return _squares(np.zeros((0, 4, 3)))
     along = frame.seen(corners)[:, :2]
     size = max(float(np.ptp(along, axis=0).max()) / CELLS, 1e-6)
     u, v = (np.arange(a + size / 2, b, size) for a, b in zip(along.min(0), along.max(0), strict=True))
@@ -92,5 +71,10 @@ def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array
     within = ((middle >= low) & (middle <= high)).all(-1)
     inside = middle[within & (nearest_distance(obstacles, middle) < 0)]
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2 @ frame.axes[:, :2].T
-    corners = inside[:, None] + square
-    return _of_corners(np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]]))
+    return _squares(inside[:, None] + square)
+
+
+def _squares(corners: Array) -> Surface:
+    """Squares (k, 4, 3) that share no corners."""
+    faces = np.arange(4 * len(corners), dtype=np.uint32).reshape(-1, 4)
+    return Surface(corners.reshape(-1, 3), two_of_four(faces))

@@ -22,22 +22,21 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Knob:
-    """One dimension of one tube (or of the equal tubes of a segment).
-
-    place: which entry of `parts`; field: of Tube; low, high, step: in `unit`, which is `factor` times SI.
-    """
+    """One dimension of one tube (or of the equal tubes of a segment), from `low` to `high` by `step`."""
 
     label: str
     place: int
+    """Which entry of `parts`."""
     field: str
-    unit: str
+    """Of `Tube`."""
     factor: float
+    """From SI to the unit of the label, which the others are in."""
     low: float
     high: float
     step: float
 
     def shown(self, robot: Robot) -> float:
-        """Value in `unit`."""
+        """Its value, in the unit of the label."""
         return float(getattr(parts(robot)[self.place], self.field)) * self.factor
 
 
@@ -63,7 +62,7 @@ def knobs(robot: Robot) -> tuple[Knob, ...]:
             # Pieces that were bent straight would not know which way to bend.
             low = step if tube.general and field == "curvature" else min(0.0, 2 * value)
             which = name if name == "all tubes" else f"{name} {k + 1}"
-            out.append(Knob(f"{which}: {label} ({unit})", k, field, unit, factor, low, most, step))
+            out.append(Knob(f"{which}: {label} ({unit})", k, field, factor, low, most, step))
     return tuple(out)
 
 

@@ -4,8 +4,7 @@ on which several robots move past each other."""
 from __future__ import annotations
 
 import io
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,10 @@ from scipy.spatial.transform import Rotation
 from ...equilibrium.readings import to_readings
 from ...files.files import atomic_write
 from ...files.units import DEG, MM, in_unit
-from ...files.yaml_file import save_yaml
+from ...files.yaml_file import to_yaml
 from ...planning import ArmsPlan
 from ...planning.file import branch_line, timed_csv
-from ...robots.file import save_robot
-from ...robots.robot import Robot
+from ...robots.file import robot_to_yaml
 from ..arm_surfaces import Part, plate_part, plate_radius
 from .host import quiet_server, titled_page
 from .playback import recorded
@@ -36,12 +34,7 @@ def joints_yaml(session: Session) -> str:
         "rotations_deg": [in_unit(x, DEG) for x in rotations.tolist()],
         "translations_mm": [in_unit(x, MM) for x in translations.tolist()],
     }
-    return _text(lambda path: save_yaml(path, data, f"Joint values of {session.robot.name or 'a robot'}."))
-
-
-def robot_yaml(robot: Robot) -> str:
-    """The robot as `load_robot` reads it."""
-    return _text(lambda path: save_robot(robot, path))
+    return to_yaml(data, f"Joint values of {session.robot.name or 'a robot'}.")
 
 
 def recording_csv(session: Session) -> str:
@@ -56,14 +49,6 @@ def recording_csv(session: Session) -> str:
     assert way.start is not None
     comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(way.start)]
     return timed_csv(way.time, *to_readings(session.robot, way.rotations, way.translations), comment)
-
-
-def _text(write: Callable[[Path], None]) -> str:
-    """What `write` writes into a file."""
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "file.yaml"
-        write(path)
-        return path.read_text(encoding="utf-8")
 
 
 def png(picture: np.ndarray) -> bytes:
@@ -138,7 +123,7 @@ def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: b
     if what == "joints":
         return "joints.yaml", joints_yaml(session).encode()
     if what == "robot":
-        return "robot.yaml", robot_yaml(session.robot).encode()
+        return "robot.yaml", robot_to_yaml(session.robot).encode()
     if what == "recording":
         return "trajectory.csv", recording_csv(session).encode()
     if what == "picture":

@@ -23,7 +23,6 @@ from .session import (
     Session,
     clear_trail,
     go_home,
-    joint_names,
     move,
     move_joint,
     record,
@@ -70,7 +69,7 @@ class Panel:
         self._keys = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Joints"):
-            self._sliders = [self._slider(k, name) for k, name in enumerate(joint_names(robot))]
+            self._sliders = [self._slider(k, name) for k, name in enumerate(space_of(robot).names)]
             self._button("Home", lambda: tab.change(go_home))
             self._button("Undo", tab.undo)
             self._button("All equilibria", tab.ghosts)

@@ -30,23 +30,25 @@ SLIDE_SPEED = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """Joint values over time: time (T,) s from 0, increasing; rotations, translations (T, n) rad and m.
-
-    start: the equilibrium at the first; None is where the robot settles there by itself.
-    """
+    """Joint values over time."""
 
     time: Array
+    """(T,) s, from 0, increasing."""
     rotations: Array
+    """(T, n) rad."""
     translations: Array
+    """(T, n) m."""
     start: Equilibrium | None = None
+    """At the first of them; None: where the robot settles there by itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """Waypoints and what the robot does along them, from its own start: one equilibrium per waypoint, and the snaps."""
+    """Waypoints and what the robot does along them."""
 
     waypoints: Waypoints
     path: Path
+    """From the start of the waypoints: one equilibrium for each, and the snaps."""
 
     @property
     def duration(self) -> float:

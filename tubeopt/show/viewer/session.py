@@ -47,27 +47,24 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A robot and its history.
-
-    Attributes:
-        equilibrium: where the robot is.
-        log: what happened so far, first to last.
-        last: the snaps of the last motion, in their order; empty where it had none.
-        trail: (k, 4) tips (m) that the robot has passed, with the margin there, oldest first.
-        recording: joint values (2n,) that were passed since recording began, None where nothing is recorded.
-        recorded_from: where it began.
-    """
+    """A robot and its history."""
 
     equilibrium: Equilibrium
+    """Where the robot is."""
     log: tuple[Event, ...] = ()
+    """What happened so far, first to last."""
     last: tuple[Snap, ...] = ()
+    """The snaps of the last motion, in their order."""
     trail: Array | None = None
+    """(k, 4) tips (m) that the robot has passed, with the margin there, oldest first."""
     recording: tuple[Array, ...] | None = None
+    """Joint values (2n,), rad and m, that were passed since recording began; None where nothing is recorded."""
     recorded_from: Equilibrium | None = None
+    """Where the recording began."""
 
     @property
     def robot(self) -> Robot:
-        """The robot."""
+        """As it is now: a redesign changes it."""
         return self.equilibrium.robot
 
     @property
@@ -87,12 +84,6 @@ class Session:
 def space_of(robot: Robot) -> JointSpace:
     """The joints of a robot that can be set one by one: n rotations (rad), then one translation (m) per carriage."""
     return joint_space(robot)
-
-
-def joint_names(robot: Robot) -> list[str]:
-    """What each of the independent joints is called: "rotation of tube 1", ..., "translation of tube 1", ..."""
-    names = [f"rotation of tube {i + 1}" for i in range(robot.n_tubes)]
-    return names + [f"translation of {carriage_name(tubes)}" for tubes in space_of(robot).carriages]
 
 
 def open_session(robot: Robot, rotations: ArrayLike | None = None, translations: ArrayLike | None = None) -> Session:
@@ -128,9 +119,7 @@ def check(
     for k in np.flatnonzero((q < space.lower - slack) | (q > space.upper + slack)):
         unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
         low, high = space.lower[k] * factor, space.upper[k] * factor
-        raise InputError(
-            f"{joint_names(robot)[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}"
-        )
+        raise InputError(f"{space.names[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}")
     gap = space.rows @ q - space.least
     worst = np.minimum(space.rows @ here - space.least, 0.0) if here is not None else np.zeros_like(gap)
     short = [space.row_names[k] for k in np.flatnonzero(gap < worst - 1e-9 * space.length)]
@@ -198,7 +187,7 @@ def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str
     reached = min(max(value, low), high)
     words = ""
     if abs(reached - value) > 1e-9:
-        words = f"{joint_names(robot)[joint]} is stopped: {lower if value < low else upper}"
+        words = f"{space_of(robot).names[joint]} is stopped: {lower if value < low else upper}"
     q[joint] = reached
     rotations, translations = space_of(robot).split(q)
     return move(session, rotations, translations), words

@@ -17,25 +17,23 @@ from .session import Session, open_session
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What to show.
-
-    Args:
-        robot: in every tab, from `rotations`, `translations` (n,) rad and m; by default from home.
-        obstacles: drawn, and kept away from when the tip is dragged.
-        waypoints: of a trajectory to be played, or None.
-        min_margin: to keep when the tip is dragged; the slider's first value.
-        load: a force on the tip and gravity that act from the beginning, or None.
-        out: directory into which exports are saved besides being sent to the browser.
-    """
+    """What every tab begins with."""
 
     robot: Robot
     rotations: Array | None = None
+    """(n,) rad; None: as at home."""
     translations: Array | None = None
+    """(n,) m; None: home."""
     obstacles: tuple[Obstacle, ...] = ()
+    """Drawn, and kept away from when the tip is led."""
     waypoints: Waypoints | None = None
+    """Of a trajectory to be played."""
     min_margin: float = 0.05
+    """To keep when the tip is led; the slider's first value."""
     load: Load | None = None
+    """A force on the tip and gravity that act from the beginning."""
     out: Path | None = None
+    """Directory into which exports are saved besides being sent to the browser."""
 
     def session(self) -> Session:
         """A new session; raises InputError and SolveError as `open_session` and `push_on` do."""
