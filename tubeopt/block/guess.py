@@ -48,8 +48,8 @@ def _torsion(near: Near, start: Array, inside: Array) -> Shape:
 
 def _torsion_under_load(near: Near, start: Array, inside: Array) -> tuple[Array, Array, Array]:
     """theta, w (n, P) at arc lengths (P,) and theta (n, N) at arc lengths (N,) of an equilibrium, off its points."""
-    s = near.arc_length
-    theta, w = near.rotation - near.robot.assembly(near.translations).wound(s).T, near.torsion
+    s = near.arm.arc_length
+    theta, w = near.arm.rotation - near.robot.assembly(near.translations).wound(s).T, near.arm.torsion
     if is_general(near.robot):
         # Without the natural twist, which ends where a tube does, and as it would be at the stiffness of the tube.
         w = np.gradient(theta, s, axis=1)
@@ -63,11 +63,12 @@ def _bending_of(near: Near, start: Array, inside: Array) -> tuple[Array, Array]:
     if near.load is None:
         return np.zeros((2, len(start))), np.zeros((2, len(inside)))
     assembly = near.robot.assembly(near.translations)
-    here = assembly.cross_sections(near.point, near.point)
-    theta, kb = near.point_rotation - here.wound + here.phase, here.stiffness
+    known, at = near.points, near.points.point
+    here = assembly.cross_sections(at, at)
+    theta, kb = known.point_rotation - here.wound + here.phase, here.stiffness
     unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, here.moment)[0]
-    known = (near.point_curvature - unloaded) * kb.sum(1)[:, None]
-    return tuple(np.array([np.interp(s, near.point, row) for row in known.T]) for s in (start, inside))  # type: ignore[return-value]
+    bending = (known.point_curvature - unloaded) * kb.sum(1)[:, None]
+    return tuple(np.array([np.interp(s, at, row) for row in bending.T]) for s in (start, inside))  # type: ignore[return-value]
 
 
 def columns_of(inside: Array, pieces: int) -> Array:
