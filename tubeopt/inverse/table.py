@@ -86,7 +86,8 @@ def build_table(
         tried += count
         if clock.seconds - began < 0.02:
             count = min(2 * count, 128)
-    table = StartTable(*(np.concatenate(each) for each in zip(*parts, strict=True)), tried, whole=tried >= size)
+    solved, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
+    table = StartTable(solved, tip, direction, margin, tried, whole=tried >= size)
     if table.whole and not len(table.q):
         raise InputError("limits leave no joint values at which a stable equilibrium was found")
     return table
@@ -238,7 +239,8 @@ def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
     inside = ((flipped >= space.lower) & (flipped <= space.upper)).all(1)
     images = flipped, table.tip * mirror, table.direction * mirror, table.margin
     both = (np.concatenate([own, image[inside]]) for own, image in zip(table.arrays, images, strict=True))
-    return StartTable(*both, table.tried, table.whole)
+    q, tip, direction, margin = both
+    return StartTable(q, tip, direction, margin, table.tried, table.whole)
 
 
 def _turned(vectors: Array, angle: Array) -> Array:
