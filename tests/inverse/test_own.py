@@ -42,6 +42,17 @@ class Close(OwnObjective):
         return (ca.sumsqr(turned) + SHARE**2 * ca.sumsqr(moved)) / 2
 
 
+@dataclass(frozen=True)
+class Turning(OwnRequirement):
+    """What poses are asked for in designs only."""
+
+    limit: float = 0.0
+    words = "how far the tip turns"
+
+    def expression(self, q: Quantities) -> Any:
+        return ca.sumsqr(q.poses[0].turning) - self.limit
+
+
 def test_own_cost_equal_to_a_built_in_one_has_the_same_optimum() -> None:
     target = forward_kinematics(THESIS, *SEED).tip_position
     weights = ([1.0] * 3, [SHARE] * 3)
@@ -82,3 +93,6 @@ def test_what_makes_no_sense_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=words):
             inverse_kinematics(THESIS, (0.0, 0.0, 0.2), options=InverseOptions(**options))
+    target = forward_kinematics(THESIS, *SEED).tip_position
+    with pytest.raises(InputError, match="the turning of a pose is known in designs only"):
+        inverse_kinematics(THESIS, target, seed=SEED, options=InverseOptions(extra_constraints=(Turning(),)))

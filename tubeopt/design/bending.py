@@ -54,8 +54,8 @@ def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
     shape, space = state.tubes[tube], state.layout.space
     value, slope = _slot_ratio(shape, number)
     change = np.zeros(state.layout.size)
-    for column, (field, spot) in enumerate(space.of_pieces):
-        if field == "piece_bending_factor" and (tube, number) in spot.pieces:
+    for column, one in enumerate(space.unknowns):
+        if one.field == "piece_bending_factor" and (tube, number) in one.pieces:
             left = shape.pieces[number].bending_factor(float(shape.bending_stiffness))
             change[column] = slope * left / state.x[column]
     return value, change
@@ -64,7 +64,7 @@ def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
 def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Array]:
     """Largest strain of a piece of a tube held straight, and its change (X,); a tube of one curvature is one piece."""
     shape, space = state.tubes[tube], state.layout.space
-    if not space.spots:
+    if not space.pieced:
         natural, change = shape.curvature, state.slopes["curvature"][tube]
     else:
         natural = shape.pieces[number].largest_curvature
