@@ -78,8 +78,11 @@ class Program:
     depth_pose: int | None
     """That of the objective reach_radius."""
     lower: Array
+    """(X,) SI."""
     upper: Array
+    """(X,) SI."""
     scale: Array
+    """(X,) the size of a change that matters, SI."""
     elastic: bool = False
     """Whether every group of rows has a slack, of which the sum is minimised in place of the objective."""
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
@@ -194,23 +197,19 @@ def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:
 
 def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
     space, n = layout.space, layout.n
-    low_tubes = [tube.length for tube in space.tubes(space.start)]
+    low_tubes = np.array([tube.length for tube in space.tubes(space.start)])
     most = extreme_lengths(task, "upper")
     high_tubes = most["straight_length"] + most["curved_length"]
-    limits = task.robot.limits.rotations
-    lower = [*space.lower]
-    upper = [*space.upper]
-    scale = [*space.scale]
-    for _ in range(layout.free_poses):
-        lower += [low for low, _ in limits] + [-longest for longest in high_tubes]
-        upper += [high for _, high in limits] + [0.0] * n
-        scale += [1.0] * n + [max(0.2 * longest, 1e-3) for longest in low_tubes]
-    for name in layout.auxiliary:
-        low, high, size = BOUNDED[name]
-        lower.append(low)
-        upper.append(high)
-        scale.append(size)
-    return np.array(lower), np.array(upper), np.array(scale)
+    turns = np.array(task.robot.limits.rotations)
+    of_a_pose = (
+        np.concatenate([turns[:, 0], -high_tubes]),
+        np.concatenate([turns[:, 1], np.zeros(n)]),
+        np.concatenate([np.ones(n), np.maximum(0.2 * low_tubes, 1e-3)]),
+    )
+    auxiliary = np.reshape([BOUNDED[name] for name in layout.auxiliary], (-1, 3)).T
+    parts = zip((space.lower, space.upper, space.scale), of_a_pose, auxiliary, strict=True)
+    lower, upper, scale = (np.concatenate([own, *[joints] * layout.free_poses, more]) for own, joints, more in parts)
+    return lower, upper, scale
 
 
 def recompiled(task: DesignTask, near: Program) -> Program:
