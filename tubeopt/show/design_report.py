@@ -308,7 +308,7 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
     before, after = (
         stability_map(robot, samples=MAP_SAMPLES, directions=MAP_DIRECTIONS, workers=1) for robot in robots
     )
-    return plot_before_after(before, after, path, heading=robots[1].name)
+    return plot_before_after((before, after), path, heading=robots[1].name)
 
 
 def _objectives(a: DesignAnswer) -> dict[str, float]:
