@@ -238,7 +238,7 @@ def test_snap_shows_both_shapes_and_the_jump(snap: Snap) -> None:
 
 
 def test_snap_with_translations_names_them(snap: Snap) -> None:
-    moved = replace(snap, translations=np.array([-0.02, -0.01, 0.0]))
+    moved = replace(snap, before=replace(snap.before, translations=np.array([-0.02, -0.01, 0.0])))
     assert "translations (−20, −10, 0) mm" in plot_snap(moved, title="mine").get_suptitle()
 
 

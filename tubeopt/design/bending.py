@@ -9,8 +9,7 @@ import numpy as np
 
 from ..block.quantities import PoseNumber
 from ..block.transcription.collocated import ENDS
-from ..equilibrium.general_change import Answer
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Answer, Linearised
 from ..physics.strain import bend_from_own, surface_strain
 from ..robots.tubes import Tube
 from ..typing import Array

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..block.transcription.chain import bend_of
-from ..equilibrium.general_change import Change
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Change, Linearised
 from ..errors import InputError
 from ..robots.pieces import Piece, Slots
 from ..robots.series import Quantity, Series, times, turned, values

@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ..block.quantities import PoseNumber, Quantity
-from ..equilibrium.general_change import Change
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Change, Linearised
 from ..equilibrium.solving import Solution
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.tubes import Tube

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from math import ceil
 
 import numpy as np
@@ -11,13 +11,11 @@ import numpy as np
 from ..bodies.scene import Scene
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.general_motion import GeneralMotion
-from ..equilibrium.jacobian import compiled_slopes
+from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
-from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
-from ..robots.robot import is_general
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Of
 from .joints import Configuration, JointSpace, configuration
@@ -69,12 +67,7 @@ class Posture:
         return self._derivatives(1)
 
     def _derivatives(self, side: int) -> Derivatives | GeneralMotion:
-        if is_general(self.space.robot):
-            return GeneralMotion(self.equilibrium, side)
-        assembly = self.space.robot.assembly(self.equilibrium.translations)
-        arm = arm_of_equilibrium(self.equilibrium, assembly)
-        own = partial(problem_of, self.equilibrium)
-        return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin, problem=own)
+        return derivatives_of(self.equilibrium, side=side, carriages=self.space.carriages)
 
     @cached_property
     def _free(self) -> _Slopes:

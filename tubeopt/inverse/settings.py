@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
-from ..errors import InputError, Settings, choice, instance, positive, whole
+from ..errors import InputError, Settings, instance, positive
+from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, Range, check_fields, unit
 
 OBJECTIVES = ("nearest", "margin", "curvature")
 """What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
@@ -236,22 +237,23 @@ class InverseOptions(Displayed):
         InputError: a value that is not allowed.
     """
 
-    objective: str | None = None
-    """What is best among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least
-    int |u|^2 ds), or None: "nearest" where a seed or a reference is given, else any answer."""
-    direction_weight: float | None = None
+    objective: Annotated[str | None, OneOf(OBJECTIVES), "what is best: nearest (to the start), margin or curvature"] = (
+        None
+    )
+    """Among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least int |u|^2 ds), or None:
+    "nearest" where a seed or a reference is given, else any answer."""
+    direction_weight: Annotated[float | None, POSITIVE, "make the direction a cost of this weight"] = None
     """None holds the tip to the direction; a number makes (half the square of) the difference of the unit vectors a
     cost of that weight beside the objective."""
-    clearance: float = 0.0
-    """Least distance of the surface of the arm from obstacles, m."""
+    clearance: Annotated[float, unit("mm"), NOT_NEGATIVE, "least distance of the arm from obstacles"] = 0.0
+    """Of its surface."""
     carriage_gap: float = 0.0
     """Least distance of neighbouring carriages, m."""
     section_length: float = 0.0
     """Least length by which a tube ends beyond the one around it, m."""
-    method: str = "auto"
+    method: Annotated[str, OneOf(METHODS), "how to solve: auto, gauss_newton or nlp"] = "auto"
     """"auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone."""
-    starts: int = 48
-    """Most starting configurations."""
+    starts: Annotated[int, Range(least=1), "most starting configurations"] = 48
     distinct: float = 0.05
     """Answers of `all_solutions` differ somewhere along the arm by this share of its length."""
     time_limit: float = math.inf
@@ -265,16 +267,12 @@ class InverseOptions(Displayed):
     """How hard it is searched."""
 
     def __post_init__(self) -> None:
-        if self.objective is not None:
-            choice("objective", self.objective, OBJECTIVES)
-        choice("method", self.method, METHODS)
-        for name in ("clearance", "carriage_gap", "section_length"):
+        check_fields(self)
+        for name in ("carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
         positive("distinct", self.distinct)
         if self.time_limit != math.inf:
             positive("time_limit", self.time_limit)
-        if self.direction_weight is not None:
-            positive("direction_weight", self.direction_weight)
         if not isinstance(self.extra_constraints, (list, tuple)):
             raise InputError(
                 f"extra_constraints is {self.extra_constraints!r}; it must be a sequence of OwnRequirement"
@@ -282,7 +280,6 @@ class InverseOptions(Displayed):
         object.__setattr__(self, "extra_constraints", tuple(self.extra_constraints))
         if self.method == "nlp" and (self.extra_cost is not None or self.extra_constraints):
             raise InputError("method 'nlp' takes no extra_cost and no extra_constraints; use 'auto' or 'gauss_newton'")
-        whole("starts", self.starts, 1)
         instance("solver", self.solver, InverseSolver)
 
 
