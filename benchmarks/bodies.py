@@ -27,7 +27,8 @@ from tests.inverse_targets import reachable
 from tubeopt import IkSession, SolveError, forward_kinematics, inverse_kinematics, plan_trajectory
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.obstacles import Obstacle, Sphere
-from tubeopt.control.servo import Command, Servo, ServoOptions
+from tubeopt.control.command import Command, ServoOptions
+from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline

@@ -26,8 +26,8 @@ from benchmarks.timing import ROOT, dump, milliseconds, show, table, with_packag
 from tubeopt.bodies.obstacles import Obstacle, Sphere
 from tubeopt.control.c_binding import CRobot, CServo
 from tubeopt.control.c_library import c_library
-from tubeopt.control.command import Why
-from tubeopt.control.servo import Command, Servo, ServoOptions
+from tubeopt.control.command import Command, ServoOptions, Why
+from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
 from tubeopt.typing import Array
 

@@ -43,7 +43,7 @@ def main(out: Path, samples: int = 9) -> list[Path]:
         print(f"{name}: curvatures {bends} per m, certificate {design.certificate:.3f}, in {design.seconds:.0f} s")
         print(f"  under 50 mN {tubeopt.snap_free_certificate(design.robot, max_force=FORCE):.3f}")
     picture = out / "design_bears_force.png"
-    plot_bearing(forces, curves, picture, title="Certificate of designs over the largest force on the tip")
+    plot_bearing(curves, picture, forces=forces, title="Certificate of designs over the largest force on the tip")
     return [picture]
 
 

@@ -29,7 +29,7 @@ def main(out: Path) -> list[Path]:
         assert one.objective is not None
         print(f"{', '.join(size.name for size in one.sizes)}: {one.objective:.3f} per m")
     picture = out / "design_from_stock.png"
-    plot_stock(task, choice, picture)
+    plot_stock(choice, picture, task=task)
     return [picture]
 
 

@@ -37,7 +37,7 @@ def main(out: Path, samples: int = 40) -> list[Path]:
     charts = [
         tubeopt.stability_map(one, samples=samples, directions=3 * samples, workers=1) for one in (robot, design.robot)
     ]
-    plot_before_after(charts[0], charts[1], picture)
+    plot_before_after((charts[0], charts[1]), picture)
     return [picture]
 
 

@@ -49,7 +49,8 @@ def main(out: Path) -> list[Path]:
         )
         print(f"  {found[0].untold}")
     picture = out / "load_force_from_shape.png"
-    plot_force_estimates(FORCE, estimates, picture, title="Force on the tip, told from positions with noise of 0.1 mm")
+    title = "Force on the tip, told from positions with noise of 0.1 mm"
+    plot_force_estimates(estimates, picture, true=FORCE, title=title)
     return [picture]
 
 

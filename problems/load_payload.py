@@ -40,7 +40,8 @@ def main(out: Path) -> list[Path]:
     told = "none is lost up to 2 N" if limit is None else f"lost in a {limit.kind} at {limit.factor * 1e3:.1f} mN"
     print(f"a payload alone, without the tubes' weight: {told}")
     picture = out / "load_payload.png"
-    plot_payload(payloads, arms, picture, title=f"{robot.name} carries a payload, gravity along \N{MINUS SIGN}z")
+    title = f"{robot.name} carries a payload, gravity along \N{MINUS SIGN}z"
+    plot_payload(arms, picture, payloads=payloads, title=title)
     return [picture]
 
 

@@ -46,7 +46,7 @@ def main(out: Path, samples: int = 36) -> list[Path]:
         )
     picture = out / "load_snap_directions.png"
     title = "Force on the tip (mN) that snaps the robot of the thesis, its inner tube at 200°"
-    plot_load_limits(angles, limits, kinds, picture, title=title)
+    plot_load_limits(limits, picture, angles=angles, kinds=kinds, title=title)
     return [picture]
 
 

@@ -30,7 +30,7 @@ def main(out: Path) -> list[Path]:
         circles.append(np.array([shape.tip_position for shape in shapes]))
     pictures = [out / "thesis_experiment_circles.png", out / "thesis_experiment_errors.png"]
     title = "Simulated tips; discs: measured tip error (Table 4.1)"
-    plot_simulated_circles(circles, table, pictures[0], title=title)
+    plot_simulated_circles(table, pictures[0], circles=circles, title=title)
     s = table.summary
     title = f"Tip error (mm) over direction: mean {s.mean * 1e3:.1f} mm, max {s.max * 1e3:.1f} mm"
     plot_error_table(table, pictures[1], title=title)

@@ -31,7 +31,8 @@ def main(out: Path) -> list[Path]:
                 f"{snap.tip_jump * 1e3:.2f} mm, {snap.energy_released * 1e3:.3f} mJ are released"
             )
     picture = out / "thesis_hysteresis.png"
-    plot_hysteresis(forth, back, angles_deg, picture, title=f"{robot.name}: a full turn of tube 1, forth and back")
+    title = f"{robot.name}: a full turn of tube 1, forth and back"
+    plot_hysteresis((forth, back), picture, angles_deg=angles_deg, title=title)
     return [picture]
 
 

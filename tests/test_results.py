@@ -58,7 +58,7 @@ from tubeopt.stability.certificate import CertificateStatus
 from tubeopt.stability.following import PathStatus
 from tubeopt.stability.load_limit import LoadLimitStatus
 from tubeopt.stability.maps import MapStatus
-from tubeopt.stability.snap import SnapStatus
+from tubeopt.stability.motion import SnapStatus
 from tubeopt.stability.verdict import VerdictStatus
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus

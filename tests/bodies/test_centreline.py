@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError, SolveError
-from tubeopt.bodies.anatomy import field_of_image
 from tubeopt.bodies.centreline import centreline
 from tubeopt.bodies.images import LabelImage
-from tubeopt.bodies.labels import field_of_labels
+from tubeopt.bodies.labels import field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
 
 
@@ -33,7 +32,7 @@ def test_ends_must_be_free_and_joined() -> None:
     labels = np.zeros((16, 8, 8), dtype=np.uint8)
     labels[1:6, 1:7, 1:7] = labels[10:15, 1:7, 1:7] = 1
     image = LabelImage(labels, np.full(3, 1e-3))
-    field = field_of_labels(image, inside=image.chosen([1]))
+    field = field_of_image(image, lumen=image.chosen([1]))
     with pytest.raises(SolveError, match="no free way leads"):
         centreline(field, np.array([3, 4, 4]) * 1e-3, np.array([12, 4, 4]) * 1e-3)
     with pytest.raises(InputError, match=r"start of the centreline lies .* mm in the wall; it must be free"):

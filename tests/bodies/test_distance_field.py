@@ -12,7 +12,7 @@ from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField, surface_net
 from tubeopt.bodies.frames import Frame, base_frame, register
 from tubeopt.bodies.images import LabelImage
-from tubeopt.bodies.labels import field_of_labels
+from tubeopt.bodies.labels import field_of_image
 from tubeopt.bodies.solids import field_of_mesh, field_of_points
 from tubeopt.typing import Array, Mask
 
@@ -82,7 +82,7 @@ def test_labels_are_cuboids_and_none_is_closer_than_told(kind: str) -> None:
     image = oblique_image()
     lumen = None if kind == "forbidden" else image.chosen([1])
     lump = None if kind == "lumen" else image.chosen([2])
-    field = field_of_labels(image, inside=lumen, outside=lump)
+    field = field_of_image(image, lumen=lumen, forbidden=lump)
     barred = np.zeros(image.shape, dtype=bool) if lumen is None else ~lumen
     barred = barred if lump is None else barred | lump
     random = np.random.default_rng(1)
@@ -99,8 +99,8 @@ def test_labels_are_cuboids_and_none_is_closer_than_told(kind: str) -> None:
 def test_coarser_cells_take_away_what_they_tell() -> None:
     image = oblique_image()
     lumen = image.chosen([1])
-    fine = field_of_labels(image, inside=lumen)
-    coarse = field_of_labels(image, inside=lumen, most=3000)
+    fine = field_of_image(image, lumen=lumen)
+    coarse = field_of_image(image, lumen=lumen, most=3000)
     assert coarse.values.size <= 3000
     assert coarse.node_error > 0
     points = image.frame.placed(np.argwhere(lumen)[::8] * image.spacing)
@@ -113,7 +113,7 @@ def test_a_way_that_meets_the_border_goes_on_beyond() -> None:
     labels = np.zeros((12, 12, 20), dtype=np.int16)
     labels[3:9, 3:9, :] = 7
     image = LabelImage(labels, np.full(3, 1e-3), name="tunnel")
-    field = field_of_labels(image, inside=image.chosen([7]))
+    field = field_of_image(image, lumen=image.chosen([7]))
     axis = np.array([[5.5e-3, 5.5e-3, z] for z in (-5e-3, 0.0, 10e-3, 24e-3)])
     assert np.allclose(field.signed_distance(axis), 3e-3, atol=2e-4)
     assert field.signed_distance(np.array([5.5e-3, 9.5e-3, 10e-3])) < 0
@@ -214,7 +214,7 @@ def test_registration_finds_the_frame_that_made_the_landmarks() -> None:
 
 def test_a_body_seen_from_the_plate_is_the_same_body() -> None:
     image = oblique_image()
-    field = field_of_labels(image, inside=image.chosen([1]))
+    field = field_of_image(image, lumen=image.chosen([1]))
     base = base_frame([0.02, 0.0, 0.01], [0.1, 0.2, 1.0], 0.7)
     points = image.frame.placed(np.argwhere(image.chosen([1]))[::9] * image.spacing)
     seen = field.in_frame(base)

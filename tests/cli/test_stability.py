@@ -273,6 +273,7 @@ def test_certify_when_nothing_is_proved_and_nothing_found(run: Run, tmp_path: Pa
         f"not proved (certificate -0.01), and search found no snap (least margin found 0.0104), {ASSUMING}"
     )
     assert data["snap"] is None
+    assert shlex.split(data["repeat"])[2] == str(tmp_path / "robot.yaml")
     assert data["ways_tried"] > 30
 
 

@@ -28,8 +28,8 @@ from tubeopt.bodies.obstacles import Obstacle, Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.control.c_binding import CRobot
 from tubeopt.control.c_library import c_library, save_c_library
-from tubeopt.control.command import Why
-from tubeopt.control.servo import Command, Servo, ServoOptions
+from tubeopt.control.command import Command, ServoOptions, Why
+from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline

@@ -9,8 +9,9 @@ import pytest
 
 from tests.examples import PIECES, THESIS
 from tubeopt import ConcentricRobot, InputError, forward_kinematics, load_robot
+from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.observer import Observer, ObserverOptions
-from tubeopt.control.servo import Command, Servo, ServoOptions
+from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
 
 SEED = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])

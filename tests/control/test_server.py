@@ -18,9 +18,10 @@ from tests.examples import THESIS
 from tubeopt import InputError, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.c_binding import CServo, servo_of
+from tubeopt.control.command import ServoOptions
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.server import RobotServer, ServerOptions
-from tubeopt.control.servo import Servo, ServoOptions
+from tubeopt.control.servo import Servo
 from tubeopt.solvers.compiled.library import compiler
 
 websockets = pytest.importorskip("websockets")

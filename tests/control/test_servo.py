@@ -20,8 +20,8 @@ from tubeopt import (
     forward_kinematics,
 )
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.control.command import Why
-from tubeopt.control.servo import Command, Servo, ServoOptions, ServoStep
+from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
+from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.least_squares import constrained_least_squares
 from tubeopt.inverse.outline import Outline
@@ -172,6 +172,12 @@ def test_commands_and_options_that_make_no_sense_are_refused(seed: Equilibrium) 
         ServoOptions(min_margin=2.0)
     with pytest.raises(InputError, match="priorities are"):
         ServoOptions(priorities=("position", "position"))
+    with pytest.raises(InputError, match=r"objective is 'speed'; it must be one of margin, centre, compliance"):
+        ServoOptions(objective="speed")
+    with pytest.raises(InputError, match="push is -1; it must be at least 0"):
+        ServoOptions(push=-1)
+    with pytest.raises(InputError, match=r"obstacle 1 is .*Sphere.*; it must be a body of tubeopt\.bodies"):
+        Servo(THESIS, seed, obstacles=[Sphere])
     with pytest.raises(InputError, match="dt is 0 s"):
         Servo(THESIS, seed).step(Command(), 0.0)
     near = forward_kinematics(THESIS, np.radians([0, 90, 180]))  # of margin 0.927

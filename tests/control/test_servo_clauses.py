@@ -10,8 +10,8 @@ import pytest
 
 from tests.examples import CRL, THESIS
 from tubeopt import Equilibrium, forward_kinematics
-from tubeopt.control.command import Why
-from tubeopt.control.servo import Command, Servo, ServoOptions, ServoStep
+from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
+from tubeopt.control.servo import Servo
 from tubeopt.inverse.goal import angle
 from tubeopt.inverse.joints import joint_space
 

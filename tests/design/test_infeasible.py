@@ -22,6 +22,7 @@ from tubeopt import (
 from tubeopt.design import Free, InfeasibleDesignError, Length, Objective, Reach, SnapFree, Strain, Target
 from tubeopt.design.program import compile_task
 from tubeopt.design.relaxation import apply_changes
+from tubeopt.design.settings import OptimumSearch, OrderSearch, RelaxationSearch, StartSearch
 from tubeopt.design.solve import multistart
 
 
@@ -48,7 +49,10 @@ def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     free = (Free("curvature", (0,), 5.0, 15.0),)
     strain = Strain((0.008,), in_poses=False)
     few = DesignSolver(
-        retries=1, relaxed_starts=1, iterations=40, ball_iterations=10, joint_restarts=0, sampled_poses=64, orders=2
+        StartSearch(retries=1, restarts=0, poses=64),
+        OptimumSearch(iterations=40, ball_iterations=10),
+        OrderSearch(most=2),
+        relaxation=RelaxationSearch(starts=1),
     )
     task = DesignTask(two_tubes(), free, (SnapFree(0.1), strain, target), Objective("change"), solver=few)
     error = refused(task)
@@ -66,10 +70,10 @@ def test_failures_are_counted_by_what_failed() -> None:
     )
     error = refused(task)
     assert "of 4 starts, 4 failed most at the certified margin" in str(error)
-    error = refused(replace(task, solver=DesignSolver(retries=1)))
+    error = refused(replace(task, solver=DesignSolver(StartSearch(retries=1))))
     assert "of 1 starts, 1 failed most at the certified margin" in str(error)
     with pytest.raises(InputError, match="retries is 0; it must be at least 1"):
-        DesignSolver(retries=0)
+        StartSearch(retries=0)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, 45.0], ids=["across", "between", "diagonal"])
@@ -78,7 +82,7 @@ def test_tolerance_rises_to_the_distance_of_the_target(turn: float) -> None:
     straight = ConcentricRobot((Tube(1.0 * MM, 0.8 * MM, 0.1, 0.1, 0.0),))
     place = (5 * MM * np.cos(np.radians(turn)), 5 * MM * np.sin(np.radians(turn)), 0.1)
     free = (Free("curved_length", (0,), 0.05, 0.15),)
-    few = DesignSolver(retries=1, relaxed_starts=1)
+    few = DesignSolver(StartSearch(retries=1), relaxation=RelaxationSearch(starts=1))
     error = refused(DesignTask(straight, free, (Reach((Target(place),)),), Objective("length"), solver=few))
     assert "tolerance of target 1 must rise from 0.1 mm to 5 mm" in str(error)
 

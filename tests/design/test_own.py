@@ -37,10 +37,11 @@ from tubeopt.design import (
     Target,
     Wall,
 )
-from tubeopt.design.aims import aim
 from tubeopt.design.lookup import at_state
+from tubeopt.design.objectives import aim
 from tubeopt.design.program import Program, compile_task, state_at
 from tubeopt.design.rechecks import check_own, numbers_of
+from tubeopt.design.settings import OptimumSearch, StartSearch
 from tubeopt.typing import Array
 
 MM = 1e-3
@@ -198,7 +199,7 @@ def test_a_small_number_is_minimised_as_exactly_as_any_other(method: str) -> Non
 def test_own_requirement_on_poses_is_kept_and_verified() -> None:
     reach = Reach((Target((0.02, -0.03, 0.11), 5e-3), Target((0.0, -0.03, 0.11), 5e-3)))
     free = (Free("curvature", (0, 1), 5.0, 25.0),)
-    few = DesignSolver(iterations=40, ball_iterations=10, sampled_poses=64)
+    few = DesignSolver(StartSearch(poses=64), OptimumSearch(iterations=40, ball_iterations=10))
     task = DesignTask(two_tubes(), free, (SnapFree(0.1), reach, Height(0.113)), Objective("change"), solver=few)
     design = optimize_design(task, turns=0)
     assert min(e.tip_position[2] for e in design.equilibria) >= 0.113 - 1e-8

@@ -41,6 +41,7 @@ from tubeopt.design.bending import pose_strain
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import Program, compile_task, evaluate, stack, state_at, total_objective
 from tubeopt.design.rechecks import largest_strain
+from tubeopt.design.settings import OptimumSearch, OrderSearch
 from tubeopt.design.starts import with_joints
 from tubeopt.typing import Array
 
@@ -48,7 +49,7 @@ MM = 1e-3
 TURN = 2 * np.pi
 
 
-QUICK = DesignSolver(iterations=40, ball_iterations=10, orders=2)
+QUICK = DesignSolver(optimum=OptimumSearch(iterations=40, ball_iterations=10), orders=OrderSearch(most=2))
 """For tests that ask what a design keeps, not whether it is the best."""
 
 
@@ -164,7 +165,11 @@ def test_reach_at_depth_avoids_a_sphere_and_sits_on_a_kink() -> None:
     requirements = (SnapFree(0.1), Strain((0.012,), in_poses=False), Avoid((ball,), 1e-3))
     free = (Free("curvature", (0, 1), 0.0, 25.0),)
     task = DesignTask(
-        two_tubes(), free, requirements, Objective("reach_radius", depth=0.1), solver=DesignSolver(iterations=40)
+        two_tubes(),
+        free,
+        requirements,
+        Objective("reach_radius", depth=0.1),
+        solver=DesignSolver(optimum=OptimumSearch(iterations=40)),
     )
     design = optimize_design(task, turns=1)
     (pose,) = design.equilibria

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubeopt.equilibrium.file import ALONG_THE_ARM, load_equilibrium, save_equilibrium
-from tubeopt.equilibrium.result import ARRAYS, Equilibrium, Statistics, Status, Verification
+from tubeopt.block.transcription.arm import ArmShape, CollocationPoints
+from tubeopt.equilibrium.file import ALONG_THE_ARM, ARRAYS, PARTS, load_equilibrium, save_equilibrium
+from tubeopt.equilibrium.result import Accuracy, Equilibrium, Statistics, Status, Verification
 from tubeopt.errors import InputError
 from tubeopt.robots.concentric import ConcentricRobot
 from tubeopt.robots.limits import JointLimits
@@ -22,16 +23,13 @@ def an_equilibrium(seed: int = 0) -> Equilibrium:
     """Not a solution of anything: numbers without pattern in every field."""
     random = np.random.default_rng(seed)
     n, m = 2, 7
-    shapes = {
-        "tip_position": (3,),
-        "tip_rotation": (3, 3),
+    along = {
         "arc_length": (m,),
         "position": (m, 3),
         "frame": (m, 3, 3),
         "curvature": (m, 2),
         "rotation": (n, m),
         "torsion": (n, m),
-        "section_start": (4,),
     }
     tubes = (Tube(1e-3, 0.1e-3 / 3, 0.2, 0.1 / 7, 1 / 3), Tube(2e-3, 1.1e-3, 0.1, 0.1 / 7, -1 / 3))
     limits = JointLimits(((-1 / 3, 1 / 3), (0, 1)), ((-0.1, 0), (0, 0.1)))
@@ -40,26 +38,28 @@ def an_equilibrium(seed: int = 0) -> Equilibrium:
         margin=1 / 3,
         index=2,
         energy=1e-3 / 7,
-        residual=1.1e-17,
-        mesh_error=0.1 + 0.2,
-        tip_error=5e-324,
+        accuracy=Accuracy(residual=1.1e-17, mesh_error=0.1 + 0.2, tip_error=5e-324),
         status=Status.UNSTABLE,
         statistics=Statistics("newton", 3, 4, 5, "home", 0.1 / 3),
         verification=Verification(*random.normal(size=5)),
-        **{name: random.normal(size=shapes.get(name, (n,))) for name in ARRAYS},
+        arm=ArmShape(**{name: random.normal(size=shape) for name, shape in along.items()}),
+        points=CollocationPoints(*(random.normal(size=size) for size in (5, (5, n), (5, 2)))),
+        section_start=random.normal(size=4),
+        **{name: random.normal(size=n) for name in ("rotations", "translations", "tip_rotations", "tube_end")},
     )
 
 
 def assert_equal(a: Equilibrium, b: Equilibrium) -> None:
-    for field in dataclasses.fields(Equilibrium):
-        one, other = getattr(a, field.name), getattr(b, field.name)
-        if field.name in ARRAYS:
+    fields = [field.name for kind in (Equilibrium, *PARTS.values()) for field in dataclasses.fields(kind)]
+    for name in [name for name in fields if name not in PARTS]:
+        one, other = getattr(a, name), getattr(b, name)
+        if name in ARRAYS or name in ALONG_THE_ARM:
             assert one.dtype == other.dtype
             np.testing.assert_array_equal(one, other, strict=True)
         elif isinstance(one, float) and math.isnan(one):
             assert math.isnan(other)
         else:
-            assert one == other, field.name
+            assert one == other, name
             assert type(one) is type(other)
 
 
@@ -73,12 +73,13 @@ def test_there_and_back(tmp_path: Path) -> None:
 
 
 def test_a_failed_solve_there_and_back(tmp_path: Path) -> None:
+    whole, position = an_equilibrium(), np.full((7, 3), math.nan)
+    position[-1] = math.nan, -math.inf, 1.0
     equilibrium = dataclasses.replace(
-        an_equilibrium(),
+        whole,
         margin=math.nan,
         energy=math.inf,
-        tip_position=np.array([math.nan, -math.inf, 1.0]),
-        position=np.full((7, 3), math.nan),
+        arm=dataclasses.replace(whole.arm, position=position),
         status=Status.NOT_CONVERGED,
         verification=None,
     )

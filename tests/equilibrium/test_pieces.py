@@ -27,7 +27,7 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.equilibrium.general_motion import GeneralMotion
-from tubeopt.inverse.answer import InverseOptions
+from tubeopt.inverse.settings import InverseOptions
 from tubeopt.robots.series import times
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array

@@ -69,20 +69,22 @@ def test_an_error_of_the_mesh_shows_at_its_true_size() -> None:
 
 
 def test_a_wrong_shape_shows(solved: Equilibrium) -> None:
-    wrong = replace(solved, tip_position=solved.tip_position + np.array([0.0, 3e-6, 4e-6]))
+    moved = solved.position + np.array([0.0, 3e-6, 4e-6])
+    wrong = replace(solved, arm=replace(solved.arm, position=moved))
     assert checked(wrong).tip_position == pytest.approx(5e-6, rel=1e-3)
     c, s = np.cos(1e-5), np.sin(1e-5)
-    wrong = replace(solved, tip_rotation=solved.tip_rotation @ [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    turned = solved.frame @ [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    wrong = replace(solved, arm=replace(solved.arm, frame=turned))
     assert checked(wrong).tip_rotation == pytest.approx(1e-5, rel=1e-3)
 
 
 def test_a_wrong_torsion_shows(solved: Equilibrium) -> None:
     turned = solved.rotation.copy()
     turned[1, -1] += 1e-4
-    assert checked(replace(solved, rotation=turned)).rotation == pytest.approx(1e-4, rel=1e-3)
+    assert checked(replace(solved, arm=replace(solved.arm, rotation=turned))).rotation == pytest.approx(1e-4, rel=1e-3)
     slope = solved.torsion.copy()
     slope[2, 0] += 1e-3
-    check = checked(replace(solved, torsion=slope))
+    check = checked(replace(solved, arm=replace(solved.arm, torsion=slope)))
     # Tube 3 is held 0.1 m behind the plate.
     assert check.base_rotation == pytest.approx(1e-4, rel=1e-3)
     assert check.end_torsion > 1e-4
@@ -103,7 +105,7 @@ def test_the_same_tubes_in_pieces_miss_by_the_same(solved: Equilibrium) -> None:
 
     slope = solved.torsion.copy()
     slope[:, 0] += 1e-3
-    wrong = replace(solved, torsion=slope)
+    wrong = replace(solved, arm=replace(solved.arm, torsion=slope))
     one, other = checked(wrong), checked(replace(wrong, robot=ConcentricRobot(tuple(map(halved, THESIS.tubes)))))
     # Torsion in rad/m, not the torque that goes with it.
     assert one.end_torsion > 1e-4

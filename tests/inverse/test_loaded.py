@@ -12,6 +12,7 @@ from tests.command_line import Run, answer, refused
 from tests.examples import THESIS
 from tubeopt import InputError, InverseOptions, InverseSolver, Load, SolveError, forward_kinematics, inverse_kinematics
 from tubeopt.bodies.obstacles import Sphere
+from tubeopt.inverse.settings import Starts
 
 LOAD = Load((0.05, 0.02, -0.02))
 TARGET = np.array([0.05, 0.02, 0.16])
@@ -38,7 +39,7 @@ def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter() -> 
     free = inverse_kinematics(THESIS, TARGET, load=LOAD)
     middle = free.equilibrium.position[len(free.equilibrium.position) // 2]
     ball = Sphere(middle + np.array([0.0, 0.004, 0.0]), 0.002)
-    options = InverseOptions(clearance=1e-3, solver=InverseSolver(compared=1))
+    options = InverseOptions(clearance=1e-3, solver=InverseSolver(starts=Starts(compared=1)))
     kept = inverse_kinematics(THESIS, TARGET, seed=free, load=LOAD, obstacles=[ball], options=options)
     assert kept.clearance >= 1e-3
     assert np.allclose(kept.equilibrium.tip_position, TARGET, rtol=0, atol=2e-8)

@@ -21,6 +21,7 @@ from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
+from tubeopt.inverse.settings import Closest, Starts
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
@@ -173,7 +174,7 @@ def test_a_target_inside_a_body_of_a_crowd_is_approached_as_close_as_it_goes() -
     way."""
     bodies = cloud(600, list(reachable(THESIS, 4, seed=6))[3:])
     target = np.array(bodies[0].centre)
-    options = InverseOptions(starts=12, solver=InverseSolver(closest_postures=1, clear_starts=0))
+    options = InverseOptions(starts=12, solver=InverseSolver(closest=Closest(postures=1), starts=Starts(clear=0)))
     found = inverse_kinematics(THESIS, target, obstacles=bodies, on_failure="closest", options=options)
     assert found.clearance >= -1e-9
     assert found.position_error >= bodies[0].radius + THESIS.tubes[0].outer_diameter / 2

@@ -13,6 +13,7 @@ from tests.examples import THESIS
 from tubeopt import IkSession, InputError, InverseOptions, InverseSolver, forward_kinematics, inverse_kinematics
 from tubeopt.design import OwnObjective, OwnRequirement, Quantities
 from tubeopt.equilibrium.verification import point_at
+from tubeopt.inverse.settings import Starts
 
 SEED = ((0.0, 0.5, 1.0), (-0.03, -0.02, 0.0))
 REFERENCE = ((0.4, 0.7, 0.6), (-0.02, -0.015, -0.005))
@@ -41,6 +42,17 @@ class Close(OwnObjective):
         return (ca.sumsqr(turned) + SHARE**2 * ca.sumsqr(moved)) / 2
 
 
+@dataclass(frozen=True)
+class Turning(OwnRequirement):
+    """What poses are asked for in designs only."""
+
+    limit: float = 0.0
+    words = "how far the tip turns"
+
+    def expression(self, q: Quantities) -> Any:
+        return ca.sumsqr(q.poses[0].turning) - self.limit
+
+
 def test_own_cost_equal_to_a_built_in_one_has_the_same_optimum() -> None:
     target = forward_kinematics(THESIS, *SEED).tip_position
     weights = ([1.0] * 3, [SHARE] * 3)
@@ -59,7 +71,7 @@ def test_own_cost_equal_to_a_built_in_one_has_the_same_optimum() -> None:
 def test_own_constraint_is_kept_in_every_answer() -> None:
     start = forward_kinematics(THESIS, *SEED)
     without = inverse_kinematics(THESIS, start.tip_position, seed=SEED)
-    options = InverseOptions(extra_constraints=(Aside(0.0105),), solver=InverseSolver(compared=1))
+    options = InverseOptions(extra_constraints=(Aside(0.0105),), solver=InverseSolver(starts=Starts(compared=1)))
     answer = inverse_kinematics(THESIS, start.tip_position, seed=SEED, options=options)
     places = [point_at(one.equilibrium, one.equilibrium.arc_length[-1] / 2)[0][0] for one in (without, answer)]
     assert places[0] < 0.009
@@ -81,3 +93,6 @@ def test_what_makes_no_sense_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=words):
             inverse_kinematics(THESIS, (0.0, 0.0, 0.2), options=InverseOptions(**options))
+    target = forward_kinematics(THESIS, *SEED).tip_position
+    with pytest.raises(InputError, match="the turning of a pose is known in designs only"):
+        inverse_kinematics(THESIS, target, seed=SEED, options=InverseOptions(extra_constraints=(Turning(),)))

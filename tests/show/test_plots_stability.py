@@ -238,7 +238,7 @@ def test_snap_shows_both_shapes_and_the_jump(snap: Snap) -> None:
 
 
 def test_snap_with_translations_names_them(snap: Snap) -> None:
-    moved = replace(snap, translations=np.array([-0.02, -0.01, 0.0]))
+    moved = replace(snap, before=replace(snap.before, translations=np.array([-0.02, -0.01, 0.0])))
     assert "translations (−20, −10, 0) mm" in plot_snap(moved, title="mine").get_suptitle()
 
 
@@ -334,7 +334,7 @@ def test_two_snaps_between_two_waypoints(ways: tuple[Path, Path]) -> None:
 
 def test_hysteresis_shows_tip_energy_and_margin(ways: tuple[Path, Path]) -> None:
     forth, back = ways
-    figure = plot_hysteresis(forth, back, ANGLES, axis="y", title="a turn")
+    figure = plot_hysteresis((forth, back), angles_deg=ANGLES, axis="y", title="a turn")
     tip, energy, margin = figure.axes
     assert [axes.get_ylabel() for axes in figure.axes] == ["tip y (mm)", "elastic energy (mJ)", "stability margin"]
     first = np.asarray(tip.lines[0].get_xydata(), dtype=float)
@@ -352,17 +352,17 @@ def test_hysteresis_shows_tip_energy_and_margin(ways: tuple[Path, Path]) -> None
 
 
 def test_hysteresis_shows_what_jumps_most(ways: tuple[Path, Path]) -> None:
-    assert plot_hysteresis(*ways, ANGLES).axes[0].get_ylabel() == "tip x (mm)"
+    assert plot_hysteresis(ways, angles_deg=ANGLES).axes[0].get_ylabel() == "tip x (mm)"
     calm = Path(ways[0].equilibria[:5], ())
     back = Path(ways[0].equilibria[4::-1], ())
-    assert arrows(plot_hysteresis(calm, back, ANGLES[:5]).axes[0]) == []
+    assert arrows(plot_hysteresis((calm, back), angles_deg=ANGLES[:5]).axes[0]) == []
 
 
 def test_wrong_ways_are_refused(ways: tuple[Path, Path]) -> None:
     with pytest.raises(InputError, match="there must be one angle per waypoint"):
-        plot_hysteresis(*ways, ANGLES[1:])
+        plot_hysteresis(ways, angles_deg=ANGLES[1:])
     with pytest.raises(InputError, match="it must be x, y or z"):
-        plot_hysteresis(*ways, ANGLES, axis="tip")
+        plot_hysteresis(ways, angles_deg=ANGLES, axis="tip")
 
 
 @pytest.fixture
@@ -374,7 +374,7 @@ def drawings(
         "energy": lambda path: plot_energy_maps([*maps, maps[0]], path),
         "snap": lambda path: plot_snap(snap, path),
         "map": lambda path: plot_stability_map(chart, path),
-        "ways": lambda path: plot_hysteresis(*ways, ANGLES, path),
+        "ways": lambda path: plot_hysteresis(ways, path, angles_deg=ANGLES),
         # The tallest box that the tests have, with headings above it.
         "shapes": lambda path: plot_shapes([snap.before, snap.after], path, titles=["before", "after"]),
     }

@@ -173,6 +173,15 @@ def test_the_gradient_against_differences() -> None:
         assert gradient[name].sum() == pytest.approx((values[0] - values[1]) / (2 * h), rel=5e-3)
 
 
+def test_the_gradient_of_tubes_that_are_held_at_the_plate() -> None:
+    """No straight part can be shorter: the derivative is the one to the side that there is."""
+    robot, h = eccentric_robot(0.02), 1e-5
+    tubes = [replace(robot.tube, straight_length=k * h) for k in range(3)]
+    at = [snap_free_certificate(replace(robot, tube=tube)) for tube in tubes]
+    gradient = certify(replace(robot, tube=tubes[0])).gradient
+    assert gradient["straight_length"].sum() == pytest.approx((4 * at[1] - 3 * at[0] - at[2]) / (2 * h), rel=5e-3)
+
+
 def test_boxes_move_carriages() -> None:
     robot = eccentric_robot(0.02)
     worst = worst_certificate(robot, np.full(3, -0.01), np.full(3, 0.01))

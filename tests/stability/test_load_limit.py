@@ -29,7 +29,7 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
-from tubeopt.equilibrium.load_continuation import LoadFamily, reach
+from tubeopt.equilibrium.load_continuation import Family, reach
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.loaded import loaded_margin
@@ -98,7 +98,7 @@ def test_the_thesis_robot_snaps_under_twenty_two_millinewton() -> None:
     assert limit.energy_released > 1e-3
     start = unloaded_point(turned, Load((-0.02, 0, 0)))
     problem = start.member.problem
-    near = reach(LoadFamily(start.member), start, 1.09)
+    near = reach(Family.growing(start.member), start, 1.09)
     other = largest_factor(problem, turned.rotations, near.state.x, 1.09)
     assert limit.factor == pytest.approx(other, abs=1e-8)
     # The same event, met by turning under that load.

@@ -41,7 +41,7 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
     found = _solved_again(block, (robot, rotations, translations), model)
     tip = np.array(value(block.tip_position)).ravel()
     apart = float(np.linalg.norm(tip - found.tip_position))
-    if apart > AGREEMENT * float(found.arc_length[-1]):
+    if apart > AGREEMENT * float(found.arm.arc_length[-1]):
         raise SolveError(
             f"the tip of the program is {1e3 * apart:.2g} mm from that of the equilibrium at its joint values: the "
             "pieces of the block are too long (raise its refinement), or the program was not solved",

@@ -48,8 +48,8 @@ def _torsion(near: Near, start: Array, inside: Array) -> Shape:
 
 def _torsion_under_load(near: Near, start: Array, inside: Array) -> tuple[Array, Array, Array]:
     """theta, w (n, P) at arc lengths (P,) and theta (n, N) at arc lengths (N,) of an equilibrium, off its points."""
-    s = near.arc_length
-    theta, w = near.rotation - near.robot.assembly(near.translations).wound(s).T, near.torsion
+    s = near.arm.arc_length
+    theta, w = near.arm.rotation - near.robot.assembly(near.translations).wound(s).T, near.arm.torsion
     if is_general(near.robot):
         # Without the natural twist, which ends where a tube does, and as it would be at the stiffness of the tube.
         w = np.gradient(theta, s, axis=1)
@@ -64,16 +64,16 @@ def _bending_of(near: Near, start: Array, inside: Array) -> tuple[Array, Array]:
         return np.zeros((2, len(start))), np.zeros((2, len(inside)))
     assembly = near.robot.assembly(near.translations)
     if assembly.general:
-        here = assembly.cross_sections(near.point, near.point)
+        here = assembly.cross_sections(near.points.point, near.points.point)
         kb, moment = here.stiffness, here.moment
-        theta = near.point_rotation - assembly.wound(near.point) + here.phase
+        theta = near.points.point_rotation - assembly.wound(near.points.point) + here.phase
     else:
-        section = np.searchsorted(assembly.start, near.point, side="right") - 1
-        kb, theta = assembly.bending_stiffness * assembly.present[section], near.point_rotation
+        section = np.searchsorted(assembly.start, near.points.point, side="right") - 1
+        kb, theta = assembly.bending_stiffness * assembly.present[section], near.points.point_rotation
         moment = kb * assembly.curvature * assembly.curved[section]
     unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, moment)[0]
-    known = (near.point_curvature - unloaded) * kb.sum(1)[:, None]
-    return tuple(np.array([np.interp(s, near.point, row) for row in known.T]) for s in (start, inside))  # type: ignore[return-value]
+    known = (near.points.point_curvature - unloaded) * kb.sum(1)[:, None]
+    return tuple(np.array([np.interp(s, near.points.point, row) for row in known.T]) for s in (start, inside))  # type: ignore[return-value]
 
 
 def columns_of(inside: Array, pieces: int) -> Array:

@@ -8,7 +8,7 @@ from typing import Protocol, Self, TypeVar
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..typing import Array
-from .transcription.arm import Profile
+from .transcription.arm import ArmShape, CollocationPoints, Profile
 from .transcription.reduced import ReducedProblem
 
 
@@ -32,28 +32,12 @@ class Near(Protocol):
         """(3,) m."""
 
     @property
-    def arc_length(self) -> Array:
-        """(m,) m, along the arm."""
+    def arm(self) -> ArmShape:
+        """The whole arm."""
 
     @property
-    def rotation(self) -> Array:
-        """(n, m) rad, along the arm."""
-
-    @property
-    def torsion(self) -> Array:
-        """(n, m) rad/m."""
-
-    @property
-    def point(self) -> Array:
-        """(N,) m, where it is known best."""
-
-    @property
-    def point_rotation(self) -> Array:
-        """(N, n) rad there."""
-
-    @property
-    def point_curvature(self) -> Array:
-        """(N, 2) 1/m there, under load; else empty."""
+    def points(self) -> CollocationPoints:
+        """Where it is known best."""
 
     @property
     def load(self) -> Load | None:

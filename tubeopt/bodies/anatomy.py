@@ -13,27 +13,23 @@ from ..typing import Array, Mask
 from .distance_field import DistanceField
 from .frames import Frame
 from .images import LabelImage
-from .labels import field_of_labels
 from .obstacles import Obstacle, nearest_distance
 
 
 @dataclass(frozen=True, eq=False)
 class Anatomy(Displayed):
-    """What is around the robot, in the frame of its plate, m.
-
-    Attributes:
-        bodies: what the arm keeps away from; a way that it stays within is the body of all that is not the way.
-        target: (N, 3) places of a region for the tip, those with most room first; None without one.
-        landmarks: named places (3,).
-        base: where the plate is in the patient, RAS.
-        registration_error: root of the mean square error of the landmarks that it was found from; 0 without.
-    """
+    """What is around the robot, in the frame of its plate, m."""
 
     bodies: tuple[Obstacle, ...] = ()
+    """What the arm keeps away from; a way that it stays within is the body of all that is not the way."""
     target: Array | None = None
+    """(N, 3) places of a region for the tip, those with most room first; None without one."""
     landmarks: Mapping[str, Array] = field(default_factory=dict)
+    """Named places (3,)."""
     base: Frame = field(default_factory=Frame)
+    """Where the plate is in the patient, RAS."""
     registration_error: float = 0.0
+    """Root of the mean square error of the landmarks that it was found from; 0 without."""
 
     @property
     def fields(self) -> tuple[DistanceField, ...]:
@@ -95,25 +91,3 @@ def anatomy_seen(
 def centres(image: LabelImage, chosen: Mask) -> Array:
     """(N, 3) centres of voxels in the axes of the patient, m."""
     return image.frame.placed(np.argwhere(chosen) * image.spacing)
-
-
-def field_of_image(
-    image: LabelImage,
-    *,
-    lumen: Mask | None = None,
-    forbidden: Mask | None = None,
-    region: tuple[Array, Array] | None = None,
-    name: str = "image",
-) -> DistanceField:
-    """`field_of_labels`, with the region (two corners (3,), m) in the axes of the patient: the box along the axes of
-    the voxels that holds it."""
-    if region is not None:
-        low, high = (np.asarray(corner, dtype=float) for corner in region)
-        if not (low < high).all():
-            least, most = (", ".join(f"{x * 1e3:g}" for x in corner) for corner in (low, high))
-            raise InputError(f"the region goes from {least} to {most} mm; its first corner must be the lower one")
-        ends = np.stack([low, high])
-        corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-        along = image.frame.seen(corners)
-        region = along.min(0), along.max(0)
-    return field_of_labels(image, inside=lumen, outside=forbidden, region=region, name=name)

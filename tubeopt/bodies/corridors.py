@@ -87,9 +87,7 @@ class Corridor:
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors along which the distance from the wall grows."""
         array = as_points(points)
-        flat = array.reshape(-1, 3)
-        nearest = self._inside.distances(range(len(self._parts)), flat).argmin(0)
-        return -self._inside.gradients(nearest, flat).reshape(array.shape)
+        return -self._inside.gradient(array.reshape(-1, 3)).reshape(array.shape)
 
 
 def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
@@ -106,16 +104,14 @@ def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
 class MeshObstacle:
     """A body bounded by triangles, which the library trimesh reads and closes.
 
-    Args:
-        vertices: (k, 3) m.
-        faces: (f, 3) corners of every triangle, from 0.
-
     Raises:
         InputError: tables of wrong shape, a surface that is not closed, trimesh is not installed.
     """
 
     vertices: tuple[Point3, ...] = field(repr=False)
+    """(k, 3) m."""
     faces: tuple[tuple[int, int, int], ...] = field(repr=False)
+    """(f, 3) corners of every triangle, from 0."""
 
     def __post_init__(self) -> None:
         try:

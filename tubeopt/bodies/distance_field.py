@@ -48,25 +48,21 @@ class Source(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DistanceField:
-    """A body by its signed distance on a lattice, positive outside of it, where the arm may be.
-
-    Attributes:
-        values: (a, b, c) at nodes, none more than the distance is, m.
-        spacing: (3,) between nodes along the axes of the lattice, m.
-        frame: of the lattice in that of the plate; its origin is the first node.
-        node_error: by how much the values may fall short, m.
-        bounded: whether all of the body lies within the lattice; else it goes on beyond.
-        name: what it is called.
-        source: what tells gradients exactly; None where the table is all there is.
-    """
+    """A body by its signed distance on a lattice, positive outside of it, where the arm may be."""
 
     values: Array = field(repr=False)
+    """(a, b, c) at nodes, none more than the distance is, m."""
     spacing: Array
+    """(3,) between nodes along the axes of the lattice, m."""
     frame: Frame = field(default_factory=Frame, repr=False)
+    """Of the lattice in that of the plate; its origin is the first node."""
     node_error: float = 0.0
+    """By how much the values may fall short, m."""
     bounded: bool = False
+    """Whether all of the body lies within the lattice; else it goes on beyond."""
     name: str = "anatomy"
     source: Source | None = field(default=None, repr=False)
+    """What tells gradients exactly; None where the table is all there is."""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.values)

@@ -27,10 +27,12 @@ FLAT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A right-handed frame: its axes are the columns of `axes` (3, 3), its origin is at `origin` (3,), m."""
+    """A right-handed frame."""
 
     axes: Array = field(default_factory=lambda: np.eye(3))
+    """(3, 3) its axes are the columns."""
     origin: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) m."""
 
     def placed(self, points: ArrayLike) -> Array:
         """(..., 3) where points (..., 3) of this frame lie in the one that it is given in."""
@@ -87,10 +89,12 @@ def roll_of(frame: Frame) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A frame found from landmarks: the plate's in the patient, and how far (m) each landmark is off with it."""
+    """A frame found from landmarks."""
 
     frame: Frame
+    """The plate's in the patient."""
     errors: dict[str, float]
+    """How far each landmark is off with it, m."""
 
     @property
     def rms(self) -> float:

@@ -46,20 +46,18 @@ UNITS = {"mm": 1e-3, "meter": 1.0, "micron": 1e-6, "m": 1.0, "um": 1e-6, "unknow
 class LabelImage:
     """Values of voxels.
 
-    Attributes:
-        values: (a, b, c) labels, or other values.
-        spacing: (3,) sizes of a voxel, m.
-        frame: of the voxels, along its axes, in the patient, RAS; its origin is the centre of the first voxel.
-        name: what messages call it.
-
     Raises:
         InputError: no image of three dimensions, or voxels without a size.
     """
 
     values: Any = field(repr=False)
+    """(a, b, c) labels, or other values."""
     spacing: Array
+    """(3,) sizes of a voxel, m."""
     frame: Frame = field(default_factory=Frame, repr=False)
+    """Of the voxels, along its axes, in the patient, RAS; its origin is the centre of the first voxel."""
     name: str = "the image"
+    """What messages call it."""
 
     def __post_init__(self) -> None:
         spacing = np.asarray(self.spacing, dtype=float)

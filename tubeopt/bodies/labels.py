@@ -32,40 +32,40 @@ BEYOND = 0.02
 """Length (m) by which a way that meets the border of the image goes on beyond it."""
 
 
-def field_of_labels(
+def field_of_image(
     image: LabelImage,
     *,
-    inside: Mask | None = None,
-    outside: Mask | None = None,
+    lumen: Mask | None = None,
+    forbidden: Mask | None = None,
     region: tuple[Array, Array] | None = None,
     most: int = MOST_NODES,
-    name: str = "anatomy",
+    name: str = "image",
 ) -> DistanceField:
     """The body of voxels in which an arm may not be, in the axes of the patient.
 
     Args:
-        inside: (a, b, c) voxels in which the arm must stay: all others are forbidden. Where they meet the border of the
+        lumen: (a, b, c) voxels in which the arm must stay: all others are forbidden. Where they meet the border of the
             image, they go on beyond it.
-        outside: (a, b, c) voxels that are forbidden, in the same image.
-        region: two corners (3,) of a box in the axes of the image's voxels, m from the first voxel: beyond it all is
-            forbidden.
+        forbidden: (a, b, c) voxels that are forbidden, in the same image.
+        region: two corners (3,), m, in the axes of the patient: beyond the box along the axes of the voxels that holds
+            them all is forbidden.
         most: nodes of the lattice; where there would be more, voxels are taken together, and one that is forbidden
             makes all of them so: `.node_error` tells what that takes away.
 
     Raises:
         InputError: nothing is chosen, or no voxel is left in which the arm may be.
     """
-    if inside is None and outside is None:
+    if lumen is None and forbidden is None:
         raise InputError(f"no label of {image.name} is chosen as lumen or forbidden; choose one of {image.labels}")
-    box, padding = _box(image, inside, outside, region)
-    open_ended = inside is not None or region is not None
+    box, padding = _box(image, lumen, forbidden, region)
+    open_ended = lumen is not None or region is not None
     size = tuple(part.stop - part.start for part in box)
-    free = np.ones(size, dtype=bool) if inside is None else np.array(inside[box])
-    if outside is not None:
-        free &= ~outside[box]
-    if inside is not None and not free.any():
+    free = np.ones(size, dtype=bool) if lumen is None else np.array(lumen[box])
+    if forbidden is not None:
+        free &= ~forbidden[box]
+    if lumen is not None and not free.any():
         raise InputError(f"no voxel of {image.name} is left in which the arm may be")
-    if inside is not None and region is None:
+    if lumen is not None and region is None:
         free = np.pad(free, padding, mode="edge")
     else:
         free = np.pad(free, padding, constant_values=region is None)
@@ -85,18 +85,23 @@ def field_of_labels(
 
 
 def _box(
-    image: LabelImage, inside: Mask | None, outside: Mask | None, region: tuple[Array, Array] | None
+    image: LabelImage, lumen: Mask | None, forbidden: Mask | None, region: tuple[Array, Array] | None
 ) -> tuple[tuple[slice, ...], list[tuple[int, int]]]:
     """The part of the image that matters, and voxels to add before and after it along every axis."""
     shape = image.shape
     if region is not None:
-        low, high = (np.asarray(corner) / image.spacing for corner in region)
+        low, high = (np.asarray(corner, dtype=float) for corner in region)
+        if not (low < high).all():
+            least, most = (", ".join(f"{x * 1e3:g}" for x in corner) for corner in (low, high))
+            raise InputError(f"the region goes from {least} to {most} mm; its first corner must be the lower one")
+        corners = image.frame.seen(list(product(*zip(low, high, strict=True)))) / image.spacing
+        low, high = corners.min(0), corners.max(0)
         begin = np.clip(np.floor(low + 0.5), 0, shape).astype(int)
         end = np.clip(np.ceil(high + 0.5), 0, shape).astype(int)
         if (end <= begin).any():
             raise InputError(f"the region lies beside {image.name}; it must meet it")
         return tuple(slice(a, b) for a, b in zip(begin.tolist(), end.tolist(), strict=True)), [(1, 1)] * 3
-    chosen = inside if inside is not None else outside
+    chosen = lumen if lumen is not None else forbidden
     assert chosen is not None
     if not chosen.any():
         raise InputError(f"no voxel of {image.name} is chosen")
@@ -107,7 +112,7 @@ def _box(
         box.append(slice(a, b))
         further = int(np.ceil(BEYOND / image.spacing[axis]))
         padding.append((further if along[0] == 0 else 0, further if along[-1] == shape[axis] - 1 else 0))
-    return tuple(box), padding if inside is not None else [(ROUND, ROUND)] * 3
+    return tuple(box), padding if lumen is not None else [(ROUND, ROUND)] * 3
 
 
 def _coarser(free: Mask, spacing: Array, most: int) -> tuple[Mask, Any]:

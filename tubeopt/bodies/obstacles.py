@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -119,6 +119,14 @@ class Axial(Measured):
     which a point lies deepest, which is not above the distance from the surface.
     """
 
+    CALLED: ClassVar[str]
+    """In messages."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).copy().items():
+            checked = positive if name.endswith("radius") else triple
+            object.__setattr__(self, name, checked(f"{name} of the {self.CALLED}", value))
+
     def ends(self) -> tuple[Point3, Point3, float, float]:
         """Centres and radii of the balls at both ends."""
         raise NotImplementedError
@@ -194,12 +202,10 @@ class Sphere(Axial):
     centre: Annotated[Point3, unit("mm")]
     radius: Annotated[float, unit("mm"), POSITIVE]
 
+    CALLED = "sphere"
+
     ROUND = True
     """Whether the ball that covers the body is the body."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", triple("centre of the sphere", self.centre))
-        object.__setattr__(self, "radius", positive("radius of the sphere", self.radius))
 
     def ends(self) -> tuple[Point3, Point3, float, float]:
         """Itself, twice."""
@@ -223,10 +229,7 @@ class Capsule(Axial):
     end: Annotated[Point3, unit("mm"), "where it is the start, the body is a ball"]
     radius: Annotated[float, unit("mm"), POSITIVE]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "start", triple("start of the capsule", self.start))
-        object.__setattr__(self, "end", triple("end of the capsule", self.end))
-        object.__setattr__(self, "radius", positive("radius of the capsule", self.radius))
+    CALLED = "capsule"
 
     def ends(self) -> tuple[Point3, Point3, float, float]:
         """Centres and radii of the balls at both ends."""
@@ -235,23 +238,22 @@ class Capsule(Axial):
 
 @dataclass(frozen=True)
 class RoundCone(Axial):
-    """All points within balls whose centres go from `start` to `end` and whose radii go linearly from `start_radius` to
-    `end_radius`, m.
+    """All points within balls whose centres and radii go linearly from those of one ball to those of another.
 
     Raises:
         InputError: a number that is not finite, a radius that is not greater than 0.
     """
 
     start: Point3
+    """Centre, m."""
     end: Point3
+    """Centre, m."""
     start_radius: float
+    """m."""
     end_radius: float
+    """m."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "start", triple("start of the cone", self.start))
-        object.__setattr__(self, "end", triple("end of the cone", self.end))
-        for name in ("start_radius", "end_radius"):
-            object.__setattr__(self, name, positive(f"{name} of the cone", getattr(self, name)))
+    CALLED = "cone"
 
     def ends(self) -> tuple[Point3, Point3, float, float]:
         """Centres and radii of the balls at both ends."""

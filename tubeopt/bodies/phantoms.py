@@ -31,11 +31,12 @@ Stretch = tuple[tuple[float, float, float], tuple[float, float, float], float, f
 
 @dataclass(frozen=True)
 class Phantom:
-    """A way through a patient, in mm.   target: the last of the stretches belong to it, so many."""
+    """A way through a patient, in mm."""
 
     name: str
     stretches: tuple[Stretch, ...]
     target: int
+    """So many of the stretches, the last, belong to it."""
     landmarks: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def depth(self, points: ArrayLike, stretches: tuple[Stretch, ...] | None = None) -> Array:

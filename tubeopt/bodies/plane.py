@@ -18,14 +18,16 @@ FLAT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Plane(Displayed):
-    """The plane through a point (3,), m, square to a normal (3,) of any length but 0.
+    """A plane.
 
     Raises:
         InputError: no three finite numbers, a normal of length 0.
     """
 
     point: Array
+    """(3,) any of it, m."""
     normal: Array
+    """(3,) of any length but 0; kept with length 1."""
 
     def __post_init__(self) -> None:
         normal = vector("normal of the plane", self.normal, 3, "x, y, z")

@@ -134,16 +134,16 @@ class Scene:
         return found
 
     def distances(self, chosen: Sequence[int] | Index, points: Array) -> Array:
-        """(b, N) signed distances of points (N, 3), or of each its own (b, N, 3), from some bodies, m."""
+        """(b, N) signed distances of points (N, 3) from some bodies, m."""
         chosen = np.asarray(chosen, dtype=int)
-        points = np.broadcast_to(points, (len(chosen), *points.shape[-2:]))
-        out = np.empty(points.shape[:2])
+        out = np.empty((len(chosen), len(points)))
         for asked, rows, numbers in self._by_kind(chosen):
-            if numbers is None:
-                out[rows] = [asked.signed_distance(points[row]) for row in rows]
-            else:
-                out[rows] = asked.distances(points[rows], numbers[:, None])
+            out[rows] = asked.signed_distance(points) if numbers is None else asked.distances(points, numbers[:, None])
         return out
+
+    def gradient(self, points: Array) -> Array:
+        """(N, 3) unit vectors along which the distance of points (N, 3) from the nearest body grows."""
+        return self.gradients(self.distances(range(len(self.bodies)), points).argmin(0), points)
 
     def pair_distances(self, chosen: Index, points: Array, within: Array) -> Array:
         """(c,) signed distance of each of points (c, 3) from its own body of `chosen` (c,), m, where it is less than

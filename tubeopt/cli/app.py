@@ -32,7 +32,7 @@ class LazyCommand(TyperCommand):
 
     Args:
         name: what is typed.
-        what: what it asks, or module of this package and function, as "certify.certify".
+        what: what it asks, or module of this package and function, as "export.export".
     """
 
     def __init__(self, name: str, what: Asked | str) -> None:

@@ -95,7 +95,14 @@ COMMANDS: dict[str, Asked | str] = {
         arguments={"robot": ROBOT, "measurements": ("MEASURED.csv", "Measured positions of the arm.")},
         example="tubeopt force configs/robots/thesis_ctr.yaml configs/experiments/synthetic_forces.csv --noise-mm 0.1",
     ),
-    "certify": "certify.certify",
+    "certify": Asked(
+        "certify",
+        """Whether the robot can snap at any rotation: what is proved, and what search finds.
+
+        Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known; with a box, at the translations of its least
+        certificate that was found. With a force, 0 is only for what is proved under it.""",
+        example="tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0",
+    ),
     "stability-map": Asked(
         "stability_map",
         "The margin over the rotations of two tubes turned together from home, and where the robot snaps.",

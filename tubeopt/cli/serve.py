@@ -11,9 +11,9 @@ from typing import Annotated
 from pydantic import Field
 
 from ..control.c_binding import servo_of
+from ..control.command import OBJECTIVES, ServoOptions
 from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
-from ..control.servo import OBJECTIVES, ServoOptions
 from ..files.checked import NotNegative, Positive, Whole
 from ..runs.base import Posed
 from ..runs.obstacle_file import Bodies

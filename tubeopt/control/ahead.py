@@ -16,18 +16,17 @@ import numpy as np
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
-from ..inverse.answer import InverseOptions
 from ..inverse.chart import Chart
 from ..inverse.joints import Configuration
+from ..inverse.settings import InverseOptions
 from ..inverse.solving import inverse_kinematics
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .command import Command, ServoOptions, ServoStep, Why
-from .horizon import Aim, Knots, improvement
+from .horizon import DEFAULT_HORIZON, Aim, HorizonSolver, Knots, improvement
 from .servo import Servo
-from .settings import DEFAULT_HORIZON, HorizonSolver
 
 
 class PredictiveServo:
@@ -80,7 +79,7 @@ class PredictiveServo:
         return None if self._way is None else self._way.copy()
 
     @small
-    def step(self, command: Command, dt: float) -> ServoStep:
+    def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
         """One step of `dt` seconds towards a position, and a direction where one is given; it always answers.
 
         The robot stays where it is while the way is not allowed yet; `why` then says what it lacks.
@@ -92,13 +91,14 @@ class PredictiveServo:
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo that looks ahead is led to a position, and to a direction if there is one")
+        aim = Aim(command.position, command.direction)
         told, here = self._guard.left(command), self._guard.here
-        if self._near and told[0] < self.solver.close * self._guard.space.length and not self._new(_aim(command)):
+        if self._near and told[0] < self.solver.close * self._guard.space.length and not self._new(aim):
             step = self._servo.step(command, dt)
             # Where that comes to rest before it is there, one step ahead will not do.
             self._near = step.why & Why.HELD == 0
             return step
-        knots = self._knots(_aim(command))
+        knots = self._knots(aim)
         if knots is None:
             return self._servo.step(command, dt)
         lacking = self._renew(knots)
@@ -196,12 +196,3 @@ class PredictiveServo:
 def _places(z: Array, at: Array) -> Array:
     """(k, m) places on a polyline (K, m), by numbers (k,) of its points."""
     return np.column_stack([np.interp(at, np.arange(len(z)), column) for column in z.T])
-
-
-def _aim(command: Command) -> Aim:
-    """Where a command leads the tip."""
-    position = np.asarray(command.position, dtype=float)
-    if command.direction is None:
-        return Aim(position, None)
-    direction = np.asarray(command.direction, dtype=float)
-    return Aim(position, direction / np.linalg.norm(direction))

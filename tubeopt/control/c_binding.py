@@ -22,7 +22,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary, c_library
-from .command import Command, ServoOptions, Why
+from .command import Command, ServoOptions, ServoStep, Why
 from .servo import Servo
 
 LOGGER = logging.getLogger("tubeopt")
@@ -42,31 +42,43 @@ POINTS = 40
 
 @dataclass(frozen=True, eq=False)
 class CPose:
-    """An equilibrium of the library: joints (n,) each, tip (3,) m, its frame (3, 3), tip rotations (n,), margin, energy
-    (J), estimated error of the tip (m), residual (rad), and points of the arm (POINTS, 3), m."""
+    """An equilibrium of the library."""
 
     rotations: Array
+    """(n,) rad."""
     translations: Array
+    """(n,) m."""
     tip_position: Array
+    """(3,) m."""
     tip_rotation: Array
+    """(3, 3)."""
     tip_rotations: Array
+    """(n,) rad."""
     margin: float
     energy: float
+    """J."""
     tip_error: float
+    """Estimated, m."""
     residual: float
+    """rad."""
     position: Array
+    """(POINTS, 3) of the arm, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class CSlopes:
-    """Derivatives by rotations and translations: of tip (3, 2n), turn vector (3, 2n), tip rotations (n, 2n) and margin
-    (2n,); and the compliance (6, 6) of the tip, None where the library does not know it."""
+    """Derivatives by rotations and translations."""
 
     position: Array
+    """(3, 2n) of the tip."""
     turn: Array
+    """(3, 2n) turn vector of the tip."""
     tip_rotations: Array
+    """(n, 2n)."""
     margin: Array
+    """(2n,)."""
     compliance: Array | None
+    """(6, 6) of the tip; None where the library does not know it."""
 
 
 class CRobot:
@@ -231,7 +243,7 @@ class CServo:
         """(6, 6) of the tip: a small force and moment -> its translation and turn; None where the library has none."""
         return self._robot.slopes().compliance
 
-    def step(self, command: Command, dt: float) -> CStep:
+    def step(self, command: Command, dt: float) -> ServoStep[CPose]:
         """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
         if command.pivot is not None:
             raise InputError("the servo of a C library knows no pivot")
@@ -240,14 +252,14 @@ class CServo:
         if command.joints is not None:
             rotations, translations = command.joints
             return self._straight(rotations, translations, dt)
-        place = here.tip_position if command.position is None else np.asarray(command.position)
+        place = here.tip_position if command.position is None else command.position
         if command.velocity is not None:
-            place = here.tip_position + np.asarray(command.velocity) * dt
-        pointing = np.zeros(3) if command.direction is None else np.asarray(command.direction)
+            place = here.tip_position + command.velocity * dt
+        pointing = np.zeros(3) if command.direction is None else command.direction
         push = o.push if o.objective else 0.0
         told = np.concatenate([[dt], place, pointing, [o.speed, o.turn_rate, o.shift_rate, o.min_margin, push]])
         self.equilibrium, distance, angle, why = self._robot.servo(told)
-        return CStep(self.equilibrium, why, distance, angle)
+        return ServoStep(self.equilibrium, why, distance, angle)
 
     def undo(self) -> None:
         """Take the last step back, which was not sent; nothing where it made none, or was taken back already."""
@@ -255,7 +267,7 @@ class CServo:
             self._robot.undo()
             self.equilibrium = self._before
 
-    def _straight(self, rotations: Array, translations: Array, dt: float) -> CStep:
+    def _straight(self, rotations: Array, translations: Array, dt: float) -> ServoStep[CPose]:
         """A step straight to joint values, as far as rates allow; none where the margin would fall below its floor."""
         here, o = self.equilibrium, self.options
         turn, shift = rotations - here.rotations, translations - here.translations
@@ -267,23 +279,13 @@ class CServo:
         try:
             there = self._robot.follow(here.rotations + share * turn, here.translations + share * shift)
         except (SolveError, InputError):
-            return CStep(here, Why.HELD, np.nan, np.nan)
+            return ServoStep(here, Why.HELD, np.nan, np.nan)
         inside = self.space.admissible(self.space.join(there.rotations, there.translations))
         if there.margin < min(o.min_margin, here.margin) or not inside:
             self._robot.undo()
-            return CStep(here, Why.HELD | (Why.RANGE if not inside else Why.MARGIN), np.nan, np.nan)
+            return ServoStep(here, Why.HELD | (Why.RANGE if not inside else Why.MARGIN), np.nan, np.nan)
         self.equilibrium = there
-        return CStep(there, why, np.nan, np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class CStep:
-    """A step of `CServo`: as `ServoStep`."""
-
-    equilibrium: CPose
-    why: Why
-    distance: float
-    angle: float
+        return ServoStep(there, why, np.nan, np.nan)
 
 
 def _at(array: Array) -> ctypes.c_void_p:

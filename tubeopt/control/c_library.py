@@ -37,15 +37,17 @@ CASES = 24
 
 @dataclass(frozen=True)
 class CLibrary(Displayed):
-    """Texts of a library by file name, what the robot is called, the prefix of what it exports, and whether it has
-    loads."""
+    """Texts of a library."""
 
     robot: Robot
     name: str
+    """What the robot is called."""
     prefix: str
+    """Of what it exports."""
     files: dict[str, str]
     """Name of a file -> its text."""
     loads: bool = False
+    """Whether it has them."""
 
 
 def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loads: bool = False) -> CLibrary:

@@ -4,33 +4,38 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..equilibrium.result import Equilibrium
-from ..errors import InputError, vector
+from ..errors import InputError, choice, positive, vector
 from ..inverse.joints import Configuration
-from ..typing import Array
+from ..typing import Array, Of
 
 TASKS = ("position", "velocity", "direction", "pivot", "joints")
 OBJECTIVES = ("margin", "centre", "compliance")
 
+Vector = Any
+"""(3,) numbers, given as any sequence and kept as an array."""
+
+T = TypeVar("T")
+
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What the tip shall do; what is None is free.
+    """What the tip shall do; what is None is free."""
 
-    position (3,) m, or velocity (3,) m/s of the tip; direction (3,) along which it shall point; pivot (3,) m: a point
-    that the arm shall pass through, as at an incision; joints: rotations and translations to go to, as a configuration.
-    """
-
-    position: ArrayLike | None = None
-    velocity: ArrayLike | None = None
-    direction: ArrayLike | None = None
-    pivot: ArrayLike | None = None
+    position: Vector | None = None
+    """(3,) of the tip, m."""
+    velocity: Vector | None = None
+    """(3,) of the tip, m/s, in place of a position."""
+    direction: Vector | None = None
+    """(3,) along which it shall point, of any length but 0; kept with length 1."""
+    pivot: Vector | None = None
+    """(3,) m: a point that the arm shall pass through, as at an incision."""
     joints: Configuration | None = None
+    """Rotations and translations to go to, as a configuration."""
 
     def __post_init__(self) -> None:
         for name in TASKS[:4]:
@@ -39,42 +44,45 @@ class Command:
                 object.__setattr__(self, name, vector(name, value, 3, "x, y, z"))
         if self.position is not None and self.velocity is not None:
             raise InputError("position and velocity are both given; a command has one of them")
-        if self.direction is not None and not np.linalg.norm(self.direction) > 0:
-            raise InputError("direction has no length")
+        if self.direction is not None:
+            length = float(np.linalg.norm(self.direction))
+            if not length > 0:
+                raise InputError("direction has no length")
+            object.__setattr__(self, "direction", self.direction / length)
 
 
 @dataclass(frozen=True)
 class ServoOptions:
-    """How a servo moves.
-
-    speed: most that the tip is asked to move, m/s.   turn_rate, shift_rate: most of every joint, rad/s and m/s.
-    min_margin: floor of the margin.   clearance: of bodies, m.   priorities: tasks of TASKS, the most important first;
-    those of one word, as "position+direction", count alike.   objective: one of OBJECTIVES, to which goes what the
-    tasks leave free: margin, the middle of the ranges, or the compliance of the tip, which is made small.   push:
-    share of the rates that goes there.
-    """
+    """How a servo moves."""
 
     speed: float = 0.05
+    """Most that the tip is asked to move, m/s."""
     turn_rate: float = 3.0
+    """Most of every rotation, rad/s."""
     shift_rate: float = 0.05
+    """Most of every translation, m/s."""
     min_margin: float = 0.1
+    """Floor of the margin."""
     clearance: float = 0.0
+    """Of bodies, m."""
     priorities: tuple[str, ...] = ("pivot", "position+velocity+direction+joints")
+    """Tasks of TASKS, the most important first; those of one word, as "position+direction", count alike."""
     objective: str | None = None
+    """One of OBJECTIVES, to which goes what the tasks leave free: margin, the middle of the ranges, or the compliance
+    of the tip, which is made small."""
     push: float = 0.2
+    """Share of the rates that goes there."""
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"{name} is {value:g}; it must be at least 0")
+            positive(name, getattr(self, name), zero=True)
         if not 0 < self.min_margin < 1:
             raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
         named = [name for group in self.priorities for name in group.split("+")]
         if sorted(set(named)) != sorted(named) or not set(named) <= set(TASKS):
             raise InputError(f"priorities are {list(self.priorities)}; each of {', '.join(TASKS)} may stand there once")
-        if self.objective is not None and self.objective not in OBJECTIVES:
-            raise InputError(f"objective is {self.objective!r}; it must be one of {', '.join(OBJECTIVES)}")
+        if self.objective is not None:
+            choice("objective", self.objective, OBJECTIVES)
 
 
 class Why(enum.IntFlag):
@@ -106,25 +114,17 @@ WORDS = {
 
 
 @dataclass(frozen=True, eq=False)
-class ServoStep(Displayed):
-    """A step that was made.
+class ServoStep(Displayed, Generic[T]):
+    """A step that was made."""
 
-    equilibrium: where the robot is to be, with its joint values.   why: what was in the way.   distance, angle: from
-    the tip to where it shall be (m), and from its direction to the wanted one (rad), before the step; NaN where not
-    asked.
-    """
-
-    equilibrium: Equilibrium
+    equilibrium: T
+    """Where the robot is to be."""
     why: Why
+    """What was in the way."""
     distance: float
+    """From the tip to where it shall be, before the step, m; NaN where not asked."""
     angle: float
+    """From its direction to the wanted one, before the step, rad; NaN where not asked."""
 
-    @property
-    def rotations(self) -> Array:
-        """(n,) to be sent, rad."""
-        return self.equilibrium.rotations
-
-    @property
-    def translations(self) -> Array:
-        """(n,) to be sent, m."""
-        return self.equilibrium.translations
+    rotations, translations = Of[Array]("equilibrium"), Of[Array]("equilibrium")
+    """(n,) to be sent, rad and m."""

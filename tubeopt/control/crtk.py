@@ -164,11 +164,8 @@ class CrtkRobot:
         if command.joints is not None:
             turn, shift = command.joints
             return float(np.abs(turn - arm.rotations).max()), float(np.abs(shift - arm.translations).max())
-        left = float(np.linalg.norm(np.asarray(command.position) - arm.tip_position))
-        if command.direction is None:
-            return 0.0, left
-        wanted = np.asarray(command.direction) / np.linalg.norm(command.direction)
-        return float(np.linalg.norm(wanted - arm.tip_rotation[:, 2])), left
+        turn = 0.0 if command.direction is None else math.dist(command.direction, arm.tip_rotation[:, 2])
+        return turn, 0.0 if command.position is None else math.dist(command.position, arm.tip_position)
 
     def _change(self, wanted: Any) -> None:
         if wanted not in TRANSITIONS:

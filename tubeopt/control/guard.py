@@ -11,15 +11,14 @@ from math import dist
 
 import numpy as np
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import Lookout, Scene, scene_of
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..inverse.goal import angle
 from ..inverse.joints import Configuration, JointSpace, joint_space
-from ..inverse.posture import Posture
-from ..inverse.question import seed_posture
+from ..inverse.posture import Posture, seed_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
@@ -42,7 +41,7 @@ class Guard:
     ) -> None:
         self.options = options
         self.space: JointSpace = joint_space(robot, limits)
-        self.scene: Scene = scene_of(tuple(obstacles))
+        self.scene: Scene = scene_of(checked_obstacles(obstacles))
         self._lookout = Lookout(self.scene)
         self.here = self.before = seed_posture(self.space, seed)
         """Where the robot is, and where it was before the last step."""
@@ -86,7 +85,5 @@ class Guard:
     def left(self, command: Command) -> tuple[float, float]:
         """Distance (m) and angle (rad) from what is commanded; NaN where nothing is."""
         here = self.here
-        away = np.nan if command.position is None else dist(np.asarray(command.position), here.tip)
-        if command.direction is None:
-            return away, np.nan
-        return away, angle(here.direction, np.asarray(command.direction) / np.linalg.norm(command.direction))
+        away = np.nan if command.position is None else dist(command.position, here.tip)
+        return away, np.nan if command.direction is None else angle(here.direction, command.direction)

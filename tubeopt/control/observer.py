@@ -29,22 +29,24 @@ BY = ("rotations", "bending_stiffness", "torsional_stiffness")
 
 @dataclass(frozen=True)
 class ObserverOptions:
-    """What is uncertain beforehand, as standard deviations, and how long the past is kept.
-
-    noise: of a measured position, each axis, m.   rotation: of the joints' offsets, rad.   stiffness: of every tube's,
-    as a share.   offset: of the tip's, each axis, m.   drift: of all of these per root second, as a share of them.
-    memory: s of joint values that measurements may be late by.   gate: standard deviations beyond which a measurement
-    is left out.   linearised: times that an update linearises.
-    """
+    """What is uncertain beforehand, as standard deviations, and how long the past is kept."""
 
     noise: float = 5e-4
+    """Of a measured position, each axis, m."""
     rotation: float = np.radians(3.0)
+    """Of the joints' offsets, rad."""
     stiffness: float = 0.05
+    """Of every tube's, as a share."""
     offset: float = 1e-4
+    """Of the tip's, each axis, m."""
     drift: float = 0.02
+    """Of the three before per root second, as a share of them."""
     memory: float = 1.0
+    """Of joint values that measurements may be late by, s."""
     gate: float = 5.0
+    """Standard deviations beyond which a measurement is left out."""
     linearised: int = 3
+    """Times that an update linearises."""
 
     def __post_init__(self) -> None:
         whole("linearised", self.linearised, 1)
@@ -55,14 +57,15 @@ class ObserverOptions:
 
 @dataclass(frozen=True, eq=False)
 class Correction(Displayed):
-    """What an observer did with a measurement: whether it was used, else why not; the distance (m) of the measured tip
-    from the one that was expected, before and after."""
+    """What an observer did with a measurement."""
 
     used: bool
     words: str
     """Why it was not used; "" where it was."""
     before: float
+    """Distance of the measured tip from the one that was expected, m."""
     after: float
+    """The same after it was taken in, m."""
 
 
 class Observer:

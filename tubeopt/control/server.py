@@ -36,23 +36,26 @@ TURNS = 2e-4
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """How a robot is served.
-
-    host, port: where; port 0 is any that is free.   token: what clients must know; "" makes one.   period: of the loop,
-    s.   publish: states per second.   rate: messages per second and client, beyond which they are not read.
-    patience: s, until a client must have said hello.   longest_message: bytes, beyond which the connection ends.
-    clients: at once, at most.
-    """
+    """How a robot is served."""
 
     host: str = "127.0.0.1"
+    """This machine."""
     port: int = 8765
+    """0 is any that is free."""
     token: str = ""
+    """What clients must know; "" makes one."""
     period: float = 1e-3
+    """Of the loop, s."""
     publish: float = 40.0
+    """States per second."""
     rate: float = 2000.0
+    """Messages per second and client, beyond which they are not read."""
     patience: float = 5.0
+    """Until a client must have said hello, s."""
     longest_message: int = 16_384
+    """Bytes, beyond which the connection ends."""
     clients: int = 256
+    """At once, at most."""
 
     def __post_init__(self) -> None:
         if self.host not in ("127.0.0.1", "localhost", "::1"):

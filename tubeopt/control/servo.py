@@ -27,10 +27,8 @@ from ..robots.robot import Robot
 from ..solvers.compiled.quadratic import least_squares_of
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index
-from .command import OBJECTIVES, Command, ServoOptions, ServoStep, Why
+from .command import Command, ServoOptions, ServoStep, Why
 from .guard import Guard
-
-__all__ = ["OBJECTIVES", "Command", "Servo", "ServoOptions", "ServoStep"]
 
 DAMPING = 1e-3
 """Of a joint's way over its scale against the tip's over the robot's length."""
@@ -94,7 +92,7 @@ class Servo:
         return self.guard.here.equilibrium
 
     @small
-    def step(self, command: Command, dt: float) -> ServoStep:
+    def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
         """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
         if not 0 < dt < np.inf:
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
@@ -199,7 +197,8 @@ class Servo:
         `rate` (m,) could make too small; the guard sees what is more."""
         scene, clearance = self.guard.scene, self.options.clearance
         moved = np.linalg.norm(self.space.by_joints(at.along), axis=1) @ rate
-        reach = clearance + APART + min(float(moved.max()) / APPROACH, DEFAULT_SOLVER.body_reach * self.space.length)
+        farthest = DEFAULT_SOLVER.descent.body_reach * self.space.length
+        reach = clearance + APART + min(float(moved.max()) / APPROACH, farthest)
         self.guard.sight = FARTHER * reach
         contacts = at.outline.contacts(scene, reach)
         if not len(contacts.body):
@@ -232,10 +231,9 @@ class Servo:
 
     def _direction(self, direction: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         here = at.direction
-        gap = direction / np.linalg.norm(direction) - here
         # As fast as the tip would turn about a tenth of the robot.
         most = 10 * self.options.speed * dt / self.space.length
-        return np.cross(at.jacobian[1], here[:, None], axis=0), _at_most(most, gap)
+        return np.cross(at.jacobian[1], here[:, None], axis=0), _at_most(most, direction - here)
 
     def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         """The arm where it passes the point closest is to come to it, across its tangent."""

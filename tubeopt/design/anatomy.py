@@ -28,30 +28,29 @@ def _cubic(x: Array) -> tuple[Array, Array]:
     return weights, np.stack([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
 
 
-def _between(pose: Pose | PiecePose, share: Array) -> tuple[Index, Array, Array]:
-    """For parts (K,) of the arm: the shape point before, the length to the next, and how far along it, 0 to 1."""
-    s = pose.arc_length
+def _between(pose: Pose | PiecePose, share: Array) -> tuple[Index, Array, Array, Array]:
+    """For parts (K,) of the arm: the shape point before, the length to the next, how far along it, 0 to 1, and what
+    `_cubic` weighs (4, K, 3)."""
+    s, position, tangent = pose.arc_length, pose.position, pose.frame[:, :, 2]
     at = share * s[-1]
     k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
     h = s[k + 1] - s[k]
-    return k, h, (at - s[k]) / h
+    nodes = np.stack([position[k], h[:, None] * tangent[k], position[k + 1], h[:, None] * tangent[k + 1]])
+    return k, h, (at - s[k]) / h, nodes
 
 
 def arm_points(pose: Pose | PiecePose, share: Array) -> Array:
     """Centreline (K, 3) at parts (K,) of the arm's length, cubic between the shape points."""
-    k, h, x = _between(pose, share)
-    ends = pose.position, pose.frame[:, :, 2]
-    nodes = np.stack([ends[0][k], h[:, None] * ends[1][k], ends[0][k + 1], h[:, None] * ends[1][k + 1]])
+    _, _, x, nodes = _between(pose, share)
     return np.asarray(np.einsum("wk,wkc->kc", _cubic(x)[0], nodes))
 
 
 def arm_slopes(pose: Pose | PiecePose, share: Array) -> Array:
     """(K, 3, L) change of `arm_points`, at the same part of an arm whose length changes too."""
-    k, h, x = _between(pose, share)
+    k, h, x, nodes = _between(pose, share)
     position, turn, arc = pose.shape_slopes
     tangent = pose.frame[:, :, 2]
     weights, rates = _cubic(x)
-    nodes = np.stack([pose.position[k], h[:, None] * tangent[k], pose.position[k + 1], h[:, None] * tangent[k + 1]])
     dh = arc[k + 1] - arc[k]
     moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
     for w, end in ((weights[1], k), (weights[3], k + 1)):

@@ -9,8 +9,7 @@ import numpy as np
 
 from ..block.quantities import PoseNumber
 from ..block.transcription.collocated import ENDS
-from ..equilibrium.general_change import Answer
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Answer, Linearised
 from ..physics.strain import bend_from_own, surface_strain
 from ..robots.tubes import Tube
 from ..typing import Array
@@ -54,8 +53,8 @@ def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
     shape, space = state.tubes[tube], state.layout.space
     value, slope = _slot_ratio(shape, number)
     change = np.zeros(state.layout.size)
-    for column, (field, spot) in enumerate(space.of_pieces):
-        if field == "piece_bending_factor" and (tube, number) in spot.pieces:
+    for column, one in enumerate(space.unknowns):
+        if one.field == "piece_bending_factor" and (tube, number) in one.pieces:
             left = shape.pieces[number].bending_factor(float(shape.bending_stiffness))
             change[column] = slope * left / state.x[column]
     return value, change
@@ -64,7 +63,7 @@ def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
 def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Array]:
     """Largest strain of a piece of a tube held straight, and its change (X,); a tube of one curvature is one piece."""
     shape, space = state.tubes[tube], state.layout.space
-    if not space.spots:
+    if not space.pieced:
         natural, change = shape.curvature, state.slopes["curvature"][tube]
     else:
         natural = shape.pieces[number].largest_curvature

@@ -92,13 +92,13 @@ def improve_by_cells(program: Program, start: Array, report: Report | None = Non
     """The optimum in the cell of a start, then in its neighbours for as long as they are better."""
     cell = cell_at(program, start)
     best = _in_cell(program, start, cell, report)
-    tried, solver = {cell}, program.task.solver
-    for _ in range(solver.orders):
+    tried, orders = {cell}, program.task.solver.orders
+    for _ in range(orders.most):
         values, slopes, what = cell_rows(program, state_at(program, best.x), cell)
         if not best.feasible or not what:
             break
         prices = np.zeros(len(values)) if best.optimum is None else best.optimum.multipliers[-len(values) :]
-        closed = [k for k in np.argsort(-prices) if values[k] * 1e-2 < solver.closed_section and prices[k] > 1e-8]
+        closed = [k for k in np.argsort(-prices) if values[k] * 1e-2 < orders.closed_section and prices[k] > 1e-8]
         better = None
         for k in closed:
             other = swapped(cell, *what[k])
@@ -107,7 +107,7 @@ def improve_by_cells(program: Program, start: Array, report: Report | None = Non
             tried.add(other)
             begin = _across(program, best.x, values[k], slopes[k])
             found = _in_cell(program, begin, other, report)
-            if found.feasible and found.objective < best.objective - solver.order_gain * max(abs(best.objective), 1e-3):
+            if found.feasible and found.objective < best.objective - orders.gain * max(abs(best.objective), 1e-3):
                 better = other, found
                 break
         if better is None:
@@ -138,5 +138,5 @@ def _rows_of(program: Program, cell: Cell) -> MoreRows:
 def _across(program: Program, x: Array, value: float, slope: Array) -> Array:
     """x moved as little as possible to where a section is open on the other side."""
     scaled = slope * program.scale
-    step = -(value + program.task.solver.opened_section / 1e-2) / float(scaled @ scaled)
+    step = -(value + program.task.solver.orders.opened_section / 1e-2) / float(scaled @ scaled)
     return np.clip(x + step * scaled * program.scale, program.lower, program.upper)

@@ -67,7 +67,7 @@ REFUSED: dict[type[Any], str] = {
 
 def check_collocation(task: DesignTask) -> None:
     """Raise InputError where a task holds a requirement that no block expresses, or is about pieces."""
-    if task.space.spots:
+    if task.space.pieced:
         raise InputError(
             "method is 'collocation', which takes no pieces of tubes, of which a design frees shapes and slots; method "
             "'reduced' does"

@@ -18,7 +18,7 @@ from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
 from .parameters import Free
 from .pose import Twist
-from .program import Added, Program, compile_task, corners, state_at
+from .program import Added, Program, compile_task, corners, robot_at, state_at
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
 from .solve_one import to_feasibility, violation
 from .starts import with_joints
@@ -42,18 +42,11 @@ class Motion:
     snap: float | None
 
 
-def robot_at(program: Program, x: Array) -> ConcentricRobot:
-    """The robot at x; raises InputError where its tubes do not fit into one another."""
-    task = program.task
-    tubes = program.layout.space.tubes(x[: program.layout.designs])
-    return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
-
-
 def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     """The robot moved through its task poses in order, slowly; after a snap it goes on from the next pose anew."""
     state = state_at(program, x)
     joints = [state.joint_values(k) for k in program.task_poses]
-    count = program.task.solver.path_points
+    count = program.task.solver.exchange.path_points
     share = np.linspace(0.0, 1.0, count + 1)
     out = []
     start: Equilibrium | None = None
@@ -104,7 +97,7 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
         tables = list(added.points) or [corners(box) for box in boxes]
         for k, box in enumerate(boxes):
             missed = _missed(program, x, box)
-            new = [point for point in missed if point not in tables[k]][: program.task.solver.points_per_round]
+            new = [point for point in missed if point not in tables[k]][: program.task.solver.exchange.points]
             tables[k] = (*tables[k], *new)
             why += [f"{len(missed)} points of the workspace box"] if new else []
         added = replace(added, points=tuple(tables))
@@ -173,8 +166,8 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
     """How far, in steps of the limits, the robot at x stays from reaching a point within what poses must keep."""
     space = program.layout.space
     fixed = tuple(
-        Free(field, tubes, value, value, "scaled" if scaled else "equal")
-        for (field, tubes, scaled), value in zip(space.unknowns, x.tolist(), strict=False)
+        Free(one.field, one.tubes, value, value, "scaled" if one.scaled else "equal")
+        for one, value in zip(space.unknowns, x.tolist(), strict=False)
     )
     target = Target((point[0], point[1], point[2]), tolerance)
     keep = tuple(

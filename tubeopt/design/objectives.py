@@ -1,34 +1,54 @@
-"""What a design is good for: every objective is a number that falls as the design gets better."""
+"""What a design is good for: objectives, and their numbers as expressions of tubes and poses."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from ..block.own import OwnObjective
+from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from ..errors import InputError, numbers, vector
 from ..files.marks import POSITIVE, OneOf, check_fields, unit
+from ..physics.torsion import cross_section
+from ..robots.assembly import ROUND_OFF
+from ..typing import Of
+from .requirements import ROUNDED, Rows, deviations
+
+
+class Kind(NamedTuple):
+    """What is told of an objective."""
+
+    words: str
+    """What it is called."""
+    unit: str
+    """In which it is shown."""
+    factor: float
+    """What turns SI into that unit."""
+    sign: int
+    """1 where less is better, -1 where more is better."""
+
 
 KINDS = {
-    "tip_curvature": ("tip curvature", "1/m", 1.0, -1),
-    "turning_radius": ("turning radius", "mm", 1e3, 1),
-    "reach_radius": ("reachable radius", "mm", 1e3, -1),
-    "strain": ("largest strain", "%", 1e2, 1),
-    "length": ("length of the robot", "mm", 1e3, 1),
-    "margin": ("least margin", "", 1.0, -1),
-    "tip_deflection": ("tip deflection", "mm", 1e3, 1),
-    "tip_stiffness": ("tip stiffness", "N/m", 1.0, -1),
-    "stroke_force": ("stroke force", "mN", 1e3, -1),
-    "dexterity": ("dexterity", "mm", 1e3, -1),
-    "orientability": ("orientability", "deg", 180 / np.pi, -1),
-    "workspace_volume": ("volume that is swept", "cm^3", 1e6, -1),
-    "deployment": ("deviation of the deployment", "mm", 1e3, 1),
-    "change": ("change of the robot", "", 1.0, 1),
+    "tip_curvature": Kind("tip curvature", "1/m", 1.0, -1),
+    "turning_radius": Kind("turning radius", "mm", 1e3, 1),
+    "reach_radius": Kind("reachable radius", "mm", 1e3, -1),
+    "strain": Kind("largest strain", "%", 1e2, 1),
+    "length": Kind("length of the robot", "mm", 1e3, 1),
+    "margin": Kind("least margin", "", 1.0, -1),
+    "tip_deflection": Kind("tip deflection", "mm", 1e3, 1),
+    "tip_stiffness": Kind("tip stiffness", "N/m", 1.0, -1),
+    "stroke_force": Kind("stroke force", "mN", 1e3, -1),
+    "dexterity": Kind("dexterity", "mm", 1e3, -1),
+    "orientability": Kind("orientability", "deg", 180 / np.pi, -1),
+    "workspace_volume": Kind("volume that is swept", "cm^3", 1e6, -1),
+    "deployment": Kind("deviation of the deployment", "mm", 1e3, 1),
+    "change": Kind("change of the robot", "", 1.0, 1),
 }
-"""Name, unit, what turns SI into it, and whether less (1) or more (-1) is better."""
-
 POSED = (
     "tip_deflection",
     "tip_stiffness",
@@ -42,6 +62,15 @@ POSED = (
 
 PUSHED = ("tip_deflection", "tip_stiffness")
 """What is told under a force on the tip."""
+
+PER_TURN = 0.05
+"""Translation (m) that counts as much as a rotation of 1 rad."""
+
+UNIT, REGULAR = 0.01, 1e-8
+"""Length (m) in which singular values are counted, and what is added to their squares, so that none is 0."""
+
+SLIGHT = 1e-7
+"""What is added to squares of singular values of a turn, rad^2."""
 
 
 @dataclass(frozen=True)
@@ -102,25 +131,12 @@ class Objective:
                 )
             object.__setattr__(self, "translations", numbers("translations of the objective", self.translations))
 
-    @property
-    def words(self) -> str:
-        """What it is called."""
-        return KINDS[self.kind][0]
+    words, unit, factor, sign = Of[str]("told"), Of[str]("told"), Of[float]("told"), Of[int]("told")
 
     @property
-    def unit(self) -> str:
-        """Unit in which it is shown."""
-        return KINDS[self.kind][1]
-
-    @property
-    def factor(self) -> float:
-        """What turns SI into that unit."""
-        return KINDS[self.kind][2]
-
-    @property
-    def sign(self) -> int:
-        """1 where less is better, -1 where more is better."""
-        return KINDS[self.kind][3]
+    def told(self) -> Kind:
+        """What is told of its kind."""
+        return KINDS[self.kind]
 
 
 AnyObjective = Objective | OwnObjective
@@ -135,3 +151,104 @@ def key_of(one: AnyObjective) -> str:
 def shown(one: AnyObjective, value: float) -> str:
     """An objective's value with its name and unit."""
     return f"{one.words} {value * one.factor:.6g} {one.unit}".strip()
+
+
+def aim(
+    one: AnyObjective, pieces: Sequence[int], poses: Sequence[int], certified: Rows, depth_pose: int | None
+) -> Expression | None:
+    """An objective in its own sign, SI, for tubes of so many pieces: the largest of its numbers counts where less is
+    better, the least where more is; None for the change of the unknowns, which is no matter of tubes and poses.
+
+    `poses` are those whose margin counts, `certified` the translations of the certificate, `depth_pose` the pose of
+    reach_radius.
+    """
+    if isinstance(one, Objective) and one.kind == "change":
+        return None
+    numbers = one.expression if isinstance(one, OwnObjective) else partial(_numbers, one, poses, certified, depth_pose)
+    last = max([*poses, depth_pose or 0] if isinstance(one, Objective) else poses, default=-1)
+    found = recorded(numbers, len(pieces), last + 1, one.words, pieces)
+    if isinstance(one, OwnObjective) and found.value.numel_out() != 1:
+        raise InputError(f"the objective {one.words} has {found.value.numel_out()} numbers; it must be one")
+    return found
+
+
+def _numbers(one: Objective, poses: Sequence[int], certified: Rows, depth_pose: int | None, q: Quantities) -> Any:
+    at = [q.poses[k] for k in poses]
+    match one.kind:
+        case "strain":
+            return ca.vertcat(*(q.straightened_strain(i) for i in range(q.n_tubes)))
+        case "margin" if certified:
+            return ca.vertcat(*(q.certificate(row) for row in certified))
+        case "margin":
+            return ca.vertcat(*(pose.margin for pose in at))
+        case "tip_deflection":
+            return ca.vertcat(*(ca.norm_2(pose.deflection(one.tip_force)) for pose in at))
+        case "tip_stiffness":
+            force = ca.DM(list(one.tip_force or ()))
+            return ca.vertcat(*(ca.sumsqr(force) / ca.dot(force, pose.deflection(one.tip_force)) for pose in at))
+        case "stroke_force":
+            return ca.vertcat(*(pose.stroke_force for pose in at))
+        case "dexterity":
+            return sum(_least_motion(pose.jacobian) for pose in at) / len(at)
+        case "orientability":
+            return sum(_least_turn(pose) for pose in at) / len(at)
+        case "workspace_volume":
+            return _swept([pose.tip_position for pose in at])
+        case "deployment":
+            gaps = deviations(q, poses)
+            return ca.sqrt(ca.sumsqr(gaps) * 3 / gaps.numel() + ROUNDED**2)
+        case "length":
+            return q.tubes["straight_length"] + q.tubes["curved_length"]
+        case "reach_radius":
+            assert depth_pose is not None
+            return ca.norm_2(q.poses[depth_pose].tip_position[:2])
+        case "tip_curvature":
+            return _tip_curvature(one, q)
+        case _:
+            return 1 / _tip_curvature(one, q)
+
+
+def _scaled(jacobian: Any) -> Any:
+    """A Jacobian (3, 2 n) by rotations and translations, for 1 rad or PER_TURN."""
+    n = jacobian.shape[1] // 2
+    return ca.horzcat(jacobian[:, :n], PER_TURN * jacobian[:, n:])
+
+
+def _least_turn(pose: PoseQuantities) -> Any:
+    """(s_1^-8 + s_2^-8)^(-1/8) of the singular values of the change of the tip's direction by joints that leave its
+    place, rad: of what is left of its squares when the part that places the tip is eliminated."""
+    moves, heading = _scaled(pose.jacobian) / UNIT, pose.tip_direction
+    turns = -ca.skew(heading) @ _scaled(pose.turning)
+    free = ca.DM.eye(moves.shape[1]) - moves.T @ ca.inv(moves @ moves.T + REGULAR * ca.DM.eye(3)) @ moves
+    square = turns @ free @ turns.T  # its third eigenvalue, along the direction, is 0
+    plain = ca.trace(square)
+    total = plain + 2 * SLIGHT
+    product = (plain**2 - ca.trace(square @ square)) / 2 + SLIGHT * plain + SLIGHT**2
+    quartic = (total**2 - 2 * product) ** 2 - 2 * product**2
+    return ca.sqrt(product) * quartic ** (-1 / 8)
+
+
+def _least_motion(jacobian: Any) -> Any:
+    """(sum s_k^-8)^(-1/8) of the singular values of a Jacobian of the tip (3, 2 n) by rotations and translations, m."""
+    scaled = _scaled(jacobian) / UNIT
+    inverse = ca.inv(scaled @ scaled.T + REGULAR * ca.DM.eye(3))
+    return UNIT * ca.trace(inverse @ inverse @ inverse @ inverse) ** (-1 / 8)
+
+
+def _swept(tips: Sequence[Any]) -> Any:
+    """Volume of the body of revolution of a polygon of places (3,), by Pappus: positive however it is walked round."""
+    radius = [ca.sqrt(tip[0] ** 2 + tip[1] ** 2 + ROUNDED**2) for tip in tips]
+    total = 0.0
+    for k, tip in enumerate(tips):
+        r, z, s, w = radius[k - 1], tips[k - 1][2], radius[k], tip[2]
+        total += (r * w - s * z) * (r + s)
+    return np.pi / 3 * ca.sqrt(total**2 + 1e-12**2)
+
+
+def _tip_curvature(one: Objective, q: Quantities) -> Any:
+    """Curvature of the section at the tip, 1/m, with all tubes bending to one side."""
+    shift = ca.DM.zeros(q.n_tubes) if one.translations is None else ca.DM(one.translations)
+    kb, end = q.tubes["bending_stiffness"], shift + q.tubes["curved_length"]
+    there = kb * (end >= ca.mmax(end) - ROUND_OFF)
+    bent = there * ca.fabs(q.tubes["curvature"]) * (q.tubes["curved_length"] > 0)
+    return cross_section(ca.DM.zeros(q.n_tubes), there, bent).curvature[0]

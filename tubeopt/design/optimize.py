@@ -17,12 +17,12 @@ from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
-from .exchange import carry, certified_at, robot_at, violations
+from .exchange import carry, certified_at, violations
 from .objectives import key_of
 from .parameters import NAMES, UNITS
-from .program import Added, Program, compile_task, objective_value, recompiled, state_at
+from .program import Added, Program, compile_task, recompiled
 from .rechecks import Check
-from .relaxation import InfeasibleDesignError, smallest_relaxations
+from .relaxation import InfeasibleDesignError, best_of
 from .remarks import Dimension, remarks
 from .requirements import SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
@@ -51,39 +51,36 @@ class DesignStatistics:
 
 @dataclass(frozen=True, eq=False)
 class DesignSolution(Displayed):
-    """A design that meets its task.
-
-    Attributes:
-        task: what was asked.
-        robot: the design.
-        certificate: least mu_cert over the translations, and over the box, for which the task demands one, else at
-            home.
-        equilibria: of the task poses, solved again by forward kinematics, in the order of the requirements.
-        objective: value in its own sign, SI; with several objectives their weighted sum as minimised.
-        objectives: value of each, by kind (own ones by their words), SI.
-        dimensions: every free dimension before and after.
-        sensitivities: limits that bind, and what easing them would buy, the dearest first.
-        ranking: designs of all starts.
-        rounds: how often worst cases were added, and `added` which.
-        verification: all promises, checked again.
-        seconds: of the whole computation.
-    """
+    """A design that meets its task."""
 
     _brief = ("robot", "certificate", "objectives", "status")
 
     task: DesignTask
+    """What was asked."""
     robot: ConcentricRobot
+    """The design."""
     certificate: float
+    """Least mu_cert over the translations, and over the box, for which the task demands one, else at home."""
     equilibria: tuple[Equilibrium, ...]
+    """Of the task poses, solved again by forward kinematics, in the order of the requirements."""
     objective: float
+    """Value in its own sign, SI; with several objectives their weighted sum as minimised."""
     objectives: dict[str, float]
+    """Value of each, by kind (own ones by their words), SI."""
     dimensions: tuple[Dimension, ...]
+    """Every free dimension before and after."""
     sensitivities: tuple[Sensitivity, ...]
+    """Limits that bind, and what easing them would buy, the dearest first."""
     ranking: Ranking
+    """Designs of all starts."""
     rounds: int
+    """How often worst cases were added."""
     added: Added
+    """Which."""
     verification: Verification
+    """All promises, checked again."""
     seconds: float
+    """Of the whole computation."""
 
     @property
     def value(self) -> ConcentricRobot:
@@ -191,12 +188,10 @@ def _searched(
         ranking = search(compile_task(task), starts=starts)
     else:
         ranking = rank([solve(recompiled(task, begin.program), begin.x, report, method)])
-    retries = task.solver.retries
+    retries = task.solver.starts.retries
     if not ranking.designs and starts < retries:
         ranking = search(compile_task(task, added), starts=retries)
-    if not ranking.designs:
-        raise infeasible(ranking)
-    best, rounds = settle(ranking.designs[0], report, method)
+    best, rounds = settle(best_of(ranking), report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
     return replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds
 
@@ -220,7 +215,7 @@ def _bearing(
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
         best = found[0].designs[0]
-        value, check = _under_force(best.program, robot_at(best.program, best.x), one)
+        value, check = _under_force(best.program, best.robot, one)
         known[floor] = found, check
         return value
 
@@ -273,27 +268,11 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
         added, why = violations(found.program, found.x)
         if not why:
             return found, rounds
-        if rounds >= found.program.task.solver.exchange_rounds:
+        if rounds >= found.program.task.solver.exchange.rounds:
             raise SolveError(f"after {rounds} rounds of adding worst cases there are still some: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
-        following = solve(program, start, report, method)
-        if not following.feasible:
-            raise infeasible(rank([following]))
-        found = following
-
-
-def infeasible(ranking: Ranking) -> InfeasibleDesignError:
-    """What to raise where no start is feasible."""
-    name, count = next(iter(ranking.failures.items()))
-    limit = name if name.startswith("an ") else f"the {name}"
-    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {limit}"
-    ways = smallest_relaxations(ranking.failed)
-    if not ways:
-        return InfeasibleDesignError(
-            f"{head}; no relaxation was found that makes the task feasible", (), ranking.failed[0]
-        )
-    return InfeasibleDesignError(f"{head}; {', or '.join(way.words for way in ways)}", ways, ranking.failed[0])
+        found = best_of(rank([solve(program, start, report, method)]))
 
 
 def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began: float) -> DesignSolution:
@@ -301,12 +280,10 @@ def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began:
     `began`, from which it is timed, are told with it."""
     ranking, rounds = found
     best = ranking.designs[0]
-    program, x = best.program, best.x
-    robot = robot_at(program, x)
+    program, x, robot = best.program, best.x, best.robot
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
-    state = state_at(program, x)
-    values = {key_of(one): objective_value(program, state, one)[0] for one in task.objectives}
+    values = {key_of(one): best.value(one) for one in task.objectives}
     certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(
@@ -333,14 +310,14 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
     """Free dimensions before and after, tube by tube."""
     space, tubes = program.layout.space, program.layout.space.tubes(x[: program.layout.designs])
     out = []
-    for k, ((field, chosen, _), name) in enumerate(zip(space.unknowns, space.names, strict=True)):
-        unit, factor = UNITS[field]
+    for k, (one, name) in enumerate(zip(space.unknowns, space.names, strict=True)):
+        unit, factor = UNITS[one.field]
         gap = 1e-5 * space.scale[k]
         bound = "lower" if x[k] <= space.lower[k] + gap else "upper" if x[k] >= space.upper[k] - gap else ""
-        if space.spots and space.spots[k].pieces:
+        if one.pieces:
             out.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
             continue
-        for i in chosen:
-            before, after = (getattr(some[i], field) * factor for some in (space.robot_tubes, tubes))
-            out.append(Dimension(f"{NAMES[field]} of tube {i + 1}", unit, before, after, bound))
+        for i in one.tubes:
+            before, after = (getattr(some[i], one.field) * factor for some in (space.robot_tubes, tubes))
+            out.append(Dimension(f"{NAMES[one.field]} of tube {i + 1}", unit, before, after, bound))
     return tuple(out)

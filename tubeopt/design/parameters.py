@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,7 +17,7 @@ from ..typing import Array
 from .pieces import (
     PIECE_FIELDS,
     Place,
-    Spot,
+    Unknown,
     as_pieces,
     changed_tubes,
     given_of,
@@ -56,34 +56,36 @@ GRADED = (*TUBE_FIELDS, "bending_stiffness", "torsional_stiffness")
 class Free:
     """A dimension of some tubes that the design may choose.
 
-    field: one of `FIELDS`.  tubes: from 0, inner to outer.  lower, upper: SI; for "scaled", factors.
-    tie: "each" gives every tube its own value, "equal" one value to all, "scaled" multiplies all by one factor.
-
     Of the fields that begin with "piece_" every piece has its own value, or with "equal" all of them one; the lengths
     of the pieces stay, and a tube of one curvature is one piece. The curvature bends what a piece has in proportion; a
     shape is a polynomial, the sum of c_k T_k(x) with Chebyshev's T_k and x = -1 .. 1 along the piece, of curvature
     about its x axis; the turn of the bend plane is counted from the direction that the piece has, and the factors of
     its stiffnesses from those that it has.
 
-    pieces: from 0, from the straight part to the tip; () are all.  coefficients: of a shape.
-    torsion_share: with a bending factor b the torsion factor is 1 - torsion_share (1 - b): what the workshop measured
-        on its slots. None leaves the torsional stiffness as it is.
-    slots: where they are cut that leave a bending factor, for the strain of what they leave; None are those that the
-        pieces have.
-
     Raises:
         InputError: unknown field or tie, no tube, bounds that are not finite or crossed.
     """
 
     field: str
+    """One of `FIELDS`."""
     tubes: tuple[int, ...]
+    """From 0, inner to outer."""
     lower: float
+    """SI; for "scaled", a factor."""
     upper: float
+    """SI; for "scaled", a factor."""
     tie: str = "each"
+    """By "each" every tube gets its own value, by "equal" all get one, "scaled" multiplies all by one factor."""
     pieces: tuple[int, ...] = ()
+    """From 0, from the straight part to the tip; () are all."""
     coefficients: int = 1
+    """Of a shape."""
     torsion_share: float | None = None
+    """With a bending factor b the torsion factor is 1 - torsion_share (1 - b): what the workshop measured on its slots.
+    None leaves the torsional stiffness as it is."""
     slots: Slots | None = None
+    """Where they are cut that leave a bending factor, for the strain of what they leave; None are those that the pieces
+    have."""
 
     def __post_init__(self) -> None:
         choice("field of a free dimension", self.field, FIELDS)
@@ -130,59 +132,51 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class DesignSpace:
-    """The D unknowns of a design, one per free value; `unknowns` name the dimension and the tubes of each.
-
-    spots: of which pieces each unknown is, if of any; `robot_tubes` are then all made of such.
-    start, lower, upper, scale: (D,) in SI (factors where scaled); scale is the size of a change that matters.
-    """
+    """The D unknowns of a design, one per free value: (D,) in SI, factors where scaled."""
 
     robot_tubes: tuple[Tube, ...]
-    unknowns: tuple[tuple[str, tuple[int, ...], bool], ...]
+    unknowns: tuple[Unknown, ...]
     start: Array
     lower: Array
     upper: Array
     scale: Array
-    spots: tuple[Spot, ...] = ()
-
-    @property
-    def of_pieces(self) -> tuple[tuple[str, Spot], ...]:
-        """Field and pieces of every unknown; () where they are dimensions of whole tubes."""
-        return tuple((field, spot) for (field, _, _), spot in zip(self.unknowns, self.spots, strict=False))
+    """The size of a change that matters."""
+    pieced: bool = False
+    """Whether it is a design of pieces; `robot_tubes` are then all made of such."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """What each unknown is, in words."""
-        spots = self.spots or (Spot(()),) * len(self.unknowns)
         return tuple(
-            _piece_words(field, spot)
-            if spot.pieces
-            else f"{'factor of ' if scaled else ''}{NAMES[field]} of tube{'s' * (len(tubes) > 1)} "
-            f"{', '.join(str(i + 1) for i in tubes)}"
-            for (field, tubes, scaled), spot in zip(self.unknowns, spots, strict=True)
+            _piece_words(one)
+            if one.pieces
+            else f"{'factor of ' if one.scaled else ''}{NAMES[one.field]} of tube{'s' * (len(one.tubes) > 1)} "
+            f"{', '.join(str(i + 1) for i in one.tubes)}"
+            for one in self.unknowns
         )
 
     def tubes(self, x: Array) -> tuple[Tube, ...]:
         """The tubes at x (D,); raises InputError where they are no tubes."""
         values: list[dict[str, float]] = [{} for _ in self.robot_tubes]
-        for (field, tubes, scaled), value in zip(self.unknowns, x, strict=True):
-            for i in tubes if field in TUBE_FIELDS else ():
-                values[i][field] = float(value) * (getattr(self.robot_tubes[i], field) if scaled else 1.0)
+        for one, value in zip(self.unknowns, x, strict=True):
+            for i in one.tubes if one.field in TUBE_FIELDS else ():
+                values[i][one.field] = float(value) * (getattr(self.robot_tubes[i], one.field) if one.scaled else 1.0)
         whole = tuple(
             replace(tube, **changes) if changes else tube  # type: ignore[arg-type]
             for tube, changes in zip(self.robot_tubes, values, strict=True)
         )
-        return changed_tubes(whole, given_of(self.of_pieces, x.tolist())) if self.spots else whole
+        return changed_tubes(whole, given_of(self.unknowns, x.tolist())) if self.pieced else whole
 
     def expressions(self, x: Any) -> dict[str, Any]:
         """Every one of GRADED (n,) as an expression of x (D,); what x does not move are numbers."""
         out: dict[str, Any] = {}
         for name in GRADED:
             column = ca.MX([getattr(tube, name) for tube in self.robot_tubes])
-            for k, (field, chosen, scaled) in enumerate(self.unknowns):
-                for i in chosen if field == name else ():
-                    column[i] = x[k] * (getattr(self.robot_tubes[i], field) if scaled else 1.0)
+            for k, one in enumerate(self.unknowns):
+                for i in one.tubes if one.field == name else ():
+                    column[i] = x[k] * (getattr(self.robot_tubes[i], name) if one.scaled else 1.0)
             out[name] = column
-        if any(field in ("outer_diameter", "inner_diameter") for field, _, _ in self.unknowns):
+        if any(one.field in ("outer_diameter", "inner_diameter") for one in self.unknowns):
             second = second_moment(out["outer_diameter"], out["inner_diameter"])
             tubes = self.robot_tubes
             out["bending_stiffness"] = ca.DM([tube.material.youngs_modulus for tube in tubes]) * second
@@ -201,11 +195,12 @@ class DesignSpace:
 
     def bend_slope(self, tube: Tube, place: Place, x: Array) -> Array:
         """(D,) change of the largest curvature of a piece of a tube."""
-        out = np.zeros(len(self.unknowns))
-        for column, ((field, spot), value) in enumerate(zip(self.of_pieces, x.tolist(), strict=True)):
-            if place in spot.pieces:
-                out[column] = largest_bend_slope(tube, place[1], (field, spot.order, value))
-        return out
+        piece = tube.pieces[place[1]]
+        slopes = [
+            largest_bend_slope(piece, one, value) if place in one.pieces else 0.0
+            for one, value in zip(self.unknowns, x.tolist(), strict=True)
+        ]
+        return np.array(slopes)
 
     @cached_property
     def _graded(self) -> ca.Function:
@@ -218,16 +213,18 @@ class DesignSpace:
         return {name: slope.full() for name, slope in zip(GRADED, self._graded(x), strict=True)}
 
 
-def _entries(free: Sequence[Free]) -> Iterator[tuple[Free, tuple[int, ...]]]:
+def _entries(free: Sequence[Free]) -> list[tuple[Free, Unknown]]:
+    """The unknowns that are dimensions of whole tubes, each with what frees it."""
     taken: set[tuple[str, int]] = set()
+    found = []
     for one in free:
         for i in one.tubes:
             if (one.field, i) in taken:
                 raise InputError(f"{NAMES[one.field]} of tube {i + 1} is free twice; it must be named once")
             taken.add((one.field, i))
         groups = [(i,) for i in one.tubes] if one.tie == "each" else [one.tubes]
-        for group in groups:
-            yield one, group
+        found += [(one, Unknown(one.field, group, one.tie == "scaled")) for group in groups]
+    return found
 
 
 def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
@@ -240,37 +237,29 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
     if pieced:
         tubes, found = _piece_entries(tuple(as_pieces(tube) for tube in tubes), free)
     else:
-        found = [(one, Spot(()), group) for one, group in _entries(free)]
+        found = _entries(free)
     if not found:
         raise InputError("free is empty; a design needs at least one free dimension")
-    lower, upper = (np.array([getattr(one, side) for one, _, _ in found]) for side in ("lower", "upper"))
-    begin = np.clip([_start(tubes, *entry) for entry in found], lower, upper)
+    lower, upper = (np.array([getattr(one, side) for one, _ in found]) for side in ("lower", "upper"))
+    unknowns = tuple(unknown for _, unknown in found)
+    begin = np.clip([start_of(tubes, unknown) for unknown in unknowns], lower, upper)
     span = np.where(upper > lower, upper - lower, 1.0)
     scale = np.where(np.abs(begin) > 0, np.minimum(span, np.maximum(np.abs(begin), 0.1 * span)), span)
-    unknowns = tuple((one.field, group, one.tie == "scaled") for one, _, group in found)
-    spots = tuple(spot for _, spot, _ in found) if pieced else ()
-    return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale, spots)
+    return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale, pieced)
 
 
-def _start(tubes: Sequence[Tube], one: Free, spot: Spot, group: Sequence[int]) -> float:
-    if spot.pieces:
-        return float(np.mean([start_of(tubes[i], j, one.field, spot.order) for i, j in spot.pieces]))
-    return 1.0 if one.tie == "scaled" else float(np.mean([getattr(tubes[i], one.field) for i in group]))
-
-
-def _piece_words(field: str, spot: Spot) -> str:
-    places = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in spot.pieces)
-    order = f"{spot.order + 1}. " if field == "piece_shape" else ""
-    return f"{order}{NAMES[field]} of piece{'s' * (len(spot.pieces) > 1)} {places}"
+def _piece_words(one: Unknown) -> str:
+    places = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in one.pieces)
+    order = f"{one.order + 1}. " if one.field == "piece_shape" else ""
+    return f"{order}{NAMES[one.field]} of piece{'s' * (len(one.pieces) > 1)} {places}"
 
 
 def _piece_entries(
     tubes: tuple[Tube, ...], free: Sequence[Free]
-) -> tuple[tuple[Tube, ...], list[tuple[Free, Spot, tuple[int, ...]]]]:
-    """The tubes with the slots that are free, and the unknowns of a design of pieces: what, of which pieces, of which
-    tubes."""
+) -> tuple[tuple[Tube, ...], list[tuple[Free, Unknown]]]:
+    """The tubes with the slots that are free, and the unknowns of a design of pieces, each with what frees it."""
     straight = [one for one in free if one.field == "straight_length"]
-    found = [(one, Spot(()), group) for one, group in _entries(straight)]
+    found = _entries(straight)
     for one in free:
         if one in straight:
             continue
@@ -280,7 +269,7 @@ def _piece_entries(
                 "are free: an equilibrium block has lengths of pieces as unknowns"
             )
         places = [place for i in one.tubes for place in _places(one, i, tubes)]
-        taken = {(other.field, place) for other, spot, _ in found for place in spot.pieces}
+        taken = {(other.field, place) for _, other in found for place in other.pieces}
         if one.slots is not None:
             tubes = with_slots(tubes, places, one.slots)
         for i, j in places:
@@ -293,7 +282,8 @@ def _piece_entries(
                 )
         for group in [(place,) for place in places] if one.tie == "each" else [tuple(places)]:
             own = tuple(sorted({i for i, _ in group}))
-            found += [(one, Spot(group, k, one.torsion_share), own) for k in range(one.coefficients)]
+            more = (Unknown(one.field, own, False, group, k, one.torsion_share) for k in range(one.coefficients))
+            found += [(one, unknown) for unknown in more]
     return tubes, found
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from ..typing import Progress
-from .exchange import robot_at
 from .objectives import key_of
-from .optimize import infeasible, settle
-from .program import compile_task, objective_value, recompiled, state_at
+from .optimize import settle
+from .program import compile_task, recompiled
+from .relaxation import best_of
 from .requirements import SnapFree, SnapFreeInUse
 from .solve import multistart, solve
 from .solve_one import Attempt
@@ -29,15 +29,14 @@ class FrontPoint:
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Designs in order of the margin demanded, up to the greatest that is feasible.
-
-    objective: its kind.  ended: the first margin demanded that no design near the front keeps, None where all do.
-    """
+    """Designs in order of the margin demanded, up to the greatest that is feasible."""
 
     task: DesignTask
     objective: str
+    """The kind of what is traded for it."""
     points: tuple[FrontPoint, ...]
     ended: float | None
+    """The first margin demanded that no design near the front keeps, None where all do."""
 
 
 def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
@@ -81,10 +80,7 @@ def pareto_front(
     tasks = front_tasks(task, margins)
     for k, (margin, eased) in enumerate(tasks):
         if here is None:
-            ranking = multistart(compile_task(eased), starts=4, seed=seed)
-            if not ranking.designs:
-                raise infeasible(ranking)
-            found = ranking.designs[0]
+            found = best_of(multistart(compile_task(eased), starts=4, seed=seed))
         else:
             found = solve(recompiled(eased, here.program), here.x)
         try:
@@ -95,8 +91,7 @@ def pareto_front(
             if not points:
                 raise
             return ParetoFront(task, key_of(one), tuple(points), margin)
-        value = objective_value(found.program, state_at(found.program, found.x), one)[0]
-        points.append(FrontPoint(margin, value, robot_at(found.program, found.x)))
+        points.append(FrontPoint(margin, found.value(one), found.robot))
         here = found
         if progress is not None:
             progress(k + 1, len(tasks))

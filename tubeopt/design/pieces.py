@@ -10,8 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..block.transcription.chain import bend_of
-from ..equilibrium.general_change import Change
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Change, Linearised
 from ..errors import InputError
 from ..robots.pieces import Piece, Slots
 from ..robots.series import Quantity, Series, times, turned, values
@@ -36,13 +35,20 @@ Place = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Spot:
-    """Of which pieces an unknown is. `order`: the number of the coefficient, for a shape.  `torsion_share`: by how much
-    less torsional stiffness is left, per bending stiffness that slots take, where the one follows the other."""
+class Unknown:
+    """What one unknown of a design is: a dimension of tubes, or of some of their pieces."""
 
-    pieces: tuple[Place, ...]
+    field: str
+    tubes: tuple[int, ...]
+    scaled: bool = False
+    """Whether it is a factor on what the tubes have."""
+    pieces: tuple[Place, ...] = ()
+    """() of whole tubes."""
     order: int = 0
+    """Of a shape: the number of the coefficient."""
     torsion_share: float | None = None
+    """By how much less torsional stiffness is left, per bending stiffness that slots take, where the one follows the
+    other."""
 
 
 Given = Mapping[Place, Mapping[tuple[str, int], tuple[float, float | None]]]
@@ -69,8 +75,14 @@ def with_slots(tubes: Sequence[Tube], places: Sequence[Place], slots: Slots) -> 
     )
 
 
-def start_of(tube: Tube, number: int, field: str, order: int) -> float:
-    """What a piece has before it is changed."""
+def start_of(tubes: Sequence[Tube], unknown: Unknown) -> float:
+    """What an unknown is before anything is changed, on average over its pieces or tubes."""
+    if unknown.pieces:
+        return float(np.mean([_start(tubes[i], j, unknown.field, unknown.order) for i, j in unknown.pieces]))
+    return 1.0 if unknown.scaled else float(np.mean([getattr(tubes[i], unknown.field) for i in unknown.tubes]))
+
+
+def _start(tube: Tube, number: int, field: str, order: int) -> float:
     piece = tube.pieces[number]
     x, y, z = piece.precurvature
     match field:
@@ -98,12 +110,12 @@ def _coefficient(x: Quantity, length: float, order: int) -> float:
     return float(chebyshev.chebfit(nodes, x(length * (nodes + 1) / 2), 24)[order])
 
 
-def given_of(unknowns: Sequence[tuple[str, Spot]], values: Sequence[float]) -> Given:
+def given_of(unknowns: Sequence[Unknown], values: Sequence[float]) -> Given:
     """The values of unknowns, piece by piece."""
     out: dict[Place, dict[tuple[str, int], tuple[float, float | None]]] = {}
-    for (field, spot), value in zip(unknowns, values, strict=True):
-        for place in spot.pieces:
-            out.setdefault(place, {})[field, spot.order] = float(value), spot.torsion_share
+    for one, value in zip(unknowns, values, strict=True):
+        for place in one.pieces:
+            out.setdefault(place, {})[one.field, one.order] = float(value), one.torsion_share
     return out
 
 
@@ -146,28 +158,26 @@ def factors(values: Mapping[tuple[str, int], tuple[float, float | None]]) -> tup
     return bending, tied * values.get(("piece_torsion_factor", 0), (1.0, None))[0]
 
 
-def largest_bend_slope(tube: Tube, number: int, unknown: tuple[str, int, float]) -> float:
-    """Change of the largest curvature of a piece of a tube with one of its unknowns: field, order and value."""
-    field, order, value = unknown
-    piece = tube.pieces[number]
-    if field not in ("piece_curvature", "piece_shape"):
-        return 0.0
-    if field == "piece_curvature":
+def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
+    """Change of the largest curvature of a piece with one of its unknowns, by the value of that."""
+    if unknown.field == "piece_curvature":
         return -1.0 if value < 0 else 1.0
+    if unknown.field != "piece_shape":
+        return 0.0
     x, y, _ = piece.precurvature
     s = np.linspace(0.0, piece.length, 2001)
     rows = [values(q, s) for q in (x, y)]
     worst = int(np.argmax(np.hypot(*rows)))
     sign = float(np.sign(rows[0][worst])) or 1.0
-    return sign * float(np.cos(order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
+    return sign * float(np.cos(unknown.order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
 
 
-def change_of(here: Linearised, field: str, spot: Spot, given: Given) -> Change:
+def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:
     """What an unknown changes along a solved arm."""
     shape, n = here.shape, here.n
     none, zero = np.zeros((1, n)), np.zeros((1, *shape))
     out = Change(none, none.copy(), np.zeros((1, shape[0])), *(zero.copy() for _ in range(4)))
-    for i, j in spot.pieces:
+    for i, j in unknown.pieces:
         tube = here.robot.tubes[i]
         low = tube.straight_length + sum(piece.length for piece in tube.pieces[:j])
         length = tube.pieces[j].length
@@ -175,7 +185,7 @@ def change_of(here: Linearised, field: str, spot: Spot, given: Given) -> Change:
         kb, kt, x, y, _, _ = here.values[..., i]
         there = (here.here.sections.stiffness.reshape(shape)[..., i] > 0).astype(float)
         inside = (local > 0) & (local < length)
-        dx, dy, dkb, dkt, wound = _rates(field, spot, given[i, j], (local, length), (kb, kt, x, y))
+        dx, dy, dkb, dkt, wound = _rates(unknown, given[i, j], (local, length), (kb, kt, x, y))
         size = np.hypot(x, y)
         solid = np.where(size > 0, size, 1.0)
         bent = there * inside
@@ -188,8 +198,7 @@ def change_of(here: Linearised, field: str, spot: Spot, given: Given) -> Change:
 
 
 def _rates(
-    field: str,
-    spot: Spot,
+    unknown: Unknown,
     values: Mapping[tuple[str, int], tuple[float, float | None]],
     along: tuple[Array, float],
     now: tuple[Array, Array, Array, Array],
@@ -198,23 +207,24 @@ def _rates(
     (local, length), (kb, kt, x, y) = along, now
     plane = values.get(("piece_plane", 0), (0.0, None))[0]
     bending, torsion = factors(values)
-    match field:
+    match unknown.field:
         case "piece_curvature":
-            bend = values[field, 0][0]
+            bend = values["piece_curvature", 0][0]
             bend = bend if abs(bend) > LEAST_BEND else LEAST_BEND
             return x / bend, y / bend, 0.0, 0.0, 0.0
         case "piece_shape":
-            order = np.cos(spot.order * np.arccos(np.clip(2 * local / length - 1, -1, 1)))
+            order = np.cos(unknown.order * np.arccos(np.clip(2 * local / length - 1, -1, 1)))
             return order * np.cos(plane), order * np.sin(plane), 0.0, 0.0, 0.0
         case "piece_plane":
             return -y, x, 0.0, 0.0, 0.0
         case "piece_twist":
             return 0.0, 0.0, 0.0, 0.0, np.clip(local, 0.0, length)
         case "piece_bending_factor":
-            share = 0.0 if spot.torsion_share is None else spot.torsion_share
+            share = 0.0 if unknown.torsion_share is None else unknown.torsion_share
             return 0.0, 0.0, kb / bending, kt * share / (1 - share * (1 - bending)), 0.0
         case _:
-            return 0.0, 0.0, 0.0, kt / torsion * factors({**values, (field, 0): (1.0, None)})[1], 0.0
+            untwisted = {**values, ("piece_torsion_factor", 0): (1.0, None)}
+            return 0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0
 
 
 def _softer(here: Linearised, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:

@@ -19,8 +19,7 @@ from ..block.transcription.mesh import Mesh, make_mesh
 from ..block.transcription.reduced import evaluate, reduce, to_unknowns
 from ..equilibrium.arm_change import PARAMETERS
 from ..equilibrium.derivatives import Derivatives
-from ..equilibrium.general_change import Change, together
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Change, Linearised, together
 from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.margin import AtSolution, AtWorst
 from ..equilibrium.result import Equilibrium
@@ -32,7 +31,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.newton import NewtonResult, descend, newton
 from ..stability.certificate import worst_case
-from ..stability.pair_certificate import least_margin_of_pair, pair_of
+from ..stability.pair import least_margin_of_pair, pair_of
 from ..stability.shooting import profiles, to_base
 from ..typing import Array, Of
 
@@ -106,10 +105,8 @@ class Pose:
     @cached_property
     def derivatives(self) -> Derivatives:
         """Derivatives at fixed arc lengths."""
-        assembly = self.problem.assembly
-        arm = arm_of(self.solved)
-        carriages = tuple((i,) for i in range(assembly.n_tubes))
-        return Derivatives(arm, assembly, carriages, wrt=PARAMETERS, margin=self.margin)
+        carriages = tuple((i,) for i in range(self.problem.assembly.n_tubes))
+        return Derivatives(arm_of(self.solved), carriages, wrt=PARAMETERS, margin=self.margin)
 
     @property
     def position(self) -> Array:

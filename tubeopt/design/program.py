@@ -15,12 +15,12 @@ import numpy as np
 
 from ..block.quantities import Expression, PoseNumber, Quantity
 from ..errors import InputError, SolveError
+from ..robots.concentric import ConcentricRobot
 from ..solvers.smooth import Values
 from ..typing import Array
-from .aims import aim
 from .lookup import at_state
 from .objectives import POSED as OF_POSES
-from .objectives import AnyObjective, Objective, key_of
+from .objectives import AnyObjective, Objective, aim, key_of
 from .pose import Twist
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
@@ -51,12 +51,14 @@ LEAST_SIZE = 1e-3
 
 @dataclass(frozen=True)
 class Added:
-    """What exchange has added to a task: translations of the certificate (.., n), points on joint paths
-    (first, second, fraction), points of each workspace box."""
+    """What exchange has added to a task."""
 
     translations: tuple[tuple[float, ...], ...] = ()
+    """(.., n) of the certificate, m."""
     vias: tuple[tuple[int, int, float], ...] = ()
+    """Points on joint paths: first and second pose, fraction."""
     points: tuple[tuple[tuple[float, ...], ...], ...] = ()
+    """Of each workspace box, m."""
 
 
 class Lately:
@@ -72,24 +74,24 @@ class Lately:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A task with what exchange has added, laid out as unknowns and rows.
-
-    own: for every requirement, the poses that are its own.  depth_pose: that of the objective reach_radius.
-    stated: every requirement as expressions; aims: the objectives that are expressions.
-    elastic: whether every group of rows has a slack, of which the sum is minimised in place of the objective.
-    """
+    """A task with what exchange has added, laid out as unknowns and rows."""
 
     task: DesignTask
     added: Added
     layout: Layout
     own: tuple[tuple[int, ...], ...]
+    """For every requirement, the poses that are its own."""
     stated: tuple[tuple[Statement, ...], ...]
+    """Every requirement as expressions."""
     aims: dict[AnyObjective, Expression]
+    """The objectives that are expressions."""
     depth_pose: int | None
+    """That of the objective reach_radius."""
     lower: Array
     upper: Array
     scale: Array
     elastic: bool = False
+    """Whether every group of rows has a slack, of which the sum is minimised in place of the objective."""
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately, init=False, repr=False)
 
@@ -333,6 +335,13 @@ def state_at(program: Program, x: Array) -> State:
     if known is None or not np.array_equal(known.x, x):
         known = program.lately.state = State(program.layout, x.copy(), program.guesses)
     return known
+
+
+def robot_at(program: Program, x: Array) -> ConcentricRobot:
+    """The robot at x; raises InputError where its tubes do not fit into one another."""
+    task = program.task
+    tubes = program.layout.space.tubes(x[: program.layout.designs])
+    return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
 
 
 def evaluate(program: Program, x: Array) -> tuple[State, list[Rows], tuple[Array, Array]] | None:

@@ -31,10 +31,12 @@ MISSED = 1e-6
 
 @dataclass(frozen=True)
 class Check:
-    """One promise: what it is, what was found, whether it is kept."""
+    """One promise."""
 
     what: str
+    """What it is."""
     found: str
+    """What was found, with its unit."""
     kept: bool
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import SolveError
 from ..typing import Array
 from .program import Program, elastic, evaluate, recompiled
-from .solve import best_from
+from .solve import Ranking, best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
 from .statements import Limit, Rows, relaxed
 from .task import DesignTask
@@ -59,11 +59,27 @@ class InfeasibleDesignError(SolveError):
         self.relaxations = tuple(relaxations)
 
 
+def best_of(ranking: Ranking) -> Attempt:
+    """The best design of all starts.
+
+    Raises:
+        InfeasibleDesignError: there is none.
+    """
+    if ranking.designs:
+        return ranking.designs[0]
+    name, count = next(iter(ranking.failures.items()))
+    limit = name if name.startswith("an ") else f"the {name}"
+    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {limit}"
+    ways = smallest_relaxations(ranking.failed)
+    told = ", or ".join(way.words for way in ways) or "no relaxation was found that makes the task feasible"
+    raise InfeasibleDesignError(f"{head}; {told}", ways, ranking.failed[0])
+
+
 def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
     """The relaxation with the least sum of moves that is found near where starts failed, and up to three in which one
     limit moves alone."""
     sums: list[tuple[float, Program, Array, Array]] = []
-    for one in failed[: failed[0].program.task.solver.relaxed_starts]:
+    for one in failed[: failed[0].program.task.solver.relaxation.starts]:
         if evaluate(one.program, one.x) is not None:
             movable = np.array([group.limit.movable for group in rows_at(one.program, one.x)[0]], dtype=bool)
             eased = _elastic(one.program, one.x, movable)
@@ -73,7 +89,7 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
     _, program, x, slack = min(sums, key=lambda item: item[0])
     together = _apply(program, x, slack)
     out = [] if together is None else [together]
-    moved = np.flatnonzero(slack > program.task.solver.least_slack)
+    moved = np.flatnonzero(slack > program.task.solver.relaxation.least_slack)
     found = rows_at(program, x)[0]
     values = [float(group.values.min()) for group in found]
     near = [k for k in np.argsort(values) if found[k].limit.movable]
@@ -91,9 +107,9 @@ def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Ar
     eased = elastic(program, may_move.tolist())
     slack = np.where(may_move, [max(0.0, -float(group.values.min())) + 1e-2 for group in found], 0.0)
     begin = to_feasibility(eased, np.concatenate([start, slack]))
-    if violation(eased, begin)[0] > program.task.solver.near:
+    if violation(eased, begin)[0] > program.task.solver.optimum.near:
         return None
-    best, enough = best_from(eased, begin), program.task.solver.slack_missing
+    best, enough = best_from(eased, begin), program.task.solver.relaxation.missing
     return (best.x[: len(start)], best.x[len(start) :]) if best.violation <= enough else None
 
 
@@ -106,7 +122,7 @@ def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
         moves = [
             _change(group, factor * float(s) * group.limit.size, inwards)
             for group, s in zip(found, slack, strict=True)
-            if s > program.task.solver.least_slack
+            if s > program.task.solver.relaxation.least_slack
         ]
         if not moves:
             return None

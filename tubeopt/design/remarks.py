@@ -17,13 +17,15 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Dimension:
-    """One free dimension: its name, unit, and value before and after, in that unit; whether it lies on a bound."""
+    """One free dimension."""
 
     name: str
     unit: str
     before: float
+    """In that unit, as `after`."""
     after: float
     bound: str
+    """The bound that it lies on, "lower" or "upper"; "" where on none."""
 
 
 def remarks(robot: ConcentricRobot, dimensions: Sequence[Dimension]) -> tuple[str, ...]:

@@ -316,9 +316,7 @@ class Avoid:
 
     def gradient(self, points: Array) -> Array:
         """(m, 3) of `signed_distance`."""
-        scene = scene_of(self.obstacles)
-        distances = scene.distances(np.arange(len(self.obstacles)), points)
-        return scene.gradients(distances.argmin(0), points)
+        return scene_of(self.obstacles).gradient(points)
 
 
 def Corridor(centreline: tuple[tuple[float, float, float], ...], radius: float | tuple[float, ...]) -> Avoid:

@@ -17,10 +17,10 @@ from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Of, Progress
-from .exchange import robot_at
 from .objectives import Objective
-from .optimize import DesignSolution, DesignStatus, infeasible, solution_of
-from .program import Program, compile_task
+from .optimize import DesignSolution, DesignStatus, solution_of
+from .program import Program, compile_task, robot_at
+from .relaxation import best_of
 from .requirements import SnapFree
 from .solve import multistart, rank
 from .solve_one import FEASIBLE, attempt, to_feasibility, violation
@@ -58,21 +58,22 @@ class WantedOfPair(_Asked, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Searched(Displayed):
-    """What was found for what has no derivative.
-
-    Attributes:
-        wanted: what was asked.   before, after: its value of what was given, and of what was found.
-        own: (k,) its own numbers.   tried: designs, or pairs, that were looked at.   seconds: of all.
-    """
+    """What was found for what has no derivative."""
 
     _brief = ("wanted", "before", "after", "tried")
 
     wanted: str
+    """What was asked."""
     before: float
+    """Its value of what was given."""
     after: float
+    """Its value of what was found."""
     own: Array = field(repr=False)
+    """(k,) its own numbers."""
     tried: int
+    """Designs, or pairs, that were looked at."""
     seconds: float
+    """Of all."""
 
     @property
     def statistics(self) -> int:
@@ -292,12 +293,7 @@ def _searched(
     began = time.perf_counter()
     plain = [replace(task, objective=Objective("change")) for task in tasks]
     programs = tuple(compile_task(task) for task in plain)
-    first = []
-    for program in programs:
-        ranking = multistart(program, starts=1, seed=seed)
-        if not ranking.designs:
-            raise infeasible(ranking)
-        first.append(ranking.designs[0].x)
+    first = [best_of(multistart(program, starts=1, seed=seed)).x for program in programs]
     note = None if progress is None else lambda count: progress(count, 0)
     search = _Search(programs, wanted, progress=note)
     zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)

@@ -11,21 +11,21 @@ from ..typing import Array
 from .cells import cell_at, cell_rows
 from .parameters import UNITS
 from .program import stack, state_at, total_objective
-from .solve_one import Attempt, rows_at
+from .solve_one import Attempt, prices, rows_at
 from .statements import Limit
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How the objective changes with one limit that binds, to first order.
-
-    limit: what is limited.  derivative: of the objective with respect to the limit, SI, in the objective's own sign
-    (with several objectives: of their weighted sum, as minimised).  sentence: the same in words.
-    """
+    """How the objective changes with one limit that binds, to first order."""
 
     limit: Limit
+    """What is limited."""
     derivative: float
+    """Of the objective with respect to the limit, SI, in the objective's own sign (with several objectives: of their
+    weighted sum, as minimised)."""
     sentence: str
+    """The same in words."""
 
 
 def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
@@ -34,19 +34,14 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
     if multipliers is None:
         return ()
     groups, _ = rows_at(found.program, found.x)
-    prices: list[tuple[Limit, float]] = []
-    first = 0
-    for group in groups:
-        count = len(group.values)
-        price = float(multipliers[0][first : first + count].sum())
-        prices.append((group.limit, price / group.limit.size))
-        first += count
-    prices += _bounds(found, multipliers[1])
-    effect = [price * limit.size for limit, price in prices]
+    per_step = zip(groups, prices(groups, multipliers[0]), strict=True)
+    costs = [(group.limit, price / group.limit.size) for group, price in per_step]
+    costs += _bounds(found, multipliers[1])
+    effect = [price * limit.size for limit, price in costs]
     largest = max(effect, default=0.0)
     order = np.argsort(effect)[::-1]
-    least = found.program.task.solver.least_price * max(largest, 1e-300)
-    return tuple(_sensitivity(found, *prices[k]) for k in order if effect[k] > least > 0)
+    least = found.program.task.solver.pricing.least * max(largest, 1e-300)
+    return tuple(_sensitivity(found, *costs[k]) for k in order if effect[k] > least > 0)
 
 
 def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
@@ -54,13 +49,13 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     come closest to the conditions of optimality at the design; None where those do not hold."""
     if found.optimum is not None and found.optimum.success:
         return found.optimum.multipliers, found.optimum.bound_multipliers
-    program, x, solver = found.program, found.x, found.program.task.solver
+    program, x, pricing = found.program, found.x, found.program.task.solver.pricing
     state = state_at(program, x)
     values, jacobian = stack(*rows_at(program, x))
     sections = cell_rows(program, state, cell_at(program, x))
-    near = np.flatnonzero(values < solver.price_near)
-    closed = np.flatnonzero(sections[0] < solver.price_near)
-    low, high = ((program.scale * solver.price_near > abs(x - bound)) for bound in (program.lower, program.upper))
+    near = np.flatnonzero(values < pricing.near)
+    closed = np.flatnonzero(sections[0] < pricing.near)
+    low, high = ((program.scale * pricing.near > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
     columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
@@ -68,7 +63,7 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     if not matrix.size:
         return None  # nothing is near
     price, gap = scipy.optimize.nnls(matrix, slope)
-    if gap > solver.price_gap * float(np.linalg.norm(slope)):
+    if gap > pricing.gap * float(np.linalg.norm(slope)):
         return None
     out = np.zeros(len(values))
     out[near] = price[: len(near)]
@@ -83,10 +78,10 @@ def _bounds(found: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
     """Bounds of the dimensions, with what they cost."""
     space = found.program.layout.space
     out = []
-    for k, (name, (field, _, scaled)) in enumerate(zip(space.names, space.unknowns, strict=True)):
+    for k, (name, one) in enumerate(zip(space.names, space.unknowns, strict=True)):
         price = float(multipliers[k])
         most = price < 0
-        unit, factor = ("", 1.0) if scaled else UNITS[field]
+        unit, factor = ("", 1.0) if one.scaled else UNITS[one.field]
         value = float((space.upper if most else space.lower)[k])
         words = f"{'upper' if most else 'lower'} bound of the {name}"
         near = abs(found.x[k] - value) <= 1e-4 * space.scale[k]

@@ -12,82 +12,127 @@ COLLOCATION = Ipopt(tolerance=1e-8, constraint_tolerance=1e-10, iterations=300, 
 
 
 @dataclass(frozen=True)
-class DesignSolver(Settings):
-    """How hard a design is searched for, and its promises are checked; a field of a `DesignTask`.
-
-    Args:
-        retries: starts that are tried before a task counts as infeasible, where fewer were asked for.
-        sampled_designs: dimensions drawn for each start, of which those that make a robot come first.
-        sampled_poses: joint values drawn for every pose that is free, of which the best begins.
-        joint_restarts: times that other joint values are tried for dimensions from which least squares do not get near.
-        pose_turn: distance (m) from its target that is as bad, in the guess of a pose, as a turn by 1 rad.
-        near: violation, in steps of its limit, from which IPOPT is trusted to get inside.
-        inside: steps by which least squares aims inside every limit, so that IPOPT starts in the interior.
-        same_design: dimensions closer than this, in steps of their scale, are one design.
-        collocation: how IPOPT solves the program of method "collocation". Its start is feasible: a larger barrier would
-            drive it far away first, through designs that no branch connects.
-        iterations: of IPOPT, before it counts as stuck on a kink.
-        ball_iterations: of IPOPT from the optimum in the cubes around targets to that in the balls.
-        rim: part of a target's tolerance from a side of the cube around it within which that side binds, and of the
-            objective that it may cost to stay inside the cubes.
-        orders: of breakpoints, most that are tried for the one that holds the best optimum.
-        order_gain: relative, of the objective, below which another order is no better.
-        closed_section: length, m, of a section between breakpoints below which it is closed.
-        opened_section: length, m, by which one is opened on the other side of a kink.
-        exchange_rounds: of adding worst cases (of a box of translations, a joint path, a workspace).
-        path_points: between two task poses, at which a joint path is followed.
-        points_per_round: of a workspace that is not covered, most that are added in a round.
-        relaxed_starts: that failed, from which the smallest relaxation is looked for.
-        least_slack: in steps of its limit, below which a limit needs no relaxation.
-        slack_missing: violation, in steps, at which slacks count as sufficient.
-        price_near: steps of a limit within which it may bind, where IPOPT has not said which do.
-        price_gap: part of the objective's slope that the conditions of optimality may leave over.
-        least_price: relative to the largest, below which a limit is not told to bind.
-        simplex_step: size of the first simplex of a search without derivatives, as a share of every range.
-        simplex_size: share of the ranges below which a simplex has converged.
-        force_rounds: designs that are made in search of the one that bears a force.
-        force_accuracy: of the floor of the certificate without force that this one needs.
-        searched_translations: of certified ones, where the least margin is also looked for by search.
-        perturbed_robots: with tubes that are off by all that is allowed, whose certificates are looked at.
+class StartSearch(Settings):
+    """Where designs begin.
 
     Raises:
-        InputError: a count that is no whole number of at least 1 (0 for `joint_restarts`), another number that is
-            not positive.
+        InputError: a count that is no whole number of at least 1 (0 for `restarts`), another number that is not
+            positive.
     """
 
     retries: int = 4
-    sampled_designs: int = 32
-    sampled_poses: int = 256
-    joint_restarts: int = 2
+    """Starts that are tried before a task counts as infeasible, where fewer were asked for."""
+    designs: int = 32
+    """Dimensions drawn for each start, of which those that make a robot come first."""
+    poses: int = 256
+    """Joint values drawn for every pose that is free, of which the best begins."""
+    restarts: int = 2
+    """Times that other joint values are tried for dimensions from which least squares do not get near."""
     pose_turn: float = 5e-3
-    near: float = 0.5
-    inside: float = 1e-3
+    """Distance (m) from its target that is as bad, in the guess of a pose, as a turn by 1 rad."""
     same_design: float = 1e-3
-    collocation: Ipopt = COLLOCATION
-    iterations: int = 150
-    ball_iterations: int = 60
-    rim: float = 1e-3
-    orders: int = 6
-    order_gain: float = 1e-7
-    closed_section: float = 1e-5
-    opened_section: float = 2e-6
-    exchange_rounds: int = 12
-    path_points: int = 16
-    points_per_round: int = 3
-    relaxed_starts: int = 2
-    least_slack: float = 1e-5
-    slack_missing: float = 1e-5
-    price_near: float = 1e-3
-    price_gap: float = 0.02
-    least_price: float = 1e-6
-    simplex_step: float = 0.2
-    simplex_size: float = 1e-3
-    force_rounds: int = 16
-    force_accuracy: float = 2e-3
-    searched_translations: int = 3
-    perturbed_robots: int = 12
+    """Dimensions closer than this, in steps of their scale, are one design."""
 
-    _none: ClassVar[tuple[str, ...]] = ("joint_restarts",)
+    _none: ClassVar[tuple[str, ...]] = ("restarts",)
+
+
+@dataclass(frozen=True)
+class OptimumSearch(Settings):
+    """How the best design near a start is found, by least squares and by IPOPT."""
+
+    near: float = 0.5
+    """Violation, in steps of its limit, from which IPOPT is trusted to get inside."""
+    inside: float = 1e-3
+    """Steps by which least squares aims inside every limit, so that IPOPT starts in the interior."""
+    iterations: int = 150
+    """Of IPOPT, before it counts as stuck on a kink."""
+    ball_iterations: int = 60
+    """Of IPOPT from the optimum in the cubes around targets to that in the balls."""
+    rim: float = 1e-3
+    """Part of a target's tolerance from a side of the cube around it within which that side binds, and of the objective
+    that it may cost to stay inside the cubes."""
+
+
+@dataclass(frozen=True)
+class OrderSearch(Settings):
+    """Which order of breakpoints holds the best optimum."""
+
+    most: int = 6
+    """That are tried."""
+    gain: float = 1e-7
+    """Relative, of the objective, below which another order is no better."""
+    closed_section: float = 1e-5
+    """Length, m, of a section between breakpoints below which it is closed."""
+    opened_section: float = 2e-6
+    """Length, m, by which one is opened on the other side of a kink."""
+
+
+@dataclass(frozen=True)
+class ExchangeSearch(Settings):
+    """How worst cases are found and added, of a box of translations, a joint path, a workspace."""
+
+    rounds: int = 12
+    path_points: int = 16
+    """Between two task poses, at which a joint path is followed."""
+    points: int = 3
+    """Of a workspace that is not covered, most that are added in a round."""
+
+
+@dataclass(frozen=True)
+class RelaxationSearch(Settings):
+    """How the smallest relaxation of a task that is infeasible is found."""
+
+    starts: int = 2
+    """That failed, from which it is looked for."""
+    least_slack: float = 1e-5
+    """In steps of its limit, below which a limit needs no relaxation."""
+    missing: float = 1e-5
+    """Violation, in steps, at which slacks count as sufficient."""
+
+
+@dataclass(frozen=True)
+class Pricing(Settings):
+    """Which limits bind, and what they cost, where IPOPT has not said so."""
+
+    near: float = 1e-3
+    """Steps of a limit within which it may bind."""
+    gap: float = 0.02
+    """Part of the objective's slope that the conditions of optimality may leave over."""
+    least: float = 1e-6
+    """Relative to the largest price, below which a limit is not told to bind, whoever has found it."""
+
+
+@dataclass(frozen=True)
+class DesignSolver(Settings):
+    """How hard a design is searched for, and its promises are checked; a field of a `DesignTask`."""
+
+    starts: StartSearch = StartSearch()
+    """Where designs begin."""
+    optimum: OptimumSearch = OptimumSearch()
+    """How the best one near a start is found."""
+    orders: OrderSearch = OrderSearch()
+    """Which order of breakpoints holds it."""
+    collocation: Ipopt = COLLOCATION
+    """How IPOPT solves the program of method "collocation". Its start is feasible: a larger barrier would drive it far
+    away first, through designs that no branch connects."""
+    exchange: ExchangeSearch = ExchangeSearch()
+    """How worst cases are found and added."""
+    relaxation: RelaxationSearch = RelaxationSearch()
+    """How the smallest relaxation is found."""
+    pricing: Pricing = Pricing()
+    """Which limits bind, and what they cost."""
+    simplex_step: float = 0.2
+    """Size of the first simplex of a search without derivatives, as a share of every range."""
+    simplex_size: float = 1e-3
+    """Share of the ranges below which a simplex has converged."""
+    force_rounds: int = 16
+    """Designs that are made in search of the one that bears a force."""
+    force_accuracy: float = 2e-3
+    """Of the floor of the certificate without force that this one needs."""
+    searched_translations: int = 3
+    """Of certified ones, where the least margin is also looked for by search."""
+    perturbed_robots: int = 12
+    """With tubes that are off by all that is allowed, whose certificates are looked at."""
 
 
 DEFAULT_SOLVER = DesignSolver()

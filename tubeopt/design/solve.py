@@ -14,7 +14,7 @@ from ..typing import Array, Progress
 from .cells import improve_by_cells
 from .collocation import collocate
 from .program import Program
-from .solve_one import Attempt, Report, attempt, cubed, improve, rows_at, to_feasibility, violation
+from .solve_one import Attempt, Report, attempt, cubed, improve, prices, rows_at, to_feasibility, violation
 from .starts import start_values, with_joints
 
 METHODS = ("reduced", "collocation")
@@ -25,7 +25,8 @@ def solve(program: Program, start: Array, report: Report | None = None, method: 
     """The best design from a start (X,), SI, by one of METHODS."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
     missed = violation(program, x)[0]
-    near, restarts = program.task.solver.near, program.task.solver.joint_restarts if program.layout.free_poses else 0
+    solver = program.task.solver
+    near, restarts = solver.optimum.near, solver.starts.restarts if program.layout.free_poses else 0
     for kick in range(restarts):
         if missed <= near:
             break
@@ -49,11 +50,11 @@ def best_from(program: Program, x: Array, report: Report | None = None) -> Attem
 
 def _to_the_rim(program: Program, found: Attempt, report: Report | None) -> Attempt:
     """The optimum with whole balls around the targets, where the cubes inside them cost something."""
-    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= program.task.solver.rim:
+    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= program.task.solver.optimum.rim:
         return found
-    other = improve(program, found.x, report, program.task.solver.ball_iterations, exact=True)
+    other = improve(program, found.x, report, program.task.solver.optimum.ball_iterations, exact=True)
     if found.feasible and other.feasible:
-        least = program.task.solver.order_gain * max(abs(found.objective), 1e-3)
+        least = program.task.solver.orders.gain * max(abs(found.objective), 1e-3)
         return other if other.objective < found.objective - least else found
     return min(found, other, key=_worse)
 
@@ -62,22 +63,22 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
     """Relative gain of the objective, to first order, were the cubes to hold the balls; without prices inf where a cube
     binds, and 0 where none does."""
     solver = program.task.solver
-    balls = [group for group in rows_at(program, found.x)[0] if group.vector is not None]
-    near = any((cubed(one).values < solver.rim * one.limit.value / one.limit.size).any() for one in balls)
+    groups, _ = rows_at(program, found.x)
+    balls = [group for group in groups if group.vector is not None]
+    near = any((cubed(one).values < solver.optimum.rim * one.limit.value / one.limit.size).any() for one in balls)
     if not near:
         return 0.0
     if program.elastic:
-        return np.inf if any(one.slack is not None and one.slack[0] > solver.least_slack for one in balls) else 0.0
+        least = solver.relaxation.least_slack
+        return np.inf if any(one.slack is not None and one.slack[0] > least for one in balls) else 0.0
     if not found.feasible or found.optimum is None or not found.optimum.success:
         return np.inf
-    gain, first = 0.0, 0
-    for group in rows_at(program, found.x)[0]:
-        last = first + len(group.values)
-        if group.vector is not None:
-            price = float(found.optimum.multipliers[first:last].sum())
-            gain += price * (np.sqrt(3) - 1) * group.limit.value / group.limit.size
-        first = last
-    return float(gain / max(abs(found.objective), 1e-3))
+    gains = [
+        price * (np.sqrt(3) - 1) * group.limit.value / group.limit.size
+        for group, price in zip(groups, prices(groups, found.optimum.multipliers), strict=True)
+        if group.vector is not None
+    ]
+    return float(sum(gains) / max(abs(found.objective), 1e-3))
 
 
 def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
@@ -98,16 +99,16 @@ def _worse(one: Attempt) -> tuple[bool, float]:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """What became of all starts.
-
-    designs: feasible ones, the best first, each once.  found: from how many starts each was reached.
-    failures: how many starts ended infeasible, by the limit violated most.  failed: where, the least violated first.
-    """
+    """What became of all starts."""
 
     designs: tuple[Attempt, ...]
+    """Feasible ones, the best first, each once."""
     found: tuple[int, ...]
+    """From how many starts each was reached."""
     failures: dict[str, int]
+    """How many starts ended infeasible, by the limit violated most."""
     failed: tuple[Attempt, ...]
+    """Where, the least violated first."""
 
     @property
     def starts(self) -> int:
@@ -139,7 +140,7 @@ def rank(attempts: Sequence[Attempt]) -> Ranking:
 def _same(a: Attempt, b: Attempt) -> bool:
     count = a.program.layout.designs
     gap = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
-    return bool(gap.max() < a.program.task.solver.same_design)
+    return bool(gap.max() < a.program.task.solver.starts.same_design)
 
 
 def multistart(

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from ..errors import SolveError
+from ..robots.concentric import ConcentricRobot
 from ..solvers.smooth import Optimum, Values, minimise
 from ..typing import Array
-from .objectives import KINDS
+from .objectives import KINDS, AnyObjective
 from .program import (
     BOUNDED,
     Program,
@@ -20,6 +21,8 @@ from .program import (
     groups,
     nowhere,
     objective_size,
+    objective_value,
+    robot_at,
     stack,
     state_at,
     total_objective,
@@ -39,23 +42,33 @@ Report = Callable[[str, float], object]
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """Where a solve from one start ended.
-
-    x (X,) SI; objective: as minimised; violation: largest, in steps of its limit; worst: words of the limit that is
-    violated most, "" where none is; optimum: IPOPT's answer, None where feasibility was not reached.
-    """
+    """Where a solve from one start ended."""
 
     program: Program
     x: Array
+    """(X,) SI."""
     objective: float
+    """As minimised."""
     violation: float
+    """Largest, in steps of its limit."""
     worst: str
+    """Words of the limit that is violated most; "" where none is."""
     optimum: Optimum | None
+    """IPOPT's answer; None where feasibility was not reached."""
 
     @property
     def feasible(self) -> bool:
         """Whether every limit is kept."""
         return self.violation <= FEASIBLE
+
+    @property
+    def robot(self) -> ConcentricRobot:
+        """The robot."""
+        return robot_at(self.program, self.x)
+
+    def value(self, one: AnyObjective) -> float:
+        """An objective in its own sign, SI."""
+        return objective_value(self.program, state_at(self.program, self.x), one)[0]
 
 
 def violation(program: Program, x: Array) -> tuple[float, str]:
@@ -123,7 +136,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         found = evaluate(program, full(part))
         if found is None:
             return np.full(rows_count, np.nan)
-        gap, jacobian = shortfall(found, program.task.solver.inside)
+        gap, jacobian = shortfall(found, program.task.solver.optimum.inside)
         rows_count = len(gap)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]
@@ -155,7 +168,7 @@ def _settle_auxiliary(program: Program, x: Array) -> Array:
     names = [name for name in program.layout.auxiliary if name in BOUNDED]
     for name in names:
         column = program.layout.column(name)
-        x[column] = program.upper[column] if KINDS[name][3] > 0 else program.lower[column]
+        x[column] = program.upper[column] if KINDS[name].sign > 0 else program.lower[column]
     found = evaluate(program, x) if names else None
     if found is None:
         return x
@@ -165,7 +178,7 @@ def _settle_auxiliary(program: Program, x: Array) -> Array:
         mine = slopes[:, column] != 0
         room = values[mine] / np.abs(slopes[mine, column])
         step = float(room.min()) - 1e-3 * program.scale[column]
-        x[column] -= KINDS[name][3] * step
+        x[column] -= KINDS[name].sign * step
     return np.clip(x, program.lower, program.upper)
 
 
@@ -185,7 +198,7 @@ def improve(
     Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
     optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
     """
-    iterations = program.task.solver.iterations if iterations is None else iterations
+    iterations = program.task.solver.optimum.iterations if iterations is None else iterations
     form = squared if exact else cubed
     scale = program.scale
     known = evaluate(program, start)
@@ -250,13 +263,17 @@ def cubed(group: Rows) -> Rows:
 
 def _folded(optimum: Optimum, groups: list[Rows]) -> Optimum:
     """The optimum with one multiplier for the six sides of every cube: the price of moving them all."""
-    parts, first = [], 0
-    for group in groups:
-        sides = 1 if group.vector is None else 6
-        count = sides * len(group.values)
-        parts.append(optimum.multipliers[first : first + count].reshape(-1, sides).sum(1))
-        first += count
-    return replace(optimum, multipliers=np.concatenate([*parts, optimum.multipliers[first:]]))
+    sides = [1 if group.vector is None else 6 for group in groups]
+    counts = [each * len(group.values) for each, group in zip(sides, groups, strict=True)]
+    *parts, rest = np.split(optimum.multipliers, np.cumsum(counts))
+    folded = [part.reshape(-1, each).sum(1) for each, part in zip(sides, parts, strict=True)]
+    return replace(optimum, multipliers=np.concatenate([*folded, rest]))
+
+
+def prices(groups: Sequence[Rows], multipliers: Array) -> list[float]:
+    """What each group of rows costs, per step of its limit: the sum of its multipliers, of all rows."""
+    *parts, _ = np.split(multipliers, np.cumsum([len(group.values) for group in groups]))
+    return [float(part.sum()) for part in parts]
 
 
 def _all_rows(found: Found, form: Callable[[Rows], Rows], rows: MoreRows | None) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     space = layout.space
     if count == 1:
         return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
-    unit = sobol(layout.designs, program.task.solver.sampled_designs * count, seed)
+    unit = sobol(layout.designs, program.task.solver.starts.designs * count, seed)
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
@@ -50,7 +50,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
         tubes = layout.space.tubes(design)
     except InputError:
         return x
-    joints, poses = _sample(tubes, program.task.robot.joint_limits, random, program.task.solver.sampled_poses)
+    joints, poses = _sample(tubes, program.task.robot.joint_limits, random, program.task.solver.starts.poses)
     if not poses:
         return x
     tips = np.array([pose.position[-1] for pose in poses])
@@ -59,7 +59,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
     for index, aim in _aims(program).items():
         pose = layout.poses[index]
         assert isinstance(pose, FreePose)
-        best = int(np.argmin(_gap(tips, aim) + penalty + program.task.solver.pose_turn * turned))
+        best = int(np.argmin(_gap(tips, aim) + penalty + program.task.solver.starts.pose_turn * turned))
         turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
         x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
         program.guesses[index] = twist_at(poses[best].solved)

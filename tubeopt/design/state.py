@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ..block.quantities import PoseNumber, Quantity
-from ..equilibrium.general_change import Change
-from ..equilibrium.general_derivatives import Linearised
+from ..equilibrium.general_derivatives import Change, Linearised
 from ..equilibrium.solving import Solution
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.tubes import Tube
@@ -49,14 +48,13 @@ PoseKind = FreePose | FixedPose | Via
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What the unknowns x (X,) are: D dimensions, 2 n joint values of each of F free poses, auxiliary numbers.
-
-    poses: task poses in order, then via points.  certified: (T, n) translations of the certificate, m.
-    """
+    """What the unknowns x (X,) are: D dimensions, 2 n joint values of each of F free poses, auxiliary numbers."""
 
     space: DesignSpace
     poses: tuple[PoseKind, ...]
+    """Task poses in order, then via points."""
     certified: tuple[tuple[float, ...], ...]
+    """(T, n) translations of the certificate, m."""
     auxiliary: tuple[str, ...]
 
     @property
@@ -115,45 +113,42 @@ class State:
         """(n, X) change of every dimension and stiffness."""
         space, x = self.layout.space, self.x[: self.layout.designs]
         designs = space.slopes(x)
-        if space.spots:
+        if space.pieced:
             designs["curvature"] = space.bend_slopes(self.tubes, x)
         return {name: np.pad(part, ((0, 0), (0, self.layout.size - part.shape[1]))) for name, part in designs.items()}
 
     def joint_values(self, index: PoseNumber) -> tuple[Array, Array]:
         """Rotations and translations (n,) of a pose."""
-        if isinstance(index, tuple):
-            whole = self.joint_values(index[0])
-            return whole[0], drawn_back(self.tubes, whole[1], index[1])[0]
-        pose = self.layout.poses[index]
-        if isinstance(pose, FixedPose):
-            return np.array(pose.rotations), np.array(pose.translations)
-        if isinstance(pose, FreePose):
-            rotations, beta = self.layout.joints(pose)
-            return self.x[rotations], self.x[beta] + [tube.straight_length for tube in self.tubes]
-        first, second = (self.joint_values(i) for i in (pose.first, pose.second))
-        t = pose.fraction
-        return (1 - t) * first[0] + t * second[0], (1 - t) * first[1] + t * second[1]
+        (rotations, _), (translations, _) = self._joints(index)
+        return rotations, translations
 
     def joint_slopes(self, index: PoseNumber) -> tuple[Array, Array]:
         """(n, X) change of the rotations and of the translations of a pose."""
+        (_, turned), (_, shifted) = self._joints(index)
+        return turned, shifted
+
+    def _joints(self, index: PoseNumber) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Both of the rotations, and of the translations."""
         if isinstance(index, tuple):
-            turned, shifted = self.joint_slopes(index[0])
-            _, drawn, last = drawn_back(self.tubes, self.joint_values(index[0])[1], index[1])
-            ended = shifted + self.slopes["curved_length"]
-            return turned, shifted - drawn[:, None] * (ended - index[1] * ended[last])
-        pose, n, size = self.layout.poses[index], self.layout.n, self.layout.size
-        rotations, translations = np.zeros((n, size)), np.zeros((n, size))
-        if isinstance(pose, FreePose):
-            alpha, beta = self.layout.joints(pose)
-            rotations[:, alpha] = np.eye(n)
-            translations[:, beta] = np.eye(n)
-            translations += self.slopes["straight_length"]
-        elif isinstance(pose, Via):
-            first, second = (self.joint_slopes(i) for i in (pose.first, pose.second))
-            t = pose.fraction
-            rotations = (1 - t) * first[0] + t * second[0]
-            translations = (1 - t) * first[1] + t * second[1]
-        return rotations, translations
+            number, share = index
+            turned, (shift, moved) = self._joints(number)
+            drawn, back, last = drawn_back(self.tubes, shift, share)
+            ended = moved + self.slopes["curved_length"]
+            return turned, (drawn, moved - back[:, None] * (ended - share * ended[last]))
+        pose = self.layout.poses[index]
+        if isinstance(pose, Via):
+            t, first, second = pose.fraction, self._joints(pose.first), self._joints(pose.second)
+            rotations, translations = (
+                ((1 - t) * one[0] + t * other[0], (1 - t) * one[1] + t * other[1])
+                for one, other in zip(first, second, strict=True)
+            )
+            return rotations, translations
+        if isinstance(pose, FixedPose):
+            still = np.zeros((self.layout.n, self.layout.size))
+            return (np.array(pose.rotations), still), (np.array(pose.translations), still)
+        (alpha, beta), unit = self.layout.joints(pose), np.eye(self.layout.size)
+        straight = np.array([tube.straight_length for tube in self.tubes])
+        return (self.x[alpha], unit[alpha]), (self.x[beta] + straight, unit[beta] + self.slopes["straight_length"])
 
     def pose(self, index: PoseNumber) -> Pose | PiecePose:
         """The equilibrium of a pose."""
@@ -165,22 +160,21 @@ class State:
 
     def _pose(self, solved: Solution) -> Pose | PiecePose:
         space = self.layout.space
-        return PiecePose(solved, self.tubes, self._piece_changes) if space.spots else Pose(solved)
+        return PiecePose(solved, self.tubes, self._piece_changes) if space.pieced else Pose(solved)
 
     def _piece_changes(self, here: Linearised) -> list[Change]:
         """What every unknown piece changes along a solved arm."""
-        parts = self.layout.space.of_pieces
-        given = given_of(parts, self.x[: self.layout.designs].tolist())
-        straight = self.slopes["straight_length"]
+        unknowns, straight = self.layout.space.unknowns, self.slopes["straight_length"]
+        given = given_of(unknowns, self.x[: self.layout.designs].tolist())
         return [
-            change_of(here, field, spot, given) if spot.pieces else here.held(straight[:, column])
-            for column, (field, spot) in enumerate(parts)
+            change_of(here, one, given) if one.pieces else here.held(straight[:, column])
+            for column, one in enumerate(unknowns)
         ]
 
     @cached_property
     def _reshaped(self) -> Array:
         """(L - 2 n, X) change of what a pose is differentiated by beside its joint values."""
-        if self.layout.space.spots:
+        if self.layout.space.pieced:
             return np.eye(self.layout.designs, self.layout.size)
         return np.concatenate([self.slopes[name] for name in DIMENSIONS])
 

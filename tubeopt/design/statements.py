@@ -45,20 +45,22 @@ Function = Callable[[Quantities], Any]
 
 @dataclass(frozen=True)
 class Limit:
-    """What a group of rows is about.
-
-    words: what is limited.  value: the limit, SI.  most: whether the limit is an upper one.  unit, factor: how it is
-    shown.  size: SI change that counts as one step when limits are relaxed against each other.  movable: whether it
-    may be relaxed.
-    """
+    """What a group of rows is about."""
 
     words: str
+    """What is limited."""
     value: float
+    """The limit, SI."""
     most: bool
+    """Whether the limit is an upper one."""
     unit: str
+    """In which it is shown."""
     factor: float
+    """What turns SI into that unit."""
     size: float
+    """SI change that counts as one step when limits are relaxed against each other."""
     movable: bool = True
+    """Whether it may be relaxed."""
 
     def shown(self, value: float | None = None) -> str:
         """The limit, or another value of the same kind, with its unit."""
@@ -68,15 +70,17 @@ class Limit:
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """A limit as an expression (K,) >= 0, SI. Where it limits the length of a vector, `vector` (3 K,) is that, one
-    after the other. `part` tells the statements of a requirement apart; `always`: it stays a constraint though it may
-    not move for a while."""
+    """A limit as an expression."""
 
     part: int
+    """Tells the statements of a requirement apart."""
     limit: Limit
     expression: Expression
+    """(K,) >= 0, SI."""
     vector: Expression | None = None
+    """(3 K,), one after the other, where the length of a vector is limited."""
     always: bool = False
+    """Whether it stays a constraint though no unknown may move it for a while."""
 
 
 Poses = tuple[int, ...]
@@ -237,20 +241,24 @@ def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities)
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of one group: values (K,) and Jacobian (K, X), >= 0 where the limit is kept, in units of `limit.size`;
-    `requirement` is the number of the requirement in the task, `part` tells its groups apart. Rows that limit the
-    length of a vector tell it too: `vector` (K, 3) and its change (K, 3, X), in the same units, which leads least
-    squares to 0 from far away faster than its length does. `slack`: steps by which the limit is eased, and
-    their column. `always`: the rows stay where no unknown moves them for a while."""
+    """Rows of one group, >= 0 where the limit is kept, in units of `limit.size`."""
 
     requirement: int
+    """Its number in the task."""
     part: int
+    """Tells the groups of a requirement apart."""
     limit: Limit
     values: Array
+    """(K,)."""
     jacobian: Array
+    """(K, X)."""
     vector: tuple[Array, Array] | None = None
+    """(K, 3) whose length is limited, and its change (K, 3, X), where it is such a limit: it leads least squares to 0
+    from far away faster than its length does."""
     slack: tuple[float, int] | None = None
+    """Steps by which the limit is eased, and their column."""
     always: bool = False
+    """Whether the rows stay where no unknown moves them for a while."""
 
 
 def stated_rows(found: Sequence[Statement], number: int, state: State) -> list[Rows]:

@@ -16,10 +16,9 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
 from ..solvers.parallel.executors import executor, run_all
 from ..typing import Progress
-from .exchange import robot_at
 from .objectives import key_of
 from .optimize import settle
-from .program import compile_task, objective_value, state_at
+from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
 from .solve import multistart
 from .task import DesignTask
@@ -50,18 +49,16 @@ class StockTube:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One choice of sizes, inner to outer.
-
-    bound: the best objective that the requirements on dimensions alone allow, as minimised.  objective: what a design
-    reaches, in its own sign, SI, None where it was pruned or infeasible.  status: "design", "infeasible" with what
-    failed, or "pruned".
-    """
+    """One choice of sizes, inner to outer."""
 
     sizes: tuple[StockTube, ...]
     bound: float
+    """The best objective that the requirements on dimensions alone allow, as minimised."""
     objective: float | None
+    """What a design reaches, in its own sign, SI, None where it was pruned or infeasible."""
     robot: ConcentricRobot | None
     status: str
+    """One of "design", "infeasible" with what failed, and "pruned"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,5 +193,4 @@ def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) 
         found, _ = settle(ranking.designs[0])
     except SolveError as error:
         return Candidate(sizes, bound, None, None, f"infeasible: {error}")
-    value = objective_value(found.program, state_at(found.program, found.x), task.objectives[0])[0]
-    return Candidate(sizes, bound, value, robot_at(found.program, found.x), "design")
+    return Candidate(sizes, bound, found.value(task.objectives[0]), found.robot, "design")

@@ -39,13 +39,6 @@ from .settings import DEFAULT_SOLVER, DesignSolver
 class DesignTask(Displayed):
     """What to design.
 
-    robot: where to start.  free: dimensions that may change.  requirements: all of which must hold.
-    objective: one, or several that are added with their weights.  name: what to call it.
-    ordered: whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it,
-        none withdrawn past the plate) at home, over certified boxes, and at all translations that requirements and
-        objectives name; in poses whose joint values are found they always are.
-    solver: how hard it is searched for.
-
     Raises:
         InputError: parts that do not fit together: tubes that are not there, translations of another number of tubes,
             a requirement or objective that speaks of task poses where there are none, nothing free or wanted, an order
@@ -53,12 +46,21 @@ class DesignTask(Displayed):
     """
 
     robot: ConcentricRobot
+    """Where to start."""
     free: tuple[Free, ...]
+    """Dimensions that may change."""
     requirements: tuple[Requirement, ...] = ()
+    """All of which must hold."""
     objective: AnyObjective | tuple[AnyObjective, ...] = field(default_factory=lambda: Objective("change"))
+    """One, or several that are added with their weights."""
     name: str = ""
+    """What to call it."""
     ordered: bool = True
+    """Whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it, none
+    withdrawn past the plate) at home, over certified boxes, and at all translations that requirements and objectives
+    name; in poses whose joint values are found they always are."""
     solver: DesignSolver = DEFAULT_SOLVER
+    """How hard it is searched for."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):
@@ -115,10 +117,9 @@ def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
         field: np.array([getattr(tube, field) for tube in task.robot.tubes])
         for field in ("straight_length", "curved_length")
     }
-    for (name, tubes, scaled), bound in zip(space.unknowns, getattr(space, side), strict=True):
-        if name in found:
-            for i in tubes:
-                found[name][i] = float(bound) * (found[name][i] if scaled else 1.0)
+    for one, bound in zip(space.unknowns, getattr(space, side), strict=True):
+        for i in one.tubes if one.field in found else ():
+            found[one.field][i] = float(bound) * (found[one.field][i] if one.scaled else 1.0)
     return found
 
 
@@ -186,7 +187,7 @@ def _check_pieces(task: DesignTask) -> None:
             "snap_free names errors of curvature or stiffness; for tubes made of pieces nothing is proved of them: ask "
             "for a larger margin, and look at tolerances"
         )
-    if not task.space.spots:
+    if not task.space.pieced:
         return
     for one in task.requirements:
         if isinstance(one, StrokeForce):
@@ -218,7 +219,7 @@ def _check_pieces(task: DesignTask) -> None:
 
 def _check_slots(space: DesignSpace) -> None:
     """A limit of strain must know where slots are: they strain what they leave more than a whole tube."""
-    free = {place for name, spot in space.of_pieces if name == "piece_bending_factor" for place in spot.pieces}
+    free = {place for one in space.unknowns if one.field == "piece_bending_factor" for place in one.pieces}
     for i, tube in enumerate(space.robot_tubes):
         for j, piece in enumerate(tube.pieces):
             if piece.slots is None and (slots_unknown(tube, piece) or (i, j) in free):
@@ -230,24 +231,8 @@ def _check_slots(space: DesignSpace) -> None:
                 )
 
 
-def _poses_of(one: Requirement) -> int:
-    match one:
-        case Reach(targets=targets):
-            return len(targets)
-        case Poses(rotations=rotations):
-            return len(rotations)
-        case Coverage():
-            return 3
-        case _:
-            return 0
-
-
 def _check_objectives(task: DesignTask) -> None:
     certified = bool(of_kind(task.requirements, SnapFree))
-    if any(one.kind == "workspace_volume" for one in task.objectives if isinstance(one, Objective)):
-        count = sum(_poses_of(one) for one in task.requirements)
-        if count < 3:
-            raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least 3")
     for one in task.objectives:
         if isinstance(one, OwnObjective):
             one.checked()
@@ -265,6 +250,9 @@ def _check_objectives(task: DesignTask) -> None:
             )
         if one.kind in ("stroke_force", "workspace_volume"):
             _given_poses(task, f"objective {one.kind}")
+        count = sum(len(each.rotations) for each in of_kind(task.requirements, Poses))
+        if one.kind == "workspace_volume" and count < 3:
+            raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least 3")
         if one.kind in POSED and not task.has_poses:
             raise InputError(f"objective {one.kind} needs task poses (Reach, Coverage or Poses); the task has none")
     if len({key_of(one) for one in task.objectives}) < len(task.objectives):

@@ -42,23 +42,25 @@ class Tolerances:
 
 @dataclass(frozen=True, eq=False)
 class ToleranceAnalysis:
-    """Samples of a robot as it may be made.
-
-    certificate: (S,) least mu_cert of each over the given translations.  snap_free: share above 0, with its 95 %
-    interval (Wilson).  margin_kept: share that keeps `margin`.  tip: (S, P, 3) tips in each pose, m, NaN where a
-    sample has no stable equilibrium.  spread: (P,) RMS distance of the tips from the nominal one, m;
-    spread_95: (P,) the distance that 95 % stay within.  failed: samples without a stable equilibrium at some pose.
-    """
+    """Samples of a robot as it may be made."""
 
     certificate: Array
+    """(S,) least mu_cert of each over the given translations."""
     snap_free: float
+    """Share above 0."""
     interval: tuple[float, float]
+    """95 % interval of that share (Wilson)."""
     margin: float
     margin_kept: float
+    """Share that keeps `margin`."""
     tip: Array
+    """(S, P, 3) tips in each pose, m, NaN where a sample has no stable equilibrium."""
     spread: Array
+    """(P,) RMS distance of the tips from the nominal one, m."""
     spread_95: Array
+    """(P,) the distance that 95 % stay within, m."""
     failed: int
+    """Samples without a stable equilibrium at some pose."""
 
 
 def tolerance_analysis(

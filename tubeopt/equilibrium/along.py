@@ -15,7 +15,7 @@ from .general_motion import GeneralMotion
 def place_at(of: Derivatives | GeneralMotion, fraction: float) -> Array:
     """(3,) position at a fraction of the arm's length in front of the plate, m."""
     table = of.arm.position
-    if not of.arm.n_pieces:
+    if len(of.cuts) < 2:
         return np.asarray(table[-1])
     k, weights, _ = _weights(of, fraction)
     return np.asarray(weights @ table[4 * k : 4 * k + 5])
@@ -25,7 +25,7 @@ def position_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Array
     """(3,) position at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
     table = of.arm.position
     change = of.position.copy()
-    if not of.arm.n_pieces:
+    if len(of.cuts) < 2:
         return table[-1], change[-1]
     longer = _longer(of)
     # The last shape point moves with the tip; the others are at fixed arc lengths.
@@ -43,7 +43,7 @@ def curvature_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Arra
     """
     if isinstance(of, GeneralMotion):
         raise InputError("an expression speaks of the curvature inside a pose; tubes made of pieces have none for it")
-    if not of.arm.n_pieces:
+    if len(of.cuts) < 2:
         return np.zeros(2), of.per_tube(np.zeros((2, of.size)))
     arm, n = of.arm, of.arm.n_tubes
     k, x = _place(of, fraction)
@@ -64,8 +64,8 @@ def _longer(of: Derivatives | GeneralMotion) -> Array:
 def _place(of: Derivatives | GeneralMotion, fraction: float) -> tuple[int, float]:
     """The piece in which a fraction of the length lies, and how far inside, 0 to 1."""
     s = fraction * of.cuts[-1]
-    k = int(np.clip(np.searchsorted(of.arm.start, s, side="right") - 1, 0, of.arm.n_pieces - 1))
-    return k, float((s - of.arm.start[k]) / of.arm.length[k])
+    k = int(np.clip(np.searchsorted(of.cuts[:-1], s, side="right") - 1, 0, len(of.cuts) - 2))
+    return k, float((s - of.cuts[k]) / (of.cuts[k + 1] - of.cuts[k]))
 
 
 def _weights(of: Derivatives | GeneralMotion, fraction: float) -> tuple[int, Array, Array]:
@@ -75,4 +75,4 @@ def _weights(of: Derivatives | GeneralMotion, fraction: float) -> tuple[int, Arr
     table = np.linalg.inv(np.vander(ENDS, increasing=True))
     powers = np.arange(len(ENDS))
     rates = powers * np.power(x, np.maximum(powers - 1, 0))
-    return k, np.power(x, powers) @ table, rates @ table / of.arm.length[k]
+    return k, np.power(x, powers) @ table, rates @ table / (of.cuts[k + 1] - of.cuts[k])

@@ -53,9 +53,11 @@ Mover = tuple[int, tuple[int, ...], tuple[int, ...]]
 """Column of a parameter that moves breakpoints, with the tubes whose transitions and whose ends move along."""
 
 
-def moving_breakpoints(assembly: Assembly, cuts: Array, movers: Sequence[Mover], side: int, size: int) -> Jumps:
+@lru_cache(maxsize=64)
+def moving_breakpoints(assembly: Assembly, between: bytes, movers: tuple[Mover, ...], side: int, size: int) -> Jumps:
     """Every breakpoint in front of the plate that a parameter, one of `size`, moves towards the tip (`side` 1) or the
-    plate (-1); `cuts` (P + 1,) are the arc lengths between the pieces."""
+    plate (-1), the same for all rotations of the bundle; `between` are the arc lengths (P + 1,) between the pieces."""
+    cuts = np.frombuffer(between)
     n, nudge = assembly.n_tubes, side * ROUND_OFF
     begin, end = assembly.transition.tolist(), assembly.end.tolist()
     least = -nudge if len(cuts) > 1 else np.inf
@@ -82,12 +84,6 @@ def moving_breakpoints(assembly: Assembly, cuts: Array, movers: Sequence[Mover],
     )
 
 
-@lru_cache(maxsize=64)
-def _known_jumps(assembly: Assembly, cuts: bytes, movers: tuple[Mover, ...], side: int, size: int) -> Jumps:
-    """`moving_breakpoints`, which are the same for all rotations of the bundle."""
-    return moving_breakpoints(assembly, np.frombuffer(cuts), movers, side, size)
-
-
 def _there(transition: list[float], end: list[float], s: float) -> tuple[list[bool], list[bool]]:
     """Which tubes are there at arc length s between breakpoints, and which of them in their curved part."""
     return [s < last for last in end], [first < s < last for first, last in zip(transition, end, strict=True)]
@@ -110,7 +106,7 @@ class ArmChange:
     """Change of one arm with Q parameters, computed where it is asked for.
 
     Args:
-        arm, assembly, carriages: the solved arm, its bundle of tubes, and the tubes that move together.
+        arm, carriages: the solved arm, and the tubes that move together.
         wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect
             to its translation in equal parts, so that the chain rule holds for every motion that is possible.
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
@@ -123,14 +119,13 @@ class ArmChange:
     def __init__(
         self,
         arm: Arm,
-        assembly: Assembly,
         carriages: tuple[tuple[int, ...], ...],
         *,
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
     ) -> None:
         check_wrt(wrt, side)
-        self.arm, self.assembly, self.carriages = arm, assembly, carriages
+        self.arm, self.assembly, self.carriages = arm, arm.assembly, carriages
         self.wrt, self.side = tuple(wrt), side
         self.size = 0
         """Number of columns, by carriages."""
@@ -206,7 +201,7 @@ class ArmChange:
     @cached_property
     def jumps(self) -> Jumps:
         """Every breakpoint in front of the plate that a parameter moves."""
-        return _known_jumps(self.assembly, self.cuts.tobytes(), tuple(self.movers), self.side, self.size)
+        return moving_breakpoints(self.assembly, self.cuts.tobytes(), tuple(self.movers), self.side, self.size)
 
     @cached_property
     def cuts(self) -> Array:

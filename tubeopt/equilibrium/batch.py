@@ -35,42 +35,46 @@ class BatchStatus(Sentence):
 
 @dataclass(frozen=True)
 class BatchStatistics:
-    """Joint values that were solved for, and how many of them have no stable equilibrium that was found."""
+    """What a batch took."""
 
     samples: int
+    """Joint values that were solved for."""
     failures: int
+    """How many of them have no stable equilibrium that was found."""
 
 
 @dataclass(frozen=True, eq=False)
 class EquilibriumBatch(Displayed):
-    """Equilibria of N configurations of a robot with n tubes; rows of what did not converge are NaN.
-
-    Attributes:
-        rotations, translations: (N, n) joint values, rad and m.
-        tip_position (N, 3), tip_rotation (N, 3, 3): pose of the end of the longest tube in the plate frame, m.
-        tip_rotations: (N, n) theta_i at each tube's own end, rad.
-        margin: (N,) stability margin.   energy: (N,) J.
-        residual (N,), mesh_error (N,): of theta, rad.   tip_error (N,): estimated error of the tip, m.
-        converged: (N,) whether a stable equilibrium was found to the tolerance; one without a margin under loads that
-            have none.
-        failures: (row, reason in words) of those that were not.
-        compliance: (N, 6, 6) of the tip, m and rad by N and N m, under a load; (0, 6, 6) without one.
-    """
+    """Equilibria of N configurations of a robot with n tubes; rows of what did not converge are NaN."""
 
     robot: Robot
+    """As given."""
     rotations: Array
+    """(N, n) rad."""
     translations: Array
+    """(N, n) m."""
     tip_position: Array
+    """(N, 3) end of the longest tube in the plate frame, m."""
     tip_rotation: Array
+    """(N, 3, 3) its frame."""
     tip_rotations: Array
+    """(N, n) theta_i at each tube's own end, rad."""
     margin: Array
+    """(N,) of stability."""
     energy: Array
+    """(N,) J."""
     residual: Array
+    """(N,) of theta, rad."""
     mesh_error: Array
+    """(N,) of theta, rad."""
     tip_error: Array
+    """(N,) estimated, m."""
     converged: Mask
+    """(N,) whether a stable equilibrium was found to the tolerance; one without a margin under loads that have none."""
     failures: tuple[tuple[int, str], ...] = ()
+    """(row, reason in words) of those that were not."""
     compliance: Array = field(default_factory=lambda: np.zeros((0, 6, 6)))
+    """(N, 6, 6) of the tip, m and rad by N and N m, under a load; (0, 6, 6) without one."""
 
     def __len__(self) -> int:
         return len(self.rotations)

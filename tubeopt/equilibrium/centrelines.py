@@ -56,25 +56,25 @@ def tube_lengths(equilibrium: Equilibrium) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SegmentChain:
-    """A segmented eccentric robot as a chain of segments, each solved for itself with its tubes on the centreline.
-
-    Attributes:
-        robot, rotations (3 k,), translations (3 k,): the input.
-        segments: equilibrium of every segment in front of the plate in its own frame, base to tip.
-        start: (len(segments),) arc length where each begins to curve, m.
-        arc_length (m,), position (m, 3): the chained centreline, m.
-        tip_position (3,), tip_rotation (3, 3): pose of its end in the plate frame.
-    """
+    """A segmented eccentric robot as a chain of segments, each solved for itself with its tubes on the centreline."""
 
     robot: SegmentedEccentricRobot
     rotations: Array
+    """(3 k,) rad, as given."""
     translations: Array
+    """(3 k,) m, as given."""
     segments: tuple[Equilibrium, ...]
+    """Equilibrium of every segment in front of the plate in its own frame, base to tip."""
     start: Array
+    """(len(segments),) arc length where each begins to curve, m."""
     arc_length: Array
+    """(m,) m."""
     position: Array
+    """(m, 3) the chained centreline, m."""
     tip_position: Array
+    """(3,) its end in the plate frame, m."""
     tip_rotation: Array
+    """(3, 3) its frame there."""
 
     def full_model(self) -> Equilibrium:
         """The coupled equilibrium of the whole robot on the chain's branch: followed from the same tubes at d = 0.

@@ -45,45 +45,44 @@ SHORTEST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Leaving(Displayed):
-    """Where the tubes inside leave a tube that ends in front of the plate.
-
-    Attributes:
-        tube: the one that ends, from 0.   arc_length: where, m.   clearance: radial, m.
-        mismatch: by how much both would be bent differently if left alone, 1/m.
-        contact: length over which the inner tubes cross from one wall to the other, m.
-        turn: (3,) rotation vector, rad, by which all beyond is turned, and shift (3,), m, by which it is moved.
-        most_turn, most_shift: estimates of the largest that they can be, rad and m; bounds for tubes that are bent in
-            one plane and pushed by nothing but each other.
-    """
+    """Where the tubes inside leave a tube that ends in front of the plate."""
 
     tube: int
+    """That ends, from 0."""
     arc_length: float
+    """Where, m."""
     clearance: float
+    """Radial, m."""
     mismatch: float
+    """By how much both would be bent differently if left alone, 1/m."""
     contact: float
+    """Length over which the inner tubes cross from one wall to the other, m."""
     turn: Array
+    """(3,) rotation vector by which all beyond is turned, rad."""
     shift: Array
+    """(3,) by which it is moved, m."""
     most_turn: float
+    """Estimate of the largest turn, rad; a bound for tubes that are bent in one plane and pushed by nothing but each
+    other."""
     most_shift: float
+    """The same of the shift, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClearanceCorrection(Displayed):
-    """An arm with the tilts that the room between its tubes allows, to first order in them.
-
-    Attributes:
-        equilibrium: of tubes on one centreline.   leavings: where tubes are left, base to tip.
-        position: (M, 3) of the points of the arm, m.   tip_position: (3,).
-        turn: (3, 3) by which the frame of the tip is turned.   tip_rotation: (3, 3) that frame.
-        radius: (M,) m, estimate of how far points can be from where they are without clearance, at worst: a bound to
-            first order where the tubes are bent in one plane.
-    """
+    """An arm with the tilts that the room between its tubes allows, to first order in them."""
 
     equilibrium: Equilibrium
+    """Of tubes on one centreline."""
     leavings: tuple[Leaving, ...]
+    """Where tubes are left, base to tip."""
     position: Array
+    """(M, 3) of the points of the arm, m."""
     turn: Array
+    """(3, 3) by which the frame of the tip is turned."""
     radius: Array
+    """(M,) estimate of how far points can be from where they are without clearance, at worst, m: a bound to first order
+    where the tubes are bent in one plane."""
 
     @property
     def tip_position(self) -> Array:

@@ -26,7 +26,7 @@ from ..block.transcription.linear import (
     slopes_at,
 )
 from ..block.transcription.reduced import ReducedProblem
-from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.assembly import ROUND_OFF
 from ..typing import Array
 from .arm_change import ArmChange
 from .margin import AtSolution, Variation, quotient_change
@@ -40,7 +40,7 @@ class Derivatives(ArmChange):
     """Derivatives of one equilibrium with respect to Q parameters, computed where they are asked for.
 
     Args:
-        arm, assembly, carriages, wrt, side: as of `ArmChange`.
+        arm, carriages, wrt, side: as of `ArmChange`.
         margin: of the equilibrium.
         problem: gives the reduced problem that the arm solves; the margin of tubes off the centreline asks for it.
     """
@@ -48,7 +48,6 @@ class Derivatives(ArmChange):
     def __init__(
         self,
         arm: Arm,
-        assembly: Assembly,
         carriages: tuple[tuple[int, ...], ...],
         *,
         wrt: Sequence[str] = ("rotations", "translations"),
@@ -56,7 +55,7 @@ class Derivatives(ArmChange):
         margin: float = 1.0,
         problem: Callable[[], ReducedProblem] | None = None,
     ) -> None:
-        super().__init__(arm, assembly, carriages, wrt=wrt, side=side)
+        super().__init__(arm, carriages, wrt=wrt, side=side)
         self.value, self._problem = margin, problem
 
     @cached_property

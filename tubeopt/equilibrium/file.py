@@ -15,17 +15,42 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, create_model
 
+from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..errors import InputError
 from ..files.checked import check
 from ..files.files import atomic_write, read_bytes, read_text, write_text
 from ..robots.file import AnyRobot
-from .result import ALONG_THE_ARM, ARRAYS, Equilibrium, Status
+from ..typing import Array
+from .result import Accuracy, Equilibrium, Status
 
 LOAD_FIELDS = ("load", "work", "point_curvature", "friction")
 """What a file written without loads and friction does not have."""
 
-# The other arrays are short enough to be read there.
-_IN_JSON = [field.name for field in dataclasses.fields(Equilibrium) if field.name not in ALONG_THE_ARM]
+PARTS = {"arm": ArmShape, "points": CollocationPoints, "accuracy": Accuracy}
+"""Fields of an equilibrium that a file has one by one."""
+
+ALONG_THE_ARM = tuple(field.name for field in dataclasses.fields(ArmShape))
+"""Arrays with a value per point; all others are short enough to be read in `result.json`."""
+
+TIP = ("tip_position", "tip_rotation")
+"""What a file tells of the arm for whoever reads it."""
+
+
+def _types() -> dict[str, Any]:
+    """What `result.json` holds, and of which type."""
+    held: dict[str, Any] = {}
+    for name, kind in typing.get_type_hints(Equilibrium).items():
+        if name == "arm":
+            held |= dict.fromkeys(TIP, Array)
+        elif name in PARTS:
+            held |= typing.get_type_hints(PARTS[name])
+        elif name != "_brief":
+            held[name] = kind
+    return held
+
+
+ARRAYS = tuple(name for name, kind in _types().items() if kind == Array)
+"""Names of the arrays in `result.json`."""
 
 _StatusByName = Annotated[
     Status,
@@ -37,11 +62,11 @@ _StatusByName = Annotated[
 @functools.lru_cache(maxsize=1)
 def _record_model() -> type[BaseModel]:
     """The model of `result.json`, derived from `Equilibrium` so that no field can be forgotten."""
-    types: dict[str, Any] = typing.get_type_hints(Equilibrium)
-    types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": _StatusByName, "robot": AnyRobot}
+    types = _types() | dict.fromkeys(ARRAYS, list[float] | list[list[float]])
+    types |= {"status": _StatusByName, "robot": AnyRobot}
     optional = {field.name: field.default for field in dataclasses.fields(Equilibrium) if field.name in LOAD_FIELDS}
     optional["point_curvature"] = []
-    fields: dict[str, Any] = {name: (types[name], optional.get(name, ...)) for name in _IN_JSON}
+    fields: dict[str, Any] = {name: (kind, optional.get(name, ...)) for name, kind in types.items()}
     # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
     config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
     return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **fields)
@@ -58,7 +83,7 @@ def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     content = io.BytesIO()
     np.savez(content, **{name: getattr(equilibrium, name) for name in ALONG_THE_ARM})
-    values = {name: getattr(equilibrium, name) for name in _IN_JSON}
+    values = {name: getattr(equilibrium, name) for name in _types()}
     for name in values.keys() & ARRAYS:
         values[name] = values[name].tolist()
     record = _record_model().model_construct(arrays_sha256=hashlib.sha256(content.getvalue()).hexdigest(), **values)
@@ -96,4 +121,8 @@ def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
         raise InputError(f"{arrays}: these are not the arrays that belong to {result}")
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
         values |= {name: stored[name] for name in ALONG_THE_ARM}
+    for name in TIP:
+        del values[name]
+    for name, kind in PARTS.items():
+        values[name] = kind(**{field.name: values.pop(field.name) for field in dataclasses.fields(kind)})
     return Equilibrium(**values)

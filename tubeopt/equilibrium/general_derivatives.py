@@ -13,7 +13,7 @@ quotient, at its mode.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,58 +26,61 @@ from ..block.transcription.linear import poses_at_points
 from ..block.transcription.whole_arm import evaluate_arm
 from ..errors import SolveError
 from ..physics.certificate import worst_function
-from ..robots.breakpoints import COINCIDE, DIMENSIONS, coincides, of_pieces
+from ..robots.breakpoints import COINCIDE, of_pieces
 from ..typing import Array
-from .arm_change import check_wrt
 from .derivatives import FLAT
-from .general_change import Answer, Change, Wound, together
-from .kinematics import forward_kinematics
 from .result import Equilibrium
-from .solving import Solution, discretisation_of, polish
-
-WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "curved_length"))
+from .solving import Solution
 
 
-def general_columns(
-    equilibrium: Equilibrium, wrt: Sequence[str], side: int
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Derivatives of tip position (3, Q), tip rotation (3, Q), tip rotations (n, Q), margin and energy (Q,), for
-    `jacobian`."""
-    check_wrt(wrt, side, WRT, "with tubes made of pieces it")
-    here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
-    table, n = columns_of(changes_of(here, equilibrium, wrt, side)), equilibrium.robot.n_tubes
-    return table[:3], table[3:6], table[6 : 6 + n], table[6 + n], table[7 + n]
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What Q parameters change: alpha (Q, n), int ds / kt up to the plate (Q, n), lengths of the pieces (Q, P), and at
+    all their points (Q, P, K, n) 1 / kt, kb, m and phase."""
+
+    base: Array
+    transmission: Array
+    length: Array
+    rate: Array
+    stiffness: Array
+    moment: Array
+    phase: Array
+
+    @property
+    def columns(self) -> Array:
+        """(Q, P, K, 3n) of phase, kb and m."""
+        return np.concatenate([self.phase, self.stiffness, self.moment], axis=3)
 
 
-def changes_of(
-    here: Linearised, equilibrium: Equilibrium, wrt: Sequence[str], side: int
-) -> list[tuple[Linearised, Change]]:
-    """What every parameter changes, and of which equilibrium: one to the side where breakpoints coincide."""
-    out = []
-    for name in wrt:
-        for tube in range(equilibrium.robot.n_tubes):
-            aside = name == "translations" and coincides(here.problem.assembly, tube)
-            at = nudged(equilibrium, tube, side) if aside else here
-            out.append((at, at.change(name, tube)))
-    return out
+@dataclass(frozen=True, eq=False)
+class Wound:
+    """Moments (P, K, n) at the points, the torque (P, K, n) that they make there, and at the plate (n,)."""
+
+    moments: Array
+    torque: Array
+    base: Array
 
 
-def columns_of(changes: Sequence[tuple[Linearised, Change]]) -> Array:
-    """(8 + n, Q) columns of changes of equilibria."""
-    out = np.zeros((8 + changes[0][0].n, len(changes)))
-    for at in {id(one): one for one, _ in changes}.values():
-        mine = [k for k, (one, _) in enumerate(changes) if one is at]
-        out[:, mine] = at.columns([changes[k][1] for k in mine]).T
-    return out
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What changes do: `whole` with the turn of all pulls as its phase, phi (Q, P + 1, n) between the pieces, u and the
+    turn vector per piece (Q, P, K, 2), (Q, P, K, 3) at the points."""
+
+    whole: Change
+    between: Array
+    bent: Array
+    turn: Array
+
+    def only(self, k: int) -> Answer:
+        """Of the k-th change alone."""
+        own = slice(k, k + 1)
+        whole = Change(*(getattr(self.whole, field.name)[own] for field in fields(Change)))
+        return Answer(whole, self.between[own], self.bent[own], self.turn[own])
 
 
-def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
-    """The equilibrium with a tube moved a little: where breakpoints coincide its derivatives stand for those to that
-    side, and are off by about the motion times the second ones."""
-    shift = equilibrium.translations.copy()
-    shift[tube] += side * 1e-7
-    moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
-    return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
+def together(changes: Sequence[Change]) -> Change:
+    """Several changes as one of so many columns."""
+    return Change(*(np.concatenate([getattr(one, field.name) for one in changes]) for field in fields(Change)))
 
 
 class Linearised:

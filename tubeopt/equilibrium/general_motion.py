@@ -3,57 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from operator import itemgetter
 
 import numpy as np
 
-from ..block.transcription.collocated import ENDS
+from ..block.transcription.collocated import STEPS
 from ..block.transcription.linear import cumulate
+from ..robots.breakpoints import DIMENSIONS, coincides
 from ..typing import Array
-from .general_change import Answer, Change, together
-from .general_derivatives import Linearised, changes_of, columns_of
+from .arm_change import check_wrt
+from .general_derivatives import Answer, Change, Linearised, together
+from .kinematics import forward_kinematics
 from .result import Equilibrium
 from .solving import discretisation_of, polish
 
+WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "curved_length"))
 
-@dataclass(frozen=True, eq=False)
-class Line:
-    """The centreline of P pieces: (P,) start and length, and positions and frames at the shape points, m."""
 
-    start: Array
-    length: Array
-    position: Array
-    frame: Array
-
-    @property
-    def n_pieces(self) -> int:
-        """Number of pieces P."""
-        return len(self.length)
+def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
+    """The equilibrium with a tube moved a little: where breakpoints coincide its derivatives stand for those to that
+    side, and are off by about the motion times the second ones."""
+    shift = equilibrium.translations.copy()
+    shift[tube] += side * 1e-7
+    moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
+    return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
 
 
 class GeneralMotion:
-    """Derivatives by the rotations and translations of the n tubes, Q = 2 n columns, as those of `Derivatives`; behind
-    them those by what `more` says that changes."""
+    """Derivatives by what `wrt` names of the n tubes, n columns each, as those of `Derivatives`; behind them those by
+    what `more` says that changes.
+
+    Raises:
+        InputError: a name that is not among WRT, or a side that is neither 1 nor -1.
+    """
 
     def __init__(
-        self, equilibrium: Equilibrium, side: int = 1, more: Callable[[Linearised], Sequence[Change]] | None = None
+        self,
+        equilibrium: Equilibrium,
+        wrt: Sequence[str] = ("rotations", "translations"),
+        side: int = 1,
+        more: Callable[[Linearised], Sequence[Change]] | None = None,
     ) -> None:
-        self.equilibrium, self.side, self._more = equilibrium, side, more
+        check_wrt(wrt, side, WRT, "with tubes made of pieces it")
+        self.equilibrium, self.wrt, self.side, self._more = equilibrium, tuple(wrt), side, more
         self.here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
-        s = equilibrium.arc_length
-        steps = len(ENDS) - 1
-        self.arm = Line(s[:-1:steps], np.diff(s[::steps]), equilibrium.position, equilibrium.frame)
-        self.cuts = s[::steps]
+        self.arm, self.cuts = equilibrium.arm, equilibrium.arc_length[::STEPS]
 
     @cached_property
     def changes(self) -> list[tuple[Linearised, Change]]:
-        """What every joint changes, and of which equilibrium; then the same of what else does."""
+        """What every parameter changes, and of which equilibrium, to the side where breakpoints coincide; then the same
+        of what else changes."""
+        out = []
+        for name in self.wrt:
+            for tube in range(self.here.n):
+                aside = name == "translations" and coincides(self.here.problem.assembly, tube)
+                at = nudged(self.equilibrium, tube, self.side) if aside else self.here
+                out.append((at, at.change(name, tube)))
         own = () if self._more is None else self._more(self.here)
-        joints = changes_of(self.here, self.equilibrium, ("rotations", "translations"), self.side)
-        return [*joints, *((self.here, change) for change in own)]
+        return [*out, *((self.here, change) for change in own)]
 
     @cached_property
     def answers(self) -> list[tuple[Linearised, Change, Answer]]:
@@ -67,7 +76,9 @@ class GeneralMotion:
 
     @cached_property
     def _columns(self) -> Array:
-        return columns_of(self.changes)
+        """(8 + n, Q)."""
+        runs = groupby(self.changes, key=itemgetter(0))
+        return np.concatenate([at.columns([change for _, change in run]) for at, run in runs]).T
 
     @property
     def tip_position(self) -> Array:
@@ -78,6 +89,11 @@ class GeneralMotion:
     def tip_rotation(self) -> Array:
         """(3, Q) turn vector of the tip frame in the plate frame, rad."""
         return self._columns[3:6]
+
+    @property
+    def tip_rotations(self) -> Array:
+        """(n, Q) of theta at each tube's own end."""
+        return self._columns[6 : 6 + self.here.n]
 
     @property
     def margin(self) -> Array:

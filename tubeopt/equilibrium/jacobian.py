@@ -14,7 +14,7 @@ from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
-from .general_derivatives import general_columns
+from .general_motion import GeneralMotion
 from .loaded_jacobian import loaded_columns
 from .result import Equilibrium, Jacobian
 from .state import arm_of_equilibrium, problem_of
@@ -26,8 +26,17 @@ SAME_ARM = 1e-9
 """Rotations that differ by less, rad, are of one arm."""
 
 
-def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, side: int = 1) -> Derivatives:
-    """Derivatives of an equilibrium, computed where they are asked for; see `Derivatives`."""
+def derivatives_of(
+    equilibrium: Equilibrium,
+    wrt: Sequence[str] = JOINTS,
+    *,
+    side: int = 1,
+    carriages: tuple[tuple[int, ...], ...] | None = None,
+) -> Derivatives | GeneralMotion:
+    """Derivatives of an equilibrium without load, computed where they are asked for; see `Derivatives`. Its `carriages`
+    are by default those of the robot."""
+    if is_general(equilibrium.robot):
+        return GeneralMotion(equilibrium, wrt, side)
     assembly = _assembly(equilibrium.robot, tuple(equilibrium.translations.tolist()))
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
@@ -38,8 +47,7 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
             )
     return Derivatives(
         arm,
-        assembly,
-        equilibrium.robot.moving_together,
+        equilibrium.robot.moving_together if carriages is None else carriages,
         wrt=wrt,
         side=side,
         margin=equilibrium.margin,
@@ -97,9 +105,7 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
     """
     if equilibrium.load is not None:
         return Jacobian(tuple(wrt), *loaded_columns(equilibrium, wrt, side))
-    if is_general(equilibrium.robot):
-        return Jacobian(tuple(wrt), *general_columns(equilibrium, wrt, side))
-    by_kernel = _by_kernel(equilibrium, wrt, side)
+    by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
     if by_kernel is not None:
         return by_kernel
     of = derivatives_of(equilibrium, wrt, side=side)

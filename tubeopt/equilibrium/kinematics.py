@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription import arm as arms
+from ..block.transcription.loaded import unknowns
 from ..block.transcription.reduced import (
     Evaluation,
     ReducedProblem,
@@ -29,9 +31,9 @@ from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
 from .continuation import JointPath, Point, follow_to, largest_twist, small_motion
-from .load_continuation import Member
+from .load_continuation import LoadedPoint, Member
 from .load_problem import check_load
-from .loaded import loaded_kinematics, solved_by_ipopt
+from .loaded import loaded_kinematics, solved_by_ipopt, to_tolerance
 from .method import NAMED, Method, method_of, only_plain
 from .result import Equilibrium, Status
 from .solving import (
@@ -51,6 +53,10 @@ SHORT = 0.01
 
 TOLERANCE = 1e-8
 """Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
+
+FOLD = "Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)"
+
+Along = Callable[[Array], Array]
 
 
 def forward_kinematics(  # noqa: PLR0913
@@ -357,3 +363,36 @@ def follow_branch(
             f"{Status.BRANCH_ENDED}: it ends {100 * at:.2f} % of the way from the guess to the goal", guess
         )
     return points[-1].solution
+
+
+def equilibrium_at(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    rotation_at: Along | None,
+    *,
+    load: Load | None = None,
+    curvature_at: Along | None = None,
+) -> Equilibrium:
+    """What `Equilibrium.at` tells."""
+    if rotation_at is None:
+        return forward_kinematics(robot, rotations, translations, load=load)
+    shift = tuple(translations.tolist())
+    if load is not None and curvature_at is not None:
+        return _under_load(robot, (rotations, shift), load, (rotation_at, curvature_at))
+    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
+    theta = rotation_at(problem.arc_length).T.reshape(-1, robot.n_tubes)
+    solution = Solution.near(problem, rotations, theta, FOLD)
+    near = to_equilibrium(robot, solution, shift, ("newton", "a program", 0.0))
+    return forward_kinematics(robot, rotations, translations, guess=near)
+
+
+def _under_load(
+    robot: Robot, joints: tuple[Array, tuple[float, ...]], load: Load, along: tuple[Along, Along]
+) -> Equilibrium:
+    """From rotations and curvatures along the arm, under a load."""
+    check_load(robot, load, joints[1])
+    began, member = time.perf_counter(), Member.of(robot, *joints, load)
+    theta, curvature = (each(member.problem.torsion.arc_length).T for each in along)
+    point = LoadedPoint.near(member, unknowns(member.problem, joints[0], theta, curvature), FOLD)
+    return to_tolerance(point, 1e-8, ("a program", began))

@@ -6,13 +6,14 @@ import time
 
 import numpy as np
 
+from ..block.transcription.arm import CollocationPoints
 from ..block.transcription.loaded import base_wrench, compliance, tip_position, tip_slopes
 from ..block.transcription.loaded_arm import loaded_arm
 from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
 from .load_continuation import LoadedPoint, Member, carry
 from .load_problem import EXTRA_POINTS
-from .result import Equilibrium, Statistics, Status
+from .result import Accuracy, Equilibrium, Statistics, Status
 from .solving import told_by_arm
 
 
@@ -52,15 +53,11 @@ def from_answer(member: Member, found: LoadedAnswer, how: tuple[str, float, int]
         rotations=member.rotations,
         translations=np.array(member.translations),
         **told_by_arm(found.arm, problem.torsion.assembly),
-        point=problem.torsion.arc_length,
-        point_rotation=found.theta + problem.wound,
-        point_curvature=found.curvature,
+        points=CollocationPoints(problem.torsion.arc_length, found.theta + problem.wound, found.curvature),
         margin=margin,
         index=index,
         energy=found.energy,
-        residual=found.residual,
-        mesh_error=found.errors[0],
-        tip_error=found.errors[1],
+        accuracy=Accuracy(found.residual, *found.errors[:2]),
         status=Status.NO_MARGIN if np.isnan(margin) else Status.STABLE if margin > 0 else Status.UNSTABLE,
         statistics=Statistics(
             method="newton",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -65,37 +65,23 @@ class Member:
         return loaded_newton(self.problem, self.rotations, x, self.factor, iterations=iterations)
 
 
-class Family(Protocol):
-    """Problems that depend on one number t."""
-
-    def member(self, t: float) -> Member:
-        """The problem at t."""
-
-
 @dataclass(frozen=True, eq=False)
-class LoadFamily:
-    """The load of a problem grows from nothing: t is the factor on it."""
-
-    of: Member
-
-    def member(self, t: float) -> Member:
-        """The problem at factor t."""
-        return replace(self.of, factor=t)
-
-
-@dataclass(frozen=True, eq=False)
-class JointFamily:
-    """The joints move along a path under a load, from t = 0 to 1, while the load becomes another one.
-
-    Attributes:
-        path: of the joints.
-        load: at the end.
-        before: at the start; None is no load.
-    """
+class Family:
+    """Problems that depend on one number t: the joints move along a path while one load becomes another, from t = 0 to
+    1, or, from none, grows on."""
 
     path: JointPath
     load: Load
+    """At t = 1."""
     before: Load | None
+    """At the start; None is no load."""
+
+    @staticmethod
+    def growing(member: Member) -> Family:
+        """The load of a problem grows from nothing where the joints are: t is the factor on it."""
+        here = np.concatenate([member.rotations, member.translations])
+        path = JointPath(member.robot, here, here, member.discretisation)
+        return Family(path, member.problem.load, None)
 
     def member(self, t: float) -> Member:
         """The problem at t."""
@@ -167,7 +153,7 @@ def solve_member(
 def _guess(there: Member, near: LoadedPoint, before: LoadedPoint | None, t: float) -> Array:
     """Unknowns at t from those at one or two points of the branch."""
     x = carry(near, there)
-    if near.member.problem is there.problem and near.member.rotations is there.rotations:
+    if near.member.problem is there.problem and np.array_equal(near.member.rotations, there.rotations):
         # Only the factor changes: along the tangent of the branch.
         step = scipy.linalg.lapack.dgesv(near.state.hessian, -near.state.pull)[2] * (there.factor - near.state.factor)
     elif before is not None and near.t > before.t:

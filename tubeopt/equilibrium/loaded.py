@@ -16,13 +16,13 @@ from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.ipopt import solve_loaded_ipopt
-from ..solvers.loaded import LoadedAnswer, turn_of
+from ..solvers.loaded import LoadedAnswer
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
-from .continuation import JointPath, largest_twist, small_motion
+from .continuation import JointPath, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
-from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
+from .load_continuation import Family, LoadedPoint, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
 from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
@@ -35,7 +35,7 @@ def ramp(unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> L
         SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
     """
     start = unloaded_point(unloaded, load, discretisation)
-    point = reach(LoadFamily(start.member), start, 1.0)
+    point = reach(Family.growing(start.member), start, 1.0)
     if point.t < 1.0:
         raise SolveError(
             f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(point)} at {100 * point.t:.4g} % of the load",
@@ -71,14 +71,20 @@ def unloaded_point(
 
 def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
     """A loaded equilibrium as the beginning of a family; raises SolveError where it is a fold."""
-    shift = tuple(equilibrium.translations.tolist())
     if equilibrium.load is None:
-        check_load(equilibrium.robot, Load(), shift)
+        check_load(equilibrium.robot, Load(), tuple(equilibrium.translations.tolist()))
         return unloaded_point(equilibrium, Load())
-    rotations, theta = equilibrium.rotations, sample_rotation(equilibrium, equilibrium.point)
+    failure = "the loaded equilibrium is a fold (margin 0): Newton does not stay there"
+    return LoadedPoint.near(*_unsolved(equilibrium), failure)
+
+
+def _unsolved(equilibrium: Equilibrium) -> tuple[Member, Array]:
+    """The problem of a loaded equilibrium, and its unknowns as they were solved for."""
+    assert equilibrium.load is not None
+    rotations, shift = equilibrium.rotations, tuple(equilibrium.translations.tolist())
     member = Member.of(equilibrium.robot, rotations, shift, equilibrium.load, discretisation_of(equilibrium))
-    x = unknowns(member.problem, rotations, theta, equilibrium.point_curvature)
-    return LoadedPoint.near(member, x, "the loaded equilibrium is a fold (margin 0): Newton does not stay there")
+    theta = sample_rotation(equilibrium, equilibrium.point)
+    return member, unknowns(member.problem, rotations, theta, equilibrium.point_curvature)
 
 
 def to_tolerance(
@@ -112,12 +118,11 @@ def loaded_kinematics(
         point, word = ramp(start, there.load, there.discretisation), "the load before, from none"
     else:
         path, word = JointPath(there.robot, own, goal, there.discretisation), "guess"
-        family = JointFamily(path, there.load, start.load)
+        family = Family(path, there.load, start.load)
         here, t = _by_parts(family, start, tolerance, began, settings)
         if t == 1.0:
             return here
-        close = _close(start, there) if start.load is not None and t == 0.0 else None
-        point = _along(family, here, t) if close is None else close
+        point = _along(family, here, t)
     return to_tolerance(point, tolerance, (word, began), settings)
 
 
@@ -215,7 +220,7 @@ def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array
 
 
 def _by_parts(
-    family: JointFamily, start: Equilibrium, tolerance: float, began: float, settings: Newton
+    family: Family, start: Equilibrium, tolerance: float, began: float, settings: Newton
 ) -> tuple[Equilibrium, float]:
     """The last equilibrium on a way, and where, to which the compiled kernel comes in small parts of it."""
     here = start
@@ -239,42 +244,19 @@ def _by_parts(
     return (here, t) if t > 0 else (start, 0.0)
 
 
-def _along(family: JointFamily, here: Equilibrium, t: float) -> LoadedPoint:
+def _along(family: Family, here: Equilibrium, t: float) -> LoadedPoint:
     """The end of a way in joint values and load, `here` being the equilibrium at t."""
-    near = unloaded_point(here, family.load, family.path.discretisation) if here.load is None else loaded_point(here)
-    near = replace(near, t=t)
+    if here.load is None:
+        near = replace(unloaded_point(here, family.load, family.path.discretisation), t=t)
+    else:
+        member, x = _unsolved(here)
+        near = LoadedPoint(t, member, member.at(x), here.margin)
     last = reach(family, near, 1.0, longest=family.path.largest_step(), stable=not near.margin <= 0)
     if last.t < 1.0:
         raise SolveError(
             f"{Status.BRANCH_ENDED}: it ends {100 * last.t:.2f} % of the way from the guess to the goal", here
         )
     return last
-
-
-def _close(guess: Equilibrium, there: Member) -> LoadedPoint | None:
-    """The equilibrium after a small change of joints or load, by one solve; None where Newton is not at ease."""
-    assert guess.load is not None
-    problem, rotations, shift = there.problem, there.rotations, there.translations
-    turn = rotations - guess.rotations
-    same = len(guess.point) == len(problem.softness) and np.isnan(guess.margin) != problem.load.has_energy
-    if not same or not small_motion(turn, shift - guess.translations, float(guess.arc_length[-1])):
-        return None
-    before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
-    if len(before.softness) != len(problem.softness):
-        return None
-    theta = sample_rotation(guess, guess.point)
-    bent = unknowns(before, guess.rotations, theta, guess.point_curvature)[before.torsion.size :]
-    x = unknowns(problem, rotations, theta + turn)
-    x[problem.torsion.size :] = bent * np.repeat(before.softness / problem.softness, 2)
-    result = there.solve(x, iterations=8)
-    if not result.converged or result.contraction > CONTINUATION.largest_ratio:
-        return None
-    limit = largest_twist(1.0 if np.isnan(guess.margin) else guess.margin)
-    if turn_of(problem, result.state, result.state.x - x) > limit:
-        return None
-    point = LoadedPoint.of(there, result)
-    # A stable branch is followed while it is stable.
-    return None if guess.margin > 0 and point.margin <= 0 else point
 
 
 def compliance_of(equilibrium: Equilibrium) -> Array:

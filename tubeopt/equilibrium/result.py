@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..typing import Array, Mask, Sentence, late
+from ..typing import Array, Mask, Of, Sentence, late
 
 if TYPE_CHECKING:
     from ..block.transcription.arm import Profile
@@ -40,12 +40,16 @@ class Status(Sentence):
 
 @dataclass(frozen=True)
 class Statistics(Displayed):
-    """How a solve went: method, iterations, elements of the mesh and their degree, and on which points."""
+    """How a solve went."""
 
     method: str
+    """By name: "newton", "ipopt", "energy", or "increment" with friction."""
     iterations: int
+    """That the solver took."""
     elements: int
+    """Of the mesh."""
     degree: int
+    """Of collocation."""
     start: str
     """How the answer was reached."""
     seconds: float
@@ -76,24 +80,25 @@ class Verification(Displayed):
 
 @dataclass(frozen=True)
 class FrictionState:
-    """What friction does in an equilibrium, at R places where tubes rub, of which the last may be concentrated.
-
-    friction: as given.   arc_length: (R,) m.   pair: (R,) the inner tube, from 0.
-    torque: (R,) N m that the outer tube bears at the place against the inner one.   capacity: (R,) N m, what it can be.
-    held_margin: least eigenvalue of the second variation, relative to its torsional part, along all motions in which
-        what sticks goes on sticking: how stable the equilibrium is while nothing shakes it.
-    heat: what friction has taken since the history began, J.
-    violation: of the laws of friction, as a slip (rad) or a part of the capacity.
-    """
+    """What friction does in an equilibrium, at R places where tubes rub, of which the last may be concentrated."""
 
     friction: Friction
+    """As given."""
     arc_length: tuple[float, ...]
+    """(R,) m."""
     pair: tuple[int, ...]
+    """(R,) the inner tube, from 0."""
     torque: tuple[float, ...]
+    """(R,) that the outer tube bears at the place against the inner one, N m."""
     capacity: tuple[float, ...]
+    """(R,) what the torque can be, N m."""
     held_margin: float
+    """Least eigenvalue of the second variation, relative to its torsional part, along all motions in which what sticks
+    goes on sticking: how stable the equilibrium is while nothing shakes it."""
     heat: float
+    """What friction has taken since the history began, J."""
     violation: float
+    """Of the laws of friction, as a slip (rad) or a part of the capacity."""
 
     @property
     def sticking(self) -> Mask:
@@ -107,83 +112,96 @@ class Jacobian(Displayed):
 
     Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
     translation in equal parts, so that the chain rule holds for every motion that is possible.
-
-    Attributes:
-        wrt: of what the columns are: "rotations", "translations", or a dimension of the tubes.
-        position: (3, Q) of tip_position.  rotation: (3, Q) turn vector of the tip frame, in the plate frame, rad.
-        tip_rotations: (n, Q) of theta at each tube's own end.
-        margin: (Q,); NaN where the margin is a double eigenvalue.  energy: (Q,), J.
     """
 
     wrt: tuple[str, ...]
+    """Of what the columns are: "rotations", "translations", or a dimension of the tubes."""
     position: Array
+    """(3, Q) of tip_position."""
     rotation: Array
+    """(3, Q) turn vector of the tip frame, in the plate frame, rad."""
     tip_rotations: Array
+    """(n, Q) of theta at each tube's own end."""
     margin: Array
+    """(Q,); NaN where the margin is a double eigenvalue."""
     energy: Array
+    """(Q,) J."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How well an equilibrium is solved."""
+
+    residual: float
+    """Largest violation of the collocation equations, rad."""
+    mesh_error: float
+    """Estimated largest error of theta_i(s), rad."""
+    tip_error: float
+    """Estimated error of tip_position, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Displayed):
     """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped.
 
-    Attributes:
-        robot, rotations (n,), translations (n,): the input.
-        tip_position (3,), tip_rotation (3, 3): pose of the end of the longest tube in the plate frame.
-        arc_length (m,), position (m, 3), frame (m, 3, 3), curvature (m, 2): centreline with its Bishop frame, and the
-            curvature vector in that frame.
-        rotation (n, m), torsion (n, m): theta_i(s) and its derivative; beyond a tube's end constant, and 0.
-        tip_rotations (n,): theta_i at each tube's own end.
-        section_start (k,): arc length of the breakpoints in front of the plate.
-        tube_end (n,): arc length of each tube's end.
-        point (N,), point_rotation (N, n): arc length of the collocation points, and theta_i there of the
-            tubes that are coupled there (their base rotation for the others): where a warm start begins.
-        margin: smallest eigenvalue of the second variation relative to its torsional part; 1 no elastic coupling,
-            0 a snap, below 0 unstable.
-        index: number of negative eigenvalues of the second variation, 0 for a stable equilibrium.
-        energy: bending and torsion in front of the plate and torsion of the transmissions, J.
-        residual: largest violation of the collocation equations, rad.
-        mesh_error: estimated largest error of theta_i(s), rad.   tip_error: estimated error of tip_position, m.
-        status, statistics: how the solve ended, and its cost.
-        verification: comparison with an adaptive re-integration, where asked for.
-        load: the load that the robot bears, None without one.
-        work: int n.t ds of the force n on the cross-sections, what dead loads do on the arm, J; 0 without load, NaN for
-            loads that have no energy.
-        point_curvature (N, 2): curvature at the collocation points under load; empty without one.
-        friction: what friction does, and where a motion with friction goes on from; None without friction.
+    What its parts hold is read at the equilibrium too: `equilibrium.position` is `equilibrium.arm.position`.
     """
 
     _brief = ("robot", "rotations", "translations", "tip_position", "margin", "status")
 
     robot: Robot
+    """As given."""
     rotations: Array
+    """(n,) rad, as given."""
     translations: Array
-    tip_position: Array
-    tip_rotation: Array
-    arc_length: Array
-    position: Array
-    frame: Array
-    curvature: Array
-    rotation: Array
-    torsion: Array
+    """(n,) m, as given."""
+    arm: ArmShape
+    """Centreline with its Bishop frame, and the rotations of the tubes along it."""
     tip_rotations: Array
+    """(n,) theta_i at each tube's own end, rad."""
     section_start: Array
+    """(k,) arc length of the breakpoints in front of the plate, m."""
     tube_end: Array
-    point: Array
-    point_rotation: Array
+    """(n,) arc length of each tube's end, m."""
+    points: CollocationPoints
+    """Where it was solved for."""
     margin: float
+    """Smallest eigenvalue of the second variation relative to its torsional part; 1 no elastic coupling, 0 a snap,
+    below 0 unstable."""
     index: int
+    """Number of negative eigenvalues of the second variation, 0 for a stable equilibrium."""
     energy: float
-    residual: float
-    mesh_error: float
-    tip_error: float
+    """Bending and torsion in front of the plate and torsion of the transmissions, J."""
+    accuracy: Accuracy
+    """How well it is solved."""
     status: Status
+    """How the solve ended."""
     statistics: Statistics
+    """What it cost."""
     verification: Verification | None = None
+    """Comparison with an adaptive re-integration, where asked for."""
     load: Load | None = None
+    """That the robot bears."""
     work: float = 0.0
-    point_curvature: Array = field(default_factory=lambda: np.zeros(0))
+    """int n.t ds of the force n on the cross-sections, what dead loads do on the arm, J; 0 without load, NaN for loads
+    that have no energy."""
     friction: FrictionState | None = None
+    """What friction does, and where a motion with friction goes on from; None without friction."""
+
+    arc_length, position, frame = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
+    curvature, rotation, torsion = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
+    point, point_rotation, point_curvature = Of[Array]("points"), Of[Array]("points"), Of[Array]("points")
+    residual, mesh_error, tip_error = Of[float]("accuracy"), Of[float]("accuracy"), Of[float]("accuracy")
+
+    @property
+    def tip_position(self) -> Array:
+        """(3,) end of the longest tube in the plate frame, m."""
+        return np.asarray(self.position[-1])
+
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, 3) its frame."""
+        return np.asarray(self.frame[-1])
 
     @property
     def value(self) -> Array:
@@ -257,7 +275,7 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: there is none.
         """
-        found: Equilibrium = late("tubeopt.equilibrium.anew.equilibrium_at")(
+        found: Equilibrium = late("tubeopt.equilibrium.kinematics.equilibrium_at")(
             robot, rotations, translations, rotation_at, load=load, curvature_at=curvature_at
         )
         return found
@@ -283,10 +301,3 @@ def refuse_load(equilibrium: Equilibrium) -> None:
 def small_turn(turn: Array) -> Array:
     """(3,) turn vector of a small turn (3, 3), or of the rate of one: the antisymmetric part, which loses no digits."""
     return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-
-
-ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
-"""Arrays with a value per point."""
-
-ARRAYS = tuple(field.name for field in dataclasses.fields(Equilibrium) if field.type == "Array")
-"""Names of the array fields, in order."""

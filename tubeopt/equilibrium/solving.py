@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..block.transcription import arm as arms
+from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..block.transcription.collocated import ENDS, STEPS
 from ..block.transcription.mesh import make_mesh, piece_counts
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, pull_rate, reduce, residual, to_unknowns
@@ -22,15 +23,17 @@ from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..solvers.settings import NEWTON, Newton
 from ..typing import Array
-from .result import ALONG_THE_ARM, Equilibrium, Statistics, Status, refuse_load
+from .result import Accuracy, Equilibrium, Statistics, Status, refuse_load
 
 
 @dataclass(frozen=True)
 class Discretisation(Displayed):
-    """How the torsion problem is transcribed: collocation family and degree, and halvings of the default pieces."""
+    """How the torsion problem is transcribed."""
 
     family: str = "gauss"
+    """Of collocation."""
     degree: int = 6
+    """Of its polynomials."""
     refinement: int = 0
     """How often the default pieces of the mesh are halved."""
 
@@ -155,31 +158,27 @@ def from_compiled(
     """The equilibrium that the compiled kernel found; `how` is its start, when (s) the solve began, and how often the
     pieces of the mesh were halved."""
     m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
-    position, frame = answer["position"][:m].copy(), answer["frame"][:m].copy()
     start, began, refinement = how
     return Equilibrium(
         robot=robot,
         rotations=rotations,
         translations=np.array(translations),
-        tip_position=position[-1],
-        tip_rotation=frame[-1],
-        arc_length=answer["arc_length"][:m].copy(),
-        position=position,
-        frame=frame,
-        curvature=answer["curvature"][:m].copy(),
-        rotation=answer["rotation"][:m].T.copy(),
-        torsion=answer["torsion"][:m].T.copy(),
+        arm=ArmShape(
+            arc_length=answer["arc_length"][:m].copy(),
+            rotation=answer["rotation"][:m].T.copy(),
+            torsion=answer["torsion"][:m].T.copy(),
+            curvature=answer["curvature"][:m].copy(),
+            position=answer["position"][:m].copy(),
+            frame=answer["frame"][:m].copy(),
+        ),
         tip_rotations=answer["tip_rotations"].copy(),
         section_start=answer["section_start"][: int(answer["sections"])].copy(),
-        point=answer["point"][:points].copy(),
-        point_rotation=answer["point_rotation"][:points].copy(),
         tube_end=answer["tube_end"].copy(),
+        points=CollocationPoints(answer["point"][:points].copy(), answer["point_rotation"][:points].copy()),
         margin=float(answer["margin"]),
         index=0,
         energy=float(answer["energy"]),
-        residual=float(answer["residual"]),
-        mesh_error=float(answer["mesh_error"]),
-        tip_error=float(answer["tip_error"]),
+        accuracy=Accuracy(float(answer["residual"]), float(answer["mesh_error"]), float(answer["tip_error"])),
         status=Status.STABLE,
         statistics=Statistics(
             method="newton",
@@ -194,17 +193,11 @@ def from_compiled(
     )
 
 
-def told_by_arm(arm: Any, assembly: Assembly) -> dict[str, Any]:
+def told_by_arm(arm: ArmShape, assembly: Assembly) -> dict[str, Any]:
     """The fields of an equilibrium that its arm and the bundle tell."""
     ends = np.maximum(assembly.end, 0.0)
-    return {
-        **{name: getattr(arm, name) for name in ALONG_THE_ARM},
-        "tip_position": arm.position[-1],
-        "tip_rotation": arm.frame[-1],
-        "tip_rotations": arm.rotation[np.arange(len(ends)), np.searchsorted(arm.arc_length, ends - 1e-12)],
-        "section_start": assembly.start,
-        "tube_end": ends,
-    }
+    tips = arm.rotation[np.arange(len(ends)), np.searchsorted(arm.arc_length, ends - 1e-12)]
+    return {"arm": arm, "tip_rotations": tips, "section_start": assembly.start, "tube_end": ends}
 
 
 def to_equilibrium(
@@ -224,14 +217,11 @@ def to_equilibrium(
         rotations=rotations,
         translations=np.array(translations),
         **told_by_arm(arm, assembly),
-        point=problem.arc_length,
-        point_rotation=state.theta + assembly.wound(problem.arc_length),
+        points=CollocationPoints(problem.arc_length, state.theta + assembly.wound(problem.arc_length)),
         margin=solution.margin,
         index=0 if solution.margin > 0 else unstable_directions(problem, state),
         energy=arm.energy,
-        residual=residual(problem, state),
-        mesh_error=error,
-        tip_error=arm.shape_error + error * _lever(problem),
+        accuracy=Accuracy(residual(problem, state), error, arm.shape_error + error * _lever(problem)),
         status=Status.STABLE if solution.margin > 0 else Status.UNSTABLE,
         statistics=Statistics(
             method=method,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from ..block.transcription.buffered import section_function
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.linear import Arm, interpolation, shape_points
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.tableau import Tableau, tableau
+from ..block.transcription.tableau import tableau
 from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.assembly import Assembly
 from ..typing import Array
@@ -25,32 +24,18 @@ def arm_of(solution: Solution) -> Arm:
     problem, t = solution.problem, solution.problem.mesh.tableau
     mesh, torsion = problem.mesh, solution.arm
     shape = evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
-    pieces = mesh.start, mesh.length, problem.piece_stiffness, problem.piece_moment
     inner = arms.rotations_at(problem, torsion, tuple(t.nodes.tolist()))
-    return _arm(t, problem.assembly, pieces, (torsion.rotation, torsion.twist, inner), shape)
-
-
-def _arm(t: Tableau, assembly: Assembly, pieces: tuple[Array, ...], torsion: tuple[Array, ...], shape: Any) -> Arm:
-    """The arm of start, length, kb and m of its pieces, of theta and w where they begin and theta at their points, and
-    of the shape of an arm or an equilibrium."""
-    start, length, stiffness, moment = pieces
-    theta, twist, inner = torsion
     return Arm(
         tableau=t,
-        start=start,
-        length=length,
-        stiffness=stiffness,
-        moment=moment,
-        torsional_stiffness=assembly.torsional_stiffness,
-        transmission=assembly.transmission,
-        place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
-        theta=theta,
-        twist=twist,
+        assembly=problem.assembly,
+        start=mesh.start,
+        length=mesh.length,
+        stiffness=problem.piece_stiffness,
+        moment=problem.piece_moment,
+        theta=torsion.rotation,
+        twist=torsion.twist,
         inner=inner,
-        tip=shape.rotation[:, -1],
-        position=shape.position,
-        frame=shape.frame,
-        curvature=shape.curvature,
+        shape=shape,
     )
 
 
@@ -96,7 +81,7 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
         gain = gain / assembly.torsional_stiffness
         turned = length[:, None] * (t.weights @ gain)
         twist = -np.cumsum(turned[::-1], axis=0)[::-1]
-    return _arm(t, assembly, (start, length, stiffness, moment), (theta[:, 0], twist, inner), equilibrium)
+    return Arm(t, assembly, start, length, stiffness, moment, theta[:, 0], twist, inner, equilibrium.arm)
 
 
 @lru_cache(maxsize=16)

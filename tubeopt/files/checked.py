@@ -100,6 +100,8 @@ def in_file(
         if not isinstance(value, str):
             raise ValueError(f"is {shown(value)}; it must be the path of {what}")
         path = info.context["directory"] / value if info.context else value
+        if info.context:
+            info.context["files"][info.field_name] = str(path)
         if of_robot and "robot" not in info.data:  # it has problems itself; it is None where it was left out
             return None
         found = read(path, info.data["robot"]) if of_robot else read(path)
@@ -131,7 +133,7 @@ def check(
         InputError: one line for every problem.
     """
     try:
-        entry = model.model_validate(data, context={"directory": Path(where).parent})
+        entry = model.model_validate(data, context={"directory": Path(where).parent, "files": {}})
     except ValidationError as error:
         problems = error.errors(include_url=False)
     else:

@@ -1,8 +1,8 @@
 """Inverse kinematics with stable answers only: which joint values put the tip here, pointing there?"""
 
-from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
+from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .session import IkSession
-from .settings import InverseSolver
+from .settings import InverseOptions, InverseSolver
 from .solving import inverse_kinematics
 
 __all__ = [

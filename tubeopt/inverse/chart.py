@@ -31,7 +31,7 @@ from ..robots.load import Load
 from ..typing import Array, Mask, Of
 from .clock import Clock, LateError
 from .joints import JointSpace
-from .outline import outer_radius
+from .outline import cubic, outer_radius
 
 BATCH = 8
 """Equilibria integrated per call: enough to hide the cost of calling, few enough to stop early where a motion fails."""
@@ -42,15 +42,20 @@ FINE = 128
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """N equilibria. rotations (N, n) of the joints, rad; stable (N,) whether the margin is above the one asked for;
-    points, tangents (N, p, 3) and arc_length (N, p) of the centrelines, m; tube_end (N, n), m."""
+    """N equilibria."""
 
     rotations: Array
+    """(N, n) of the joints, rad."""
     stable: Mask
+    """(N,) whether the margin is above the one asked for."""
     points: Array
+    """(N, p, 3) of the centrelines, m."""
     tangents: Array
+    """(N, p, 3) there."""
     arc_length: Array
+    """(N, p) there, m."""
     tube_end: Array
+    """(N, n) m."""
 
     @property
     def tip(self) -> Array:
@@ -75,8 +80,7 @@ class Arms:
         h = along[own, k + 1] - start
         x = (np.where(h > 0, (s - start) / np.where(h > 0, h, 1.0), 1.0))[..., None]
         p, q, a, b = self.points[row, k], self.points[row, k + 1], self.tangents[row, k], self.tangents[row, k + 1]
-        ends = p * (1 + 2 * x) * (1 - x) ** 2 + q * x**2 * (3 - 2 * x)
-        return np.asarray(ends + h[..., None] * (a * x * (1 - x) ** 2 - b * x**2 * (1 - x)))
+        return cubic(p, q, a, b, x, h[..., None])
 
 
 @lru_cache(maxsize=128)
@@ -120,9 +124,7 @@ class Chart:
 
     def translations(self, z: Array) -> Array:
         """(N, n) translations of points (N, m)."""
-        n = self.space.robot.n_tubes
-        shift: Array = z @ self.space.spread[n:].T + self.space.offset[n:]
-        return shift
+        return self.space.joint(z)[:, self.space.robot.n_tubes :]
 
     def joints(self, z: Array, arms: Arms | None = None) -> Array:
         """(N, m) independent joint values of points, whose arms may be known."""

@@ -19,7 +19,7 @@ from ..typing import Array, Index, Mask
 from .descent import SLACK, Search, boxed
 from .goal import Goal
 from .least_squares import constrained_least_squares
-from .order import apart, beyond, breakpoint_order
+from .order import apart, breakpoint_order, crossings
 from .posture import Posture
 
 
@@ -27,15 +27,13 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     """The local minimum of what is left to the target that is found from a posture; None where no allowed posture is
     found near the start."""
     goal.touched.clear()  # so that what is found does not depend on what was looked for before
-    most = goal.solver.closest_returns
-    first = restored(goal, start, most=most)
+    solver, descent = goal.solver.closest, _Descent(goal)
+    first = restored(goal, start, most=solver.returns)
     if first is None:
         return None
-    first = restored(goal, apart(goal, first), most=most) or first
-    descent = _Descent(goal)
-    here = descent.minimum(first)
-    for _ in range(goal.solver.closest_orders):
-        there = descent.across(here) if descent.solves < goal.solver.closest_postures and not goal.clock.over else None
+    here = descent.minimum(restored(goal, apart(goal, first), most=solver.returns) or first)
+    for _ in range(solver.orders):
+        there = descent.across(here) if descent.solves < solver.postures and not goal.clock.over else None
         if there is None:
             break
         here = descent.minimum(there)
@@ -50,11 +48,11 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None
     One that is closer by no more than round-off does not take the place of an earlier one.
     """
     best: Search | None = None
-    same = goal.solver.same_miss
+    same = goal.solver.starts.same_miss
     for ends in groups:
         least, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
-            if agreeing >= goal.solver.closest_agreeing or (best is not None and goal.clock.over):
+            if agreeing >= goal.solver.closest.agreeing or (best is not None and goal.clock.over):
                 break
             found = approach(goal, end)
             if found is None:
@@ -62,7 +60,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None
             miss = left(goal, found.posture)
             agreeing = 0 if miss < least - same else agreeing + (miss < least + same)
             least = min(least, miss)
-            if best is None or miss < left(goal, best.posture) - goal.solver.closest_gain:
+            if best is None or miss < left(goal, best.posture) - goal.solver.closest.gain:
                 best = found
     return best
 
@@ -71,7 +69,7 @@ def _distinct(goal: Goal, ends: Sequence[Posture]) -> Iterator[Posture]:
     """Postures without those that are one with an earlier one."""
     seen: list[Posture] = []
     for end in ends:
-        if all(np.abs((end.q - other.q) / goal.space.scale).max() > goal.solver.same_end for other in seen):
+        if all(np.abs((end.q - other.q) / goal.space.scale).max() > goal.solver.closest.same_end for other in seen):
             seen.append(end)
             yield end
 
@@ -90,7 +88,7 @@ def restored(goal: Goal, at: Posture, *, most: int) -> Posture | None:
         chosen = constrained_least_squares(
             np.diag(1 / goal.space.scale),
             np.zeros(len(at.q)),
-            *boxed(goal, *goal.demands(at)[:2], goal.solver.first_step),
+            *boxed(goal, *goal.demands(at)[:2], goal.solver.descent.first_step),
         )
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if there is None:
@@ -122,15 +120,15 @@ class _Descent:
 
     def minimum(self, start: Posture) -> Posture:
         """Where steps that keep the order of breakpoints end."""
-        here, size, side = self._model(start), self.goal.solver.first_step, 1
+        here, size, side = self._model(start), self.goal.solver.descent.first_step, 1
         hessian = here.square
-        for _ in range(self.goal.solver.closest_steps):
-            if self.solves >= self.goal.solver.closest_postures or self.goal.clock.over:
+        for _ in range(self.goal.solver.closest.steps):
+            if self.solves >= self.goal.solver.closest.postures or self.goal.clock.over:
                 break
             there, size, force = self._step(here, hessian, size)
             if there is None and side > 0 and len(here.at.q) > self.goal.space.robot.n_tubes:
                 # Breakpoints may coincide: what holds forwards may not hold backwards.
-                side, size = -1, 0.5 * self.goal.solver.first_step
+                side, size = -1, 0.5 * self.goal.solver.descent.first_step
                 here = self._model(here.at, side)
                 hessian = here.square
                 continue
@@ -148,7 +146,7 @@ class _Descent:
         rows, bounds, names = goal.demands(at)
         rows, bounds = breakpoint_order(goal, at).kept(at.q, rows, np.minimum(bounds, 0.0))
         square = slope.T @ slope
-        square += (goal.solver.closest_curvature + 1e-3 * float(residual @ residual)) * np.eye(len(square))
+        square += (goal.solver.closest.curvature + 1e-3 * float(residual @ residual)) * np.eye(len(square))
         return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds, names)
 
     def _step(self, here: _Model, hessian: Array, size: float) -> tuple[Posture | None, float, Array]:
@@ -157,9 +155,9 @@ class _Descent:
         goal, scale = self.goal, self.goal.space.scale
         root = np.linalg.cholesky(hessian).T
         right = -np.linalg.solve(root.T, here.slope)
-        promise = goal.solver.closest_promise
+        promise = goal.solver.closest.promise
         least = promise * max(np.sqrt(2 * here.value), promise)
-        while size > goal.solver.shortest_step:
+        while size > goal.solver.descent.shortest_step:
             chosen = constrained_least_squares(root / scale, right, *boxed(goal, here.rows, here.bounds, size))
             if chosen is None:
                 break
@@ -175,22 +173,20 @@ class _Descent:
                 longest = float(np.abs(step).max())
                 grown = 2 * size if gained >= 0.7 * promised and longest > 0.9 * size else size
                 force = _forces(here, hessian @ step + here.slope, chosen.active, scale)
-                return there, min(grown, 2 * self.goal.solver.first_step), force
+                return there, min(grown, 2 * goal.solver.descent.first_step), force
             size = 0.35 * min(size, float(np.abs(step).max()))
         return None, size, np.zeros(0)
 
     def across(self, here: Posture) -> Posture | None:
         """The posture beyond a change of order that holds the minimum up; None where none is closer beyond."""
-        goal = self.goal
-        shift, section = here.q[goal.space.robot.n_tubes :], goal.solver.short_section * goal.space.length
-        now = left(goal, here)
-        for past in beyond(goal, here, breakpoint_order(goal, here).closed(shift, section)):
+        goal, now = self.goal, left(self.goal, here)
+        for past in crossings(goal, here, goal.solver.order.short_section * goal.space.length):
             other = restored(goal, past, most=4)
             if other is None:
                 continue
             model = self._model(other)
-            there, _, _ = self._step(model, model.square, 0.1 * self.goal.solver.first_step)
-            if there is not None and left(goal, there) < now - goal.solver.closest_gain:
+            there, _, _ = self._step(model, model.square, 0.1 * goal.solver.descent.first_step)
+            if there is not None and left(goal, there) < now - goal.solver.closest.gain:
                 return there
         return None
 
@@ -219,4 +215,4 @@ def _updated(hessian: Array, before: _Model, after: _Model, force: Array, goal: 
         change = share * change + (1 - share) * bent
         own = float(step @ change)
     hessian = hessian - np.outer(bent, bent) / curved + np.outer(change, change) / own
-    return np.asarray(hessian + goal.solver.closest_curvature * np.eye(len(hessian)))
+    return np.asarray(hessian + goal.solver.closest.curvature * np.eye(len(hessian)))

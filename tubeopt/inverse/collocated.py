@@ -47,20 +47,22 @@ quasi-Newton approximation needs no more iterations with them than without."""
 
 @dataclass(frozen=True)
 class Question:
-    """What makes two programs the same but for numbers.
-
-    pointed: the direction is a constraint.   aimed: it is a cost.   objective: "nearest", "margin" or "curvature".
-    obstacles, length: what the arm keeps away from, and the length (m) by which distances are measured.
-    """
+    """What makes two programs the same but for numbers."""
 
     structure: Structure
     carriages: tuple[tuple[int, ...], ...]
     pointed: bool
+    """Whether the direction is a constraint."""
     aimed: bool
+    """Whether it is a cost."""
     objective: str
+    """"nearest", "margin" or "curvature"."""
     obstacles: tuple[Obstacle, ...]
+    """What the arm keeps away from."""
     length: float
+    """By which distances are measured, m."""
     closings: int
+    """Rows that keep the order."""
 
 
 def inverse_program(question: Question, thread: int) -> Problem:

@@ -15,7 +15,7 @@ from ..files.units import TO_MM
 from ..typing import Array
 from .goal import Goal
 from .least_squares import LeastSquares, constrained_least_squares
-from .order import Order, beyond, breakpoint_order
+from .order import Order, breakpoint_order, crossings
 from .posture import Posture
 
 SLACK = 1e-9
@@ -24,21 +24,24 @@ SLACK = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Where a search ended: the best posture, whether it is on target, iterations, and solved equilibria."""
+    """Where a search ended."""
 
     posture: Posture
+    """The best."""
     reached: bool
+    """Whether it is on target."""
     iterations: int
     solves: int
+    """Equilibria."""
 
 
 def reach(goal: Goal, start: Posture) -> Search:
     """Levenberg-Marquardt with inequalities from a stable posture towards the target, and out of any obstacle."""
-    solver = goal.solver
+    solver = goal.solver.descent
     here, step, solves, side = start, solver.first_step, 0, 1
     sizes = [float(np.linalg.norm(_missing(goal, here)))]
     for iteration in range(solver.steps):
-        if _done(goal, here, solver.search_tolerance):
+        if _done(goal, here, solver.tolerance):
             return Search(here, True, iteration, solves)
         short, across = goal.collisions(here)
         missing = np.concatenate([goal.residual(here), short])
@@ -122,21 +125,21 @@ def improve(goal: Goal, start: Posture) -> Search:
     """
     if not goal.ranked:
         return Search(start, True, 0, 0)
-    path = _Path(goal, goal.cost(start))
-    here, step = start, 0.5 * goal.solver.first_step
-    for iteration in range(goal.solver.improving_steps):
+    path, solver = _Path(goal, goal.cost(start)), goal.solver.descent
+    here, step = start, 0.5 * solver.first_step
+    for iteration in range(solver.improving_steps):
         cost = path.cost
         there, step = path.step(here, step)
         if there is None:
             there = path.across(here)
-            step = 0.1 * goal.solver.first_step
+            step = 0.1 * solver.first_step
         if there is None:
             return Search(here, True, iteration, path.solves)
         here = there
         if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.clock.over:
             return Search(here, True, iteration + 1, path.solves)
-        step = min(1.8 * step, goal.solver.first_step)
-    return Search(here, True, goal.solver.improving_steps, path.solves)
+        step = min(1.8 * step, solver.first_step)
+    return Search(here, True, solver.improving_steps, path.solves)
 
 
 class _Path:
@@ -158,7 +161,7 @@ class _Path:
             trial = here.to(goal.space.clip(here.q + chosen.x))
             self.solves += 1
             if trial is not None:
-                back = correct(goal, trial, slope, close=goal.solver.search_tolerance, order=order)
+                back = correct(goal, trial, slope, close=goal.solver.descent.tolerance, order=order)
                 self.solves += back.solves
                 if back.posture is not None and goal.cost(back.posture) < self.cost - 1e-9 * max(abs(self.cost), 1e-3):
                     self.cost = goal.cost(back.posture)
@@ -171,10 +174,9 @@ class _Path:
     def across(self, here: Posture) -> Posture | None:
         """The posture after a step beyond a change of order that holds the cost up; None where it rises beyond."""
         goal = self.goal
-        shift, section = here.q[goal.space.robot.n_tubes :], goal.solver.short_section * goal.space.length
-        for other in beyond(goal, here, breakpoint_order(goal, here).closed(shift, section)):
-            back = correct(goal, other, goal.slope(other), close=goal.solver.search_tolerance).posture
-            there = None if back is None else self.step(back, 0.1 * goal.solver.first_step)[0]
+        for other in crossings(goal, here, goal.solver.order.short_section * goal.space.length):
+            back = correct(goal, other, goal.slope(other), close=goal.solver.descent.tolerance).posture
+            there = None if back is None else self.step(back, 0.1 * goal.solver.descent.first_step)[0]
             if there is not None:
                 return there
         return None
@@ -183,11 +185,11 @@ class _Path:
 def _downhill(
     goal: Goal, here: Posture, target: tuple[Array, Array], limits: tuple[Array, Array], step: float
 ) -> LeastSquares | None:
-    slope, residual = target
+    (slope, residual), weight = target, goal.solver.descent.target_weight
     cost, right = goal.cost_rows(here, 1e-3)
     size = max(float(np.linalg.norm(right)), 1e-12)
-    matrix = np.vstack([goal.solver.target_weight * slope, cost])
-    rightmost = np.concatenate([-goal.solver.target_weight * residual, right])
+    matrix = np.vstack([weight * slope, cost])
+    rightmost = np.concatenate([-weight * residual, right])
     if size > 1e6:
         rightmost[len(residual) :] *= 1e6 / size
     return constrained_least_squares(matrix, rightmost, *boxed(goal, *limits, step))
@@ -195,11 +197,12 @@ def _downhill(
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """The posture on target, None where that leads nowhere or out of what is allowed; the slope as it was updated on
-    the way, and the equilibria solved."""
+    """A way back onto the target."""
 
     posture: Posture | None
+    """On target; None where that leads nowhere or out of what is allowed."""
     slope: Array
+    """As it was updated on the way."""
     solves: int
     """Equilibria."""
 
@@ -222,7 +225,7 @@ def correct(
         rows, bounds = goal.space.inequalities(at.q)
         if order is not None:
             rows, bounds = order.kept(at.q, rows, bounds)
-        chosen = _towards(goal, slope, residual, rows, np.minimum(bounds, 0.0), goal.solver.first_step)
+        chosen = _towards(goal, slope, residual, rows, np.minimum(bounds, 0.0), goal.solver.descent.first_step)
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         solves += 1
         if there is None:

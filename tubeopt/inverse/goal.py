@@ -2,49 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..bodies.scene import Scene
-from ..typing import Array, Index
+from ..bodies.obstacles import Obstacle, checked_obstacles
+from ..bodies.scene import Scene, scene_of
+from ..errors import InputError, finite, instance, vector
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot, check_robot
+from ..typing import Array, Index, Of
 from .clock import Clock
-from .extra import NOTHING, Extras
-from .joints import JointSpace
+from .extra import NOTHING, Extras, extras
+from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
 from .outline import MOST_CONTACTS, Contacts
 from .posture import Posture
-from .settings import DEFAULT_SOLVER, InverseSolver
-
-OBJECTIVES = ("nearest", "margin", "curvature")
-"""What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
+from .settings import DEFAULT_OPTIONS, InverseOptions, InverseSolver
 
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A target in a joint space.
-
-    position (3,) m; direction (3,) unit vector or None; direction_weight: None holds the tip to the direction, a number
-    makes |t - direction|^2 a cost of that weight.
-    min_margin, clearance (m) of all bodies of the scene: what must hold.
-    objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
-    clock: when it is over, searches end where they are.   solver: how hard they search.
-    touched: numbers of bodies that an arm was found too close to, which are looked at however many are closer.
-    """
+    """A target in a joint space, what must hold, and what is best."""
 
     space: JointSpace
     position: Array
+    """(3,) m."""
     direction: Array | None
-    direction_weight: float | None
+    """(3,) unit vector, or None."""
     min_margin: float
     scene: Scene
-    clearance: float
+    """All bodies to keep away from."""
     objective: str | None
+    """One of OBJECTIVES."""
+    named: bool
+    """Whether a seed or a reference is given."""
     reference: Array
+    """(m,) joint values to stay near."""
     weights: Array
+    """(m,) of the distances from them, per unit of a joint."""
+    options: InverseOptions
     extras: Extras = NOTHING
+    """Own cost and constraints beside all that."""
     clock: Clock = field(default_factory=lambda: Clock(np.inf))
-    solver: InverseSolver = DEFAULT_SOLVER
+    """When it is over, searches end where they are."""
     touched: set[int] = field(default_factory=set, init=False)
+    """Numbers of bodies that an arm was found too close to, which are looked at however many are closer."""
+
+    direction_weight = Of[float | None]("options")
+    clearance = Of[float]("options")
+    solver = Of[InverseSolver]("options")
 
     @property
     def pointed(self) -> bool:
@@ -126,7 +134,7 @@ class Goal:
         missing, as lengths of the robot; 0 where it is clear."""
         missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
         close = self.gap - at.outline.clearance(self.scene, self.gap)
-        if close > 0 and len(self.scene.bodies) > self.solver.bodies:
+        if close > 0 and len(self.scene.bodies) > self.solver.descent.bodies:
             self.touched.update(self.contacts(at, self.gap).body.tolist())
         return max(0.0, close, missing)
 
@@ -150,8 +158,8 @@ class Goal:
 
     def ahead(self, at: Posture) -> Contacts:
         """Where the arm comes close to the bodies of which a step from `at` shall know."""
-        within = self.gap + self.solver.body_reach * self.space.length
-        return at.outline.contacts(self.scene, within, self.solver.bodies, frozenset(self.touched))
+        within = self.gap + self.solver.descent.body_reach * self.space.length
+        return at.outline.contacts(self.scene, within, self.solver.descent.bodies, frozenset(self.touched))
 
     def demands(self, at: Posture) -> tuple[Array, Array, Index]:
         """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, own constraints, and
@@ -213,6 +221,59 @@ class Goal:
             rows.append(root * self.turning(at))
             right.append(root * (self.direction - at.direction))
         return np.vstack(rows), np.concatenate(right)
+
+
+def pose_question(
+    robot: Robot,
+    wanted: tuple[ArrayLike, ArrayLike | None],
+    places: tuple[Configuration | None, Configuration | None] = (None, None),
+    *,
+    min_margin: float = 0.05,
+    limits: JointLimits | None = None,
+    weights: tuple[ArrayLike, ArrayLike] | None = None,
+    obstacles: Sequence[Obstacle] = (),
+    options: InverseOptions = DEFAULT_OPTIONS,
+) -> Goal:
+    """The question, checked; `wanted` are position and direction of the tip, `places` seed and reference."""
+    position, direction = wanted
+    check_robot(robot)
+    instance("options", options, InverseOptions)
+    instance("limits", limits, JointLimits, optional=True)
+    bodies = checked_obstacles(obstacles)
+    target = vector("position", position, 3, "x, y, z in m")
+    floor = finite("min_margin", min_margin)
+    if not 0 <= floor < 1:
+        raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
+    space = joint_space(robot, limits, options.carriage_gap, options.section_length)
+    seed, reference = places
+    centre = space.middle()
+    for name, place in (("seed", seed), ("reference", reference)):
+        centre = configuration(space, name, place) if place is not None else centre
+    named = seed is not None or reference is not None
+    return Goal(
+        space=space,
+        position=target,
+        direction=None if direction is None else unit_vector("direction", direction),
+        min_margin=floor,
+        scene=scene_of(bodies),
+        objective=options.objective or ("nearest" if named else None),
+        named=named,
+        reference=centre,
+        weights=scaled_weights(space, weights),
+        options=options,
+        extras=extras(options.extra_cost, options.extra_constraints, robot.n_tubes),
+    )
+
+
+def unit_vector(name: str, value: ArrayLike) -> Array:
+    """`value` (3,) over its length; raises InputError where it has none."""
+    array = vector(name, value, 3, "x, y, z")
+    largest = float(np.abs(array).max())
+    if largest == 0:
+        raise InputError(f"{name} is (0, 0, 0); it must have a direction")
+    # The squares of very large and very small numbers are none.
+    array = array / largest
+    return np.asarray(array / np.linalg.norm(array))
 
 
 def angle(a: Array, b: Array) -> float:

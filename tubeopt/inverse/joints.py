@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -24,29 +24,33 @@ CLOSE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class JointSpace:
-    """Independent joint values q (m,): n rotations (rad), then the translation of every carriage (m).
-
-    lower, upper: (m,) range of each.   rows, least: (k, m), (k,) the order of the tubes, rows q >= least.
-    row_names: (k,) what each row says where it is active.
-    spread, offset: (2n, m), (2n,) (rotations, translations) = spread q + offset.
-    carriages: tubes, from 0, that each translation moves.
-    scale: (m,) what counts as one unit of each: 1 rad, and half the longest tube.
-    limits, carriage_gap, section_length: what it was made of, see `joint_space`.
-    """
+    """Independent joint values q (m,): n rotations (rad), then the translation of every carriage (m)."""
 
     robot: Robot
     limits: JointLimits
+    """Of which the ranges were made."""
     carriage_gap: float
+    """Of which the order was made, as `joint_space` says, m."""
     section_length: float
+    """The same, m."""
     carriages: tuple[tuple[int, ...], ...]
+    """Tubes, from 0, that each translation moves."""
     lower: Array
+    """(m,) least of each."""
     upper: Array
+    """(m,) greatest of each."""
     rows: Array
+    """(k, m) the order of the tubes: rows q >= least."""
     least: Array
+    """(k,) m."""
     row_names: tuple[str, ...]
+    """(k,) what each row says where it is active."""
     spread: Array
+    """(2n, m) (rotations, translations) = spread q + offset."""
     offset: Array
+    """(2n,) rad and m."""
     scale: Array
+    """(m,) what counts as one unit of each: 1 rad, and half the longest tube."""
 
     @cached_property
     def length(self) -> float:
@@ -66,8 +70,8 @@ class JointSpace:
         return float((shift + [tube.length - tube.straight_length for tube in self.robot.tubes]).max())
 
     def joint(self, q: Array) -> Array:
-        """(2n,) rotations and translations of independent joint values."""
-        return q if self.plain else np.asarray(self.spread @ q + self.offset)
+        """(..., 2n) rotations and translations of independent joint values (..., m)."""
+        return q if self.plain else np.asarray(q @ self.spread.T + self.offset)
 
     @cached_property
     def plain(self) -> bool:
@@ -247,16 +251,20 @@ def carriage_name(tubes: tuple[int, ...]) -> str:
 
 
 def joint_space(
-    robot: Robot, limits: JointLimits | None = None, *, carriage_gap: float = 0.0, section_length: float = 0.0
+    robot: Robot, limits: JointLimits | None = None, carriage_gap: float = 0.0, section_length: float = 0.0
 ) -> JointSpace:
-    """The joint values that `limits` (by default `robot.limits`) and the order of the tubes allow.
+    """The joint values that `limits` (by default `robot.limits`) and the order of the tubes allow, found once.
 
     A tube is held behind the one around it, at least `carriage_gap` (m) apart, and ends beyond it, by at least
     `section_length` (m); the curved part of an eccentric segment begins beyond the end of the next outer one. No tube
     leaves its actuator, none is withdrawn past the plate. Where the order leaves two carriages no play, as for two
     tubes of equal length, they are one joint.
     """
-    allowed = limits if limits is not None else robot.limits
+    return _joint_space(robot, limits if limits is not None else robot.limits, carriage_gap, section_length)
+
+
+@lru_cache(maxsize=32)
+def _joint_space(robot: Robot, allowed: JointLimits, carriage_gap: float, section_length: float) -> JointSpace:
     n = robot.n_tubes
     if len(allowed.rotations) != n:
         raise InputError(f"limits are given for {len(allowed.rotations)} tubes; the robot has {n}")

@@ -3,7 +3,8 @@
 One tube points in the direction, the other two are turned from it by the separation to either side (thesis, eq. 3.51).
 Three equal vectors then add up to one in that direction, of length 1 + 2 cos(separation): the arm bends in a plane,
 from the precurvature at separation 0 to straight at 120 deg. Torsion bends this law, and tubes off the centreline break
-its symmetry a little: the inverse starts from the law and solves the equations themselves.
+its symmetry a little: what asks for a bend or for a tip starts from the law, or from its closed form for an arm of
+constant curvature, and solves the equations themselves by SciPy's `least_squares`, a trust-region method.
 """
 
 from __future__ import annotations
@@ -89,20 +90,26 @@ def permuted_tips(
 
 @dataclass(frozen=True, eq=False)
 class MirrorInput:
-    """Mirror actuation that does what was asked.
-
-    Attributes:
-        direction, separation: rad; separation in [0, 120 deg].
-        rotations: (3,) of the tubes, rad.
-        equilibrium: what the robot does with them.
-        error: what is left between wanted and reached, 1/m for a curvature and m for a tip.
-    """
+    """Mirror actuation, and the joint values that it makes."""
 
     direction: float
+    """rad."""
     separation: float
+    """rad, in [0, 120 deg]."""
     rotations: Array
+    """(3,) of the tubes, rad."""
+    translations: Array
+    """(3,) of the tubes, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class MirrorPose(MirrorInput):
+    """Mirror actuation that does what was asked."""
+
     equilibrium: Equilibrium
+    """What the robot does with it."""
     error: float
+    """What is left between wanted and reached, 1/m for a curvature and m for a tip."""
 
 
 def mirror_inverse(
@@ -112,11 +119,8 @@ def mirror_inverse(
     *,
     translations: ArrayLike | None = None,
     assignment: Sequence[int] = (0, 1, 2),
-) -> MirrorInput:
+) -> MirrorPose:
     """Mirror actuation that bends the arm in a given direction with a given curvature.
-
-    The law of three vectors is the guess; the answer solves forward kinematics for both numbers (SciPy's
-    `least_squares`, a trust-region method).
 
     Args:
         bending_direction: azimuth of the tip, rad: 0 is towards x, 90 deg towards y.
@@ -132,7 +136,7 @@ def mirror_inverse(
     target = wanted * np.array([math.cos(azimuth), math.sin(azimuth)])
     found = arm.solve(target, lambda each: arc_curvature(each) - target, arm.most)
     if found.error > 1e-7 * arm.most:
-        most = float(np.linalg.norm(arc_curvature(arm.pose(*arm.inputs(arm.full))[1])))
+        most = float(np.linalg.norm(arc_curvature(arm.pose(*arm.inputs(arm.full)))))
         if wanted < most:
             raise SolveError(f"no mirror actuation was found: the best misses by {found.error:.3g} per m", found)
         raise InputError(
@@ -149,7 +153,7 @@ def mirror_to_tip(
     translations: ArrayLike | None = None,
     assignment: Sequence[int] = (0, 1, 2),
     tolerance: float = 1e-6,
-) -> MirrorInput:
+) -> MirrorPose:
     """Mirror actuation that brings the tip to a point of the workspace, which is a surface.
 
     Args:
@@ -162,15 +166,13 @@ def mirror_to_tip(
             far, and which point of the surface is closest.
         SolveError: forward kinematics failed on the way.
     """
-    target = vector("position", position, 3, "x, y, z in m")
+    arm, target = _aimed(robot, position, translations, assignment)
     positive("tolerance", tolerance)
-    azimuth = math.atan2(target[1], target[0])
-    arm = _Arm(robot, translations, tuple(assignment), azimuth)
     above = target - [0.0, 0.0, arm.plate]
     length = arm.length
     square = max(float(above @ above), 1e-6 * length**2)
 
-    def solve(start: Array) -> MirrorInput:
+    def solve(start: Array) -> MirrorPose:
         return arm.solve(start, lambda each: each.tip_position - target, arm.most * length**2 / 2)
 
     found = solve(2 * above[:2] / square)
@@ -186,23 +188,115 @@ def mirror_to_tip(
     return found
 
 
+def mirror_closed_form(
+    robot: EccentricRobot, position: ArrayLike, *, assignment: Sequence[int] = (0, 1, 2)
+) -> MirrorInput:
+    """Direction, separation and translation that put the tip of an arm of constant curvature at `position`.
+
+    Exact for tubes on the centreline whose rotations are those at their tips, off by torsion and offsets for others.
+
+    Args:
+        position: (3,) m.
+        assignment: as in `mirror_rotations`.
+
+    Raises:
+        InputError: numbers that are not finite, straight tubes, or a position out of reach: the message says why.
+    """
+    arm, target = _aimed(robot, position, None, assignment)
+    bend, shift = arm.arc(target)
+    direction, separation = arm.inputs(bend)
+    return MirrorInput(direction, separation, mirror_rotations(direction, separation, assignment), np.full(3, shift))
+
+
+def mirror_pose(robot: EccentricRobot, position: ArrayLike, *, assignment: Sequence[int] = (0, 1, 2)) -> MirrorPose:
+    """Direction, separation and translation that put the tip of the full model at `position`.
+
+    Args:
+        position, assignment: as in `mirror_closed_form`.
+
+    Raises:
+        InputError: a position that is no arc's (see `mirror_closed_form`).
+        SolveError: the search ends off the target; the message says by how far, `.solution` is where.
+    """
+    arm, target = _aimed(robot, position, None, assignment)
+    bend, shift = arm.arc(target)
+    found = arm.solve(bend, lambda each: each.tip_position - target, robot.tube.curved_length, shift)
+    if found.error > 1e-7:
+        raise SolveError(f"no mirror actuation was found: the best misses the position by {found.error:.3g} m", found)
+    return found
+
+
+def _aimed(
+    robot: EccentricRobot, position: ArrayLike, translations: ArrayLike | None, assignment: Sequence[int]
+) -> tuple[_Arm, Array]:
+    """The robot whose arm shall bend towards a position, and this, checked."""
+    target = vector("position", position, 3, "x, y, z in m")
+    return _Arm(robot, translations, tuple(assignment), math.atan2(target[1], target[0])), target
+
+
 class _Arm:
     """A robot under mirror actuation, and the law of three vectors from the curvature vector that is asked for."""
 
     def __init__(
         self, robot: EccentricRobot, translations: ArrayLike | None, assignment: tuple[int, ...], azimuth: float
     ) -> None:
-        self.robot, self.translations, self.assignment, self.azimuth = robot, translations, assignment, azimuth
+        self.robot, self.assignment, self.azimuth = robot, assignment, azimuth
+        self.translations = np.array(shifts(robot, translations))
         self.most = abs(robot.tube.curvature)
         self.full = self.most * np.array([math.cos(azimuth), math.sin(azimuth)])
         if self.most == 0 or robot.tube.curved_length == 0:
             raise InputError("the robot's tubes are straight; they cannot bend it")
-        shift = shifts(robot, translations)
-        assembly = robot.assembly(shift)
+        assembly = robot.assembly(self.translations)
         self.plate = max(float(assembly.transition.min()), 0.0)
         self.length = assembly.total_length - self.plate
         if self.length <= 0:
             raise InputError("the tubes are withdrawn behind the plate; nothing of them is left to bend")
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Least and greatest translation of the three tubes together, m."""
+        limits, tube = np.array(self.robot.limits.translations), self.robot.tube
+        return max(float(limits[:, 0].max()), -tube.curved_length), min(float(limits[:, 1].min()), tube.straight_length)
+
+    def arc(self, target: Array) -> tuple[Array, float]:
+        """Curvature vector (2,), 1/m, and translation, m, of an arc of constant curvature to a place (3,); straight
+        below it if advanced."""
+        radius, height = math.hypot(target[0], target[1]), float(target[2])
+        size, translation = self._arc(radius, height)
+        low, high = self.travel
+        if size > self.most * (1 + 1e-12):
+            raise InputError(
+                f"position asks for an arc with a curvature of {size:.6g} per m; three tubes bend with at most "
+                f"{self.most:.6g}"
+            )
+        if not low - 1e-12 <= translation <= high + 1e-12:
+            raise InputError(
+                f"position asks for a translation of {translation:.6g} m; it must be from {low:.6g} to {high:.6g} m"
+            )
+        return size * self.full / self.most, min(max(translation, low), high)
+
+    def _arc(self, radius: float, height: float) -> tuple[float, float]:
+        """Curvature (1/m) and translation (m) of an arc to a place at a distance from the axis and a height, m."""
+        longest, kappa, square = self.robot.tube.curved_length, self.most, radius**2 + height**2
+        if square == 0:
+            return 0.0, -longest
+        if radius == 0:
+            # Straight up: any length of straight part above the plate that the travel allows; the least is taken.
+            return 0.0, height - longest
+        bend = 2 * radius / square
+        length = 2 * math.atan2(radius, height) / bend
+        if length <= longest:
+            return bend, length - longest
+        sharpest = min(kappa, math.pi / longest)
+        most = (1 - math.cos(sharpest * longest)) / sharpest
+        if radius > most:
+            raise InputError(
+                f"position lies {radius:.6g} m off the axis; an arm advanced to there bends to at most {most:.6g} m"
+            )
+        bend = scipy.optimize.brentq(
+            lambda k: (1 - math.cos(k * longest)) / k - radius, 1e-9 / longest, sharpest * (1 + 1e-12)
+        )
+        return bend, height - math.sin(bend * longest) / bend
 
     def inputs(self, bend: Array) -> tuple[float, float]:
         """Direction and separation that the law gives for a curvature vector `bend` (2,), clipped to what it allows."""
@@ -212,13 +306,20 @@ class _Arm:
         direction = towards + math.copysign(math.pi / 2, self.robot.tube.curvature)
         return _near(direction, self.azimuth), mirror_separation(size / self.most)
 
-    def pose(self, direction: float, separation: float) -> tuple[Array, Equilibrium]:
-        """Rotations and equilibrium for a direction and a separation."""
-        rotations = mirror_rotations(direction, separation, self.assignment)
-        return rotations, forward_kinematics(self.robot, rotations, self.translations)
+    def pose(self, direction: float, separation: float, shift: float | None = None) -> Equilibrium:
+        """The equilibrium for a direction, a separation, and a translation (m) where that is free."""
+        translations = self.translations if shift is None else np.full(3, shift)
+        return forward_kinematics(self.robot, mirror_rotations(direction, separation, self.assignment), translations)
 
-    def solve(self, start: Array, gap: Callable[[Equilibrium], Array], scale: float) -> MirrorInput:
-        """Least `gap` from a curvature vector (2,) on; `scale` is how much gap a whole curvature `most` makes.
+    def solve(
+        self,
+        start: Array,
+        gap: Callable[[Equilibrium], Array],
+        scale: float,
+        shift: float | None = None,
+    ) -> MirrorPose:
+        """Least `gap` from a curvature vector (2,) on; `scale` is how much gap a whole curvature `most` makes; the
+        translation, m, is free where it begins at a `shift`.
 
         The unknowns are direction and separation where the arm is bent well, and the curvature vector where it is
         nearly straight: each is smooth where the other is not.
@@ -227,25 +328,33 @@ class _Arm:
         start = start * min(1.0, self.most / size) if size else start
         bent = size > self.most / 2
 
-        def angles(unknown: Array) -> tuple[float, float]:
-            return (float(unknown[0]), float(unknown[1])) if bent else self.inputs(unknown * self.most)
-
-        def residual(unknown: Array) -> Array:
-            return gap(self.pose(*angles(unknown))[1]) / scale
+        def actuation(unknown: Array) -> tuple[float, ...]:
+            angles = (float(unknown[0]), float(unknown[1])) if bent else self.inputs(unknown[:2] * self.most)
+            return (*angles, *np.clip(unknown[2:] * self.length, *self.travel).tolist())
 
         if bent:
             direction, separation = self.inputs(start)
             # The iteration moves inside of its bounds: it begins a little off them, and may end on them.
-            guess, bounds = np.array([direction, max(separation, 1e-3)]), ([-np.inf, 0.0], [np.inf, STRAIGHT])
+            guess, bounds = [direction, max(separation, 1e-3)], ([-np.inf, 0.0], [np.inf, STRAIGHT])
         else:
-            guess, bounds = start / self.most, ([-np.inf] * 2, [np.inf] * 2)
+            guess, bounds = (start / self.most).tolist(), ([-np.inf] * 2, [np.inf] * 2)
+        if shift is not None:
+            begin, low, high = (each / self.length for each in (shift, *self.travel))
+            guess, bounds = [*guess, begin], ([*bounds[0], low], [*bounds[1], max(high, low + 1e-9)])
         answer = scipy.optimize.least_squares(
-            residual, guess, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=200
+            lambda x: gap(self.pose(*actuation(x))) / scale,
+            guess,
+            bounds=bounds,
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
+            max_nfev=200,
         )
-        direction, separation = angles(answer.x)
-        rotations, equilibrium = self.pose(direction, separation)
-        error = float(np.linalg.norm(gap(equilibrium)))
-        return MirrorInput(_near(direction, self.azimuth), separation, rotations, equilibrium, error)
+        direction, separation, *_ = actuation(answer.x)
+        found = self.pose(*actuation(answer.x))
+        error = float(np.linalg.norm(gap(found)))
+        turned = _near(direction, self.azimuth)
+        return MirrorPose(turned, separation, found.rotations, found.translations, found, error)
 
 
 def _near(angle: float, other: float) -> float:

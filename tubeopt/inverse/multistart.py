@@ -10,12 +10,13 @@ from itertools import islice
 import numpy as np
 
 from ..errors import SolveError
-from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
+from .answer import InverseSolution, InverseStatistics, InverseStatus
 from .clock import Clock
 from .closest import closest_of
 from .descent import SLACK, Search, correct, improve, millimetres, missed_by, reach
 from .goal import Goal
 from .joints import JointSpace
+from .outline import Outline
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
 from .table import StartTable, nearest_starts, spread_starts, start_table
@@ -49,38 +50,38 @@ class Multistart:
 
     More starts only add to what fewer do, so that they never give a worse answer: starts come in a sequence that does
     not depend on their number, and what is done after them depends on the first of them.
-
-    `ends` are postures in which searches ended without an answer, in order, one list for each kind of start; `stalled`
-    the starts from which the fast path found none; `least` (m) what the best of all searches missed by, and `agreeing`
-    how many more missed by the same.
     """
 
     goal: Goal
     first: Posture | None
-    near: bool
-    options: InverseOptions
+    """Of the seed."""
     tries: int = 0
     clear: int = 0
     """Of the tries, those from starts that are clear of the obstacles."""
     iterations: int = 0
     solves: int = 0
     least: float = np.inf
+    """What the best of all searches missed by, m."""
     agreeing: int = 0
+    """How many more missed by the same."""
     everywhere: bool = False
+    """Whether starts are spread over all postures from the first on."""
     ends: list[list[Posture]] = field(default_factory=list)
+    """Postures in which searches ended without an answer, in order, a list for each kind of start."""
     stalled: list[Posture] = field(default_factory=list)
+    """Starts from which the fast path found none."""
 
-    def one(self) -> InverseSolution | None:
+    def one(self) -> list[InverseSolution]:
         """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
         where any answer will do, several where one is to be the best."""
-        wanted = self.goal.solver.compared if self.goal.ranked else 1
+        wanted = self.goal.solver.starts.compared if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
-        for answer, from_seed in self._by_starts():
-            if from_seed:
-                return answer
+        for answer in self._by_starts():
+            if answer.statistics.start == "seed":
+                return [answer]
             (good if answer.cold_start_agrees else doubtful).append(answer)
-            if len(good) == wanted or len(doubtful) == self.goal.solver.doubted:
+            if len(good) == wanted or len(doubtful) == self.goal.solver.starts.doubted:
                 break
         if self.goal.ranked or not good:
             for answer in self._by_programs():
@@ -90,30 +91,30 @@ class Multistart:
         found = good or doubtful or list(islice(self._by_clear_starts(), 1))
         return self._cheapest(found)
 
-    def _cheapest(self, found: list[InverseSolution]) -> InverseSolution | None:
-        """The answer of least cost, the first of those that differ by round-off."""
-        best, least = None, np.inf
+    def _cheapest(self, found: list[InverseSolution]) -> list[InverseSolution]:
+        """The answer of least cost, if there is one, the first of those that differ by round-off."""
+        best: list[InverseSolution] = []
+        least = np.inf
         for answer in found:
             cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
-            if cost < least - self.goal.solver.same_cost * max(abs(cost), 1e-3):
-                best, least = answer, cost
+            if cost < least - self.goal.solver.starts.same_cost * max(abs(cost), 1e-3):
+                best, least = [answer], cost
         return best
 
     def all(self) -> list[InverseSolution]:
         """Distinct answers, best first."""
         self.everywhere = True
-        found = [answer for answer, _ in self._by_starts()]
-        found += self._by_programs()
+        found = [*self._by_starts(), *self._by_programs()]
         if not found:
             found += self._by_clear_starts()
         # Rounded, so that round-off does not choose among mirror images.
-        if self.near:
+        if self.goal.named:
             found.sort(key=lambda answer: round(self._distance(answer), 6))
         else:
             found.sort(key=lambda answer: (-round(answer.margin, 3), round(answer.equilibrium.energy, 9)))
         kept: list[InverseSolution] = []
         for answer in found:
-            if all(_difference(answer, other) > self.options.distinct for other in kept):
+            if all(_difference(answer, other) > self.goal.options.distinct for other in kept):
                 kept.append(answer)
         return kept
 
@@ -121,91 +122,87 @@ class Multistart:
         q = self.goal.space.join(answer.rotations, answer.translations)
         return float(np.linalg.norm(self.goal.weights * (q - self.goal.reference)))
 
-    def _by_starts(self) -> Iterator[tuple[InverseSolution, bool]]:
-        """Answers from the seed and from the table, and whether they come from the seed."""
-        found, space, most = False, self.goal.space, self.options.starts
+    def _by_starts(self) -> Iterator[InverseSolution]:
+        """Answers from the seed, or else from near the reference, and from the table."""
+        found, goal, first, name = False, self.goal, self.first, "seed"
         self.ends.append([])
-        if self.first is not None:
-            for answer in self._from(self.first, "seed"):
-                found = True
-                yield answer, True
-        elif self.near and (start := start_at(space, space.nearest(self.goal.reference))) is not None:
-            for answer in self._from(start, "reference"):
-                found = True
-                yield answer, False
-        for start in self._starts(4 * most):
-            if self.goal.clock.over or self.tries >= most or (not found and self._hopeless()):
+        if first is None and goal.named:
+            first, name = start_at(goal.space, goal.space.nearest(goal.reference)), "reference"
+        if first is not None and (answer := self._from(first, name)) is not None:
+            found = True
+            yield answer
+        for start in self._starts(4 * goal.options.starts):
+            if goal.clock.over or self.tries >= goal.options.starts or (not found and self._hopeless()):
                 break
-            answers = list(self._from(start, "table"))
-            if not answers:
+            answer = self._from(start, "table")
+            if answer is None:
                 self.stalled.append(start)
-            for answer in answers:
+            else:
                 found = True
-                yield answer, False
+                yield answer
 
     def _by_programs(self) -> Iterator[InverseSolution]:
         """Answers of the nonlinear program from the first starts that the fast path did not solve."""
-        if self.options.method != "auto" or not programmable(self.goal):
+        if self.goal.options.method != "auto" or not programmable(self.goal):
             return
         self.ends.append([])
-        for start in self.stalled[: self.goal.solver.program_starts]:
+        for start in self.stalled[: self.goal.solver.program.starts]:
             if self.goal.clock.over:
                 return
-            yield from self._finished(self._by_program(start), "table", "nlp")
+            if (answer := self._finished(self._by_program(start), "table", "nlp")) is not None:
+                yield answer
 
     def _by_clear_starts(self) -> Iterator[InverseSolution]:
         """Answers from starts clear of the obstacles: others may all end in one, these stay clear."""
         if not self.goal.hindered:
             return
         self.ends.append([])
-        clear = (start for start in self._starts(self.goal.solver.pool) if self.goal.violation(start) == 0)
-        for start in islice(clear, self.goal.solver.clear_starts):
+        clear = (start for start in self._starts(self.goal.solver.starts.pool) if self.goal.violation(start) == 0)
+        for start in islice(clear, self.goal.solver.starts.clear):
             if self.goal.clock.over:
                 return
             before = self.tries
-            yield from self._from(start, "table")
+            answer = self._from(start, "table")
             self.clear += self.tries - before
+            if answer is not None:
+                yield answer
 
     def _starts(self, most: int) -> Iterator[Posture]:
         """Stable postures of the table, the most promising first; they may be in an obstacle."""
         goal = self.goal
-        reference = goal.reference if self.near else None
+        reference = goal.reference if goal.named else None
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, goal.clock)
-        near = nearest_starts(
-            goal.space, known, target, min_margin=goal.floor, reference=reference, solver=self.goal.solver
-        )
-        first = 0 if self.everywhere else self.goal.solver.nearest
-        for q in spread_starts(goal.space, near, most, first=first, pool=self.goal.solver.pool):
+        solver = goal.solver.starts
+        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference, weights=solver)
+        first = 0 if self.everywhere else solver.nearest
+        for q in spread_starts(goal.space, near, most, first=first, pool=solver.pool):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
                 yield start
 
-    def _from(self, start: Posture, name: str) -> Iterator[InverseSolution]:
+    def _from(self, start: Posture, name: str) -> InverseSolution | None:
         """The answer that a search from one start gives, if it does."""
-        space = self.goal.space
+        goal, space = self.goal, self.goal.space
         if not space.admissible(start.q):
             start = start.to(space.nearest(start.q)) or start
-        if start.margin < self.goal.floor or not space.admissible(start.q):
-            return
+        if start.margin < goal.floor or not space.admissible(start.q):
+            return None
         self.tries += 1
-        if self.options.method == "nlp":
-            yield from self._finished(self._by_program(start), name, "nlp")
-            return
-        search = reach(self.goal, start)
+        if goal.options.method == "nlp":
+            return self._finished(self._by_program(start), name, "nlp")
+        search = reach(goal, start)
         self._count(search)
-        if not search.reached or not self.goal.ranked:
-            yield from self._finished(search, name, "gauss_newton")
-            return
-        program = self.options.method == "auto" and programmable(self.goal)
-        better = self._by_program(search.posture) if program else None
-        if better is not None and self._better(better, search.posture, name):
-            last = improve(self.goal, better.posture)
-            yield from self._finished(replace(last, iterations=last.iterations + better.iterations), name, "nlp")
-            return
-        search = improve(self.goal, search.posture)
+        if not search.reached or not goal.ranked:
+            return self._finished(search, name, "gauss_newton")
+        if goal.options.method == "auto" and programmable(goal):
+            better = self._by_program(search.posture)
+            if self._better(better, search.posture, name):
+                last = improve(goal, better.posture)
+                return self._finished(replace(last, iterations=last.iterations + better.iterations), name, "nlp")
+        search = improve(goal, search.posture)
         self._count(search)
-        yield from self._finished(search, name, "gauss_newton")
+        return self._finished(search, name, "gauss_newton")
 
     def _better(self, search: Search, than: Posture, name: str) -> bool:
         """Whether a solution of the program is worth having: cheaper, and for a seed reached without a snap."""
@@ -225,10 +222,10 @@ class Multistart:
 
     def _hopeless(self) -> bool:
         """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
-        if self.agreeing >= self.goal.solver.unanimous:
+        if self.agreeing >= self.goal.solver.starts.unanimous:
             return True
-        far = self.least > self.goal.solver.far * self.goal.space.length
-        return far and self.tries >= self.goal.solver.far_starts
+        far = self.least > self.goal.solver.starts.far * self.goal.space.length
+        return far and self.tries >= self.goal.solver.starts.hopeless
 
     def _count(self, search: Search) -> None:
         self.iterations += search.iterations
@@ -237,7 +234,7 @@ class Multistart:
             return
         length = self.goal.space.length
         miss = float(np.linalg.norm(self.goal.residual(search.posture))) * length
-        same = self.goal.solver.same_miss * length
+        same = self.goal.solver.starts.same_miss * length
         if miss < self.least - same:
             self.agreeing = 0
         elif miss < self.least + same:
@@ -245,17 +242,17 @@ class Multistart:
         self.least = min(self.least, miss)
         self.ends[-1].append(search.posture)
 
-    def _finished(self, search: Search, name: str, method: str) -> Iterator[InverseSolution]:
-        """The search's posture as an answer; nothing if it is none."""
+    def _finished(self, search: Search, name: str, method: str) -> InverseSolution | None:
+        """The search's posture as an answer; None if it is none."""
         if method == "nlp":
             self._count(search)
         if not search.reached:
-            return
+            return None
         goal, at = self.goal, search.posture
         if not goal.met(at):
-            at = correct(goal, at, goal.slope(at), close=goal.solver.search_tolerance).posture or at
-        if goal.met(at) and goal.allowed(at, SLACK):
-            yield self._packed(at, InverseStatus.REACHED, (name, method))
+            at = correct(goal, at, goal.slope(at), close=goal.solver.descent.tolerance).posture or at
+        good = goal.met(at) and goal.allowed(at, SLACK)
+        return self._packed(at, InverseStatus.REACHED, (name, method)) if good else None
 
     def _packed(self, at: Posture, status: InverseStatus, how: tuple[str, str]) -> InverseSolution:
         goal, (name, method) = self.goal, how
@@ -292,7 +289,7 @@ class Multistart:
             f" and {self.clear} clear of the obstacles" if self.clear else ""
         )
         if late:
-            tried = f"within {self.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
+            tried = f"within {self.goal.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
         beyond = goal.beyond_reach()
         far = f"; the target is out of reach, {millimetres(beyond)} beyond the longest arm" if beyond > 0 else ""
         if late and not far:
@@ -304,7 +301,7 @@ class Multistart:
         goal = self.goal
         if late:
             return (
-                f"no answer was found within {self.options.time_limit:g} s, which ran out before any search had ended: "
+                f"no answer was found within {goal.options.time_limit:g} s, which ran out before any search had ended: "
                 "whether the target can be reached is not known"
             )
         best = max(
@@ -326,10 +323,7 @@ class Multistart:
 
 def _difference(one: InverseSolution, other: InverseSolution) -> float:
     """Largest distance of two arms at equal shares of their lengths, over the longer of them."""
-    x = np.linspace(0.0, 1.0, 33)
-    curves = []
-    for each in (one.equilibrium, other.equilibrium):
-        s = each.arc_length / max(float(each.arc_length[-1]), 1e-300)
-        curves.append(np.column_stack([np.interp(x, s, each.position[:, k]) for k in range(3)]))
-    longest = max(float(each.equilibrium.arc_length[-1]) for each in (one, other))
-    return float(np.linalg.norm(curves[0] - curves[1], axis=1).max()) / max(longest, 1e-300)
+    arms = one.equilibrium, other.equilibrium
+    (a, _), (b, _) = (Outline(arm).line(33) for arm in arms)
+    longest = max(float(arm.arc_length[-1]) for arm in arms)
+    return float(np.linalg.norm(a - b, axis=1).max()) / max(longest, 1e-300)

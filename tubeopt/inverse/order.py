@@ -15,18 +15,18 @@ from .posture import Posture
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """The order of breakpoints at translations d (G,) of the carriages, as numbers.
-
-    length, length_slope: (P,), (P, G) of the pieces, length + slope d.
-    rows, bound: (c, G), (c,) rows d >= bound keeps the order: in the first `changeable` rows of breakpoints, which may
-    be another one, then of the tubes, which may not.
-    """
+    """The order of breakpoints at translations d (G,) of the carriages, as numbers."""
 
     length: Array
+    """(P,) of the pieces at translations 0, m."""
     length_slope: Array
+    """(P, G) of the lengths, which are length + slope d."""
     rows: Array
+    """(c, G) rows d >= bound keeps the order: of breakpoints, which may be another one, then of the tubes."""
     bound: Array
+    """(c,) m."""
     changeable: int
+    """Rows of the order of breakpoints."""
 
     def kept(self, q: Array, rows: Array, bounds: Array) -> tuple[Array, Array]:
         """Rows and bounds of a step from joint values q (m,), with those that keep the order of breakpoints."""
@@ -87,9 +87,9 @@ def apart(goal: Goal, at: Posture) -> Posture:
     """The posture with breakpoints that coincide moved apart a little, where the limits allow."""
     space = goal.space
     n = space.robot.n_tubes
-    step = goal.solver.order_shift * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
+    step = goal.solver.order.shift * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
     place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.solution.problem.assembly, g)], 0.0))
-    if (np.diff(place) > goal.solver.closed_section).all():
+    if (np.diff(place) > goal.solver.order.closed_section).all():
         return at
     for sign in (1.0, -1.0):
         q = at.q.copy()
@@ -101,6 +101,11 @@ def apart(goal: Goal, at: Posture) -> Posture:
     return at
 
 
+def crossings(goal: Goal, at: Posture, section: float) -> Iterator[Posture]:
+    """The posture beyond every change of the order that a section of no more than this (m) keeps it from."""
+    return beyond(goal, at, breakpoint_order(goal, at).closed(at.q[goal.space.robot.n_tubes :], section))
+
+
 def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> Iterator[Posture]:
     """The posture with breakpoints moved past each other, for each pair (row, bound) of an `Order` for which the limits
     allow it."""
@@ -108,7 +113,7 @@ def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> I
     n = space.robot.n_tubes
     for row, bound in crossed:
         q = at.q.copy()
-        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * goal.solver.order_shift * space.length
+        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * goal.solver.order.shift * space.length
         q[n:] -= past * row / float(row @ row)
         q = space.clip(q)
         if not space.admissible(q):

@@ -30,19 +30,18 @@ MOST_CONTACTS = 6
 AHEAD, BEYOND = 5e-3, 1e-9
 """How much farther than is enough distances are measured, and beyond what is of interest, m."""
 
-
 PARTS = 4
 """Pieces of the centreline between two shape points, at whose ends the arm is looked around from."""
 
-_SHARE = np.arange(1, PARTS)[:, None] / PARTS
-BETWEEN = np.hstack(
-    [
-        (1 + 2 * _SHARE) * (1 - _SHARE) ** 2,
-        _SHARE**2 * (3 - 2 * _SHARE),
-        _SHARE * (1 - _SHARE) ** 2,
-        -(_SHARE**2) * (1 - _SHARE),
-    ]
-)
+
+def cubic(begin: Array, end: Array, slope: Array, last: Array, x: Array, length: Array | float = 1.0) -> Array:
+    """Cubic interpolation at shares x of a length, from values at both ends and slopes there."""
+    y = 1 - x
+    return y * y * (begin * (1 + 2 * x) + slope * (length * x)) + x * x * (end * (1 + 2 * y) - last * (length * y))
+
+
+_UNIT = np.eye(4)
+BETWEEN = cubic(_UNIT[0], _UNIT[1], _UNIT[2], _UNIT[3], np.arange(1, PARTS)[:, None] / PARTS)
 """(PARTS - 1, 4) weights of both shape points, and of both tangents times the length between, in the points there."""
 
 
@@ -55,13 +54,16 @@ def outer_radius(robot: Robot) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Where an arm comes closest to bodies: numbers of the bodies (c,), arc lengths (c,), points of the centreline
-    (c, 3), and distances of the surface of the arm (c,), m."""
+    """Where an arm comes closest to bodies."""
 
     body: Index
+    """(c,) their numbers."""
     place: Array
+    """(c,) arc lengths, m."""
     point: Array
+    """(c, 3) of the centreline, m."""
     distance: Array
+    """(c,) of the surface of the arm, m."""
 
     def chosen(self, rows: Mask | Index) -> Contacts:
         """Some of them."""
@@ -347,7 +349,4 @@ def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
         return np.repeat(value, len(at), axis=0)
     k = np.searchsorted(s[1:-1], at, side="right")
     h = (s[k + 1] - s[k])[:, None]
-    x = (at - s[k])[:, None] / h
-    y = 1 - x
-    begin, end = value[k] * (1 + 2 * x) + slope[k] * (h * x), value[k + 1] * (1 + 2 * y) - slope[k + 1] * (h * y)
-    return np.asarray(y * y * begin + x * x * end)
+    return cubic(value[k], value[k + 1], slope[k], slope[k + 1], (at - s[k])[:, None] / h, h)

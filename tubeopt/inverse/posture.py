@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from math import ceil
 
 import numpy as np
@@ -11,16 +11,14 @@ import numpy as np
 from ..bodies.scene import Scene
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.general_motion import GeneralMotion
-from ..equilibrium.jacobian import compiled_slopes
+from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
-from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
-from ..robots.robot import is_general
 from ..solvers.settings import CONTINUATION
-from ..typing import Array
-from .joints import JointSpace
+from ..typing import Array, Of
+from .joints import Configuration, JointSpace, configuration
 from .outline import Contacts, Outline
 
 _Slopes = tuple[tuple[Array, Array, Array], Array]
@@ -41,15 +39,12 @@ class Posture:
     q: Array
     equilibrium: Equilibrium
 
+    margin = Of[float]("equilibrium")
+
     @cached_property
     def room(self) -> Array:
         """(2m + k,) bounds of a step that stays admissible, as `JointSpace.inequalities`."""
         return self.space.inequalities(self.q)[1]
-
-    @property
-    def margin(self) -> float:
-        """Stability margin."""
-        return self.equilibrium.margin
 
     @property
     def tip(self) -> Array:
@@ -72,12 +67,7 @@ class Posture:
         return self._derivatives(1)
 
     def _derivatives(self, side: int) -> Derivatives | GeneralMotion:
-        if is_general(self.space.robot):
-            return GeneralMotion(self.equilibrium, side)
-        assembly = self.space.robot.assembly(self.equilibrium.translations)
-        arm = arm_of_equilibrium(self.equilibrium, assembly)
-        own = partial(problem_of, self.equilibrium)
-        return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin, problem=own)
+        return derivatives_of(self.equilibrium, side=side, carriages=self.space.carriages)
 
     @cached_property
     def _free(self) -> _Slopes:
@@ -193,3 +183,13 @@ def same_place(one: Posture | None, other: Posture) -> bool:
 def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
     """The posture of an equilibrium."""
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
+
+
+def seed_posture(space: JointSpace, seed: Configuration) -> Posture:
+    """The equilibrium of a seed: its own, else that of a cold forward kinematics at its joint values."""
+    q = configuration(space, "seed", seed)
+    known = seed if isinstance(seed, Equilibrium) else getattr(seed, "equilibrium", None)
+    if isinstance(known, Equilibrium) and known.robot == space.robot:
+        return posture_of(space, known)
+    rotations, shift = space.split(q)
+    return posture_of(space, forward_kinematics(space.robot, rotations, shift))

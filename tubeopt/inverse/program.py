@@ -35,7 +35,7 @@ def programmable(goal: Goal) -> bool:
     if goal.extras.constraints or goal.extras.cost is not None:
         return False
     bodies = goal.scene.bodies
-    few = len(bodies) <= goal.solver.program_bodies
+    few = len(bodies) <= goal.solver.program.bodies
     return few and not goal.overdetermined and all(has_formula(body) for body in bodies)
 
 
@@ -43,7 +43,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
     """The program's solution from an allowed posture, on target or not, and through changes of order."""
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
-    for _ in range(goal.solver.program_orders + 1):
+    for _ in range(goal.solver.program.orders + 1):
         if goal.clock.left < building(goal):
             break
         found, count, crossed = _solve_order(goal, here)
@@ -63,7 +63,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
 
 def building(goal: Goal) -> float:
     """Seconds that it may take to build the program and to begin to solve it, which nothing can cut short."""
-    return goal.solver.program_building * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
+    return goal.solver.program.building * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
 
 
 def _score(goal: Goal, at: Posture) -> tuple[float, float]:
@@ -96,7 +96,7 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
         return None, found.statistics.iterations, []
     gap = order.rows @ found.values["translations"] - order.bound
     force = found.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
-    pressed = ((gap <= 10 * goal.solver.closed_section) & (np.abs(force) > 1e-7))[: order.changeable]
+    pressed = ((gap <= 10 * goal.solver.order.closed_section) & (np.abs(force) > 1e-7))[: order.changeable]
     crossed = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(pressed)]
     return posture, found.statistics.iterations, crossed
 
@@ -143,7 +143,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
         "position": goal.position,
         "direction": np.zeros(3) if goal.direction is None else goal.direction,
         "direction weight": np.array(goal.direction_weight or 0.0),
-        "least margin": np.array(goal.min_margin + goal.solver.program_margin_room),
+        "least margin": np.array(goal.min_margin + goal.solver.program.margin_room),
         "clearance": np.array(goal.gap),
         "radius": at.outline.radius(mesh.start + 0.5 * mesh.length),
         "reference": at.q if goal.objective is None else goal.reference,

@@ -17,16 +17,16 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
+from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .clock import Clock
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
-from .goal import Goal
+from .goal import Goal, pose_question, unit_vector
 from .joints import Configuration
 from .least_squares import constrained_least_squares
-from .order import Order, beyond, breakpoint_order
-from .posture import Posture, same_place
+from .order import Order, breakpoint_order, crossings
+from .posture import Posture, same_place, seed_posture
 from .program import programmable, solve_program
-from .question import pose_question, seed_posture, unit_vector
+from .settings import DEFAULT_OPTIONS, InverseOptions
 from .solving import inverse_kinematics
 from .way import answer_at, joint_way, leap
 
@@ -79,7 +79,6 @@ class IkSession:
         }
         self._robot = robot
         self._goal = pose_question(robot, (np.zeros(3), None), (seed, None), **self._question)
-        self._time_limit = options.time_limit
         self._solution: InverseSolution | None = None
         self._here: Posture | None = None
         self._near: _Slopes | None = None
@@ -132,7 +131,7 @@ class IkSession:
         pointing = None if direction is None else unit_vector("direction", direction)
         if self._here is None:
             return [self._first(target, pointing)]
-        goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._time_limit))
+        goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._goal.options.time_limit))
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
         before = self._here, self._near, self._solution
@@ -156,7 +155,7 @@ class IkSession:
             part = goal if end == 1 else _between(goal, first, end)
             there, near, solves = self._step((part, goal), here, self._near)
             words, safe = leap(goal, here, there)
-            if words and share > most * goal.solver.session_part and self._finer(goal, (first, here), done + share / 2):
+            if words and share > most * goal.solver.session.part and self._finer(goal, (first, here), done + share / 2):
                 share /= 2
                 continue
             answers.append(self._keep(part, (here, there), near, (words, safe, solves, began)))
@@ -207,14 +206,14 @@ class IkSession:
         the equilibria solved."""
         goal, last = goals
         solver = goal.solver
-        if here.margin < goal.floor + solver.session_careful or (near is not None and near.age >= solver.session_steps):
+        if here.margin < goal.floor + solver.session.careful or (near is not None and near.age >= solver.session.age):
             near = None
         solves = 0
         for start, slopes, order, guarded in _attempts(goal, here, near):
             moved, after, count = _servo(goal, start, slopes, order, guarded=guarded)
             solves += count
             if moved is not None:
-                return moved, after if count <= solver.session_solves else None, solves
+                return moved, after if count <= solver.session.solves else None, solves
         search = reach(goal, here)
         if search.reached:
             return search.posture, None, solves + search.solves
@@ -253,7 +252,7 @@ def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
 
 def _parts(goal: Goal, here: Posture) -> int:
     """Parts in which a target is approached on a straight line: one, unless it is far."""
-    longest = goal.solver.session_move
+    longest = goal.solver.session.move
     count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (longest * goal.space.length)))
     turned = goal.direction_error(here) if goal.pointed else 0.0
     return max(1, count, int(np.ceil(turned / (10 * longest))))
@@ -280,10 +279,8 @@ def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple
         yield here, fresh, None, False
     if goal.hindered:
         yield here, fresh, None, True
-    order = breakpoint_order(goal, here)
-    yield here, fresh, order, True
-    near_by = order.closed(here.q[goal.space.robot.n_tubes :], goal.solver.session_section)
-    for other in beyond(goal, here, near_by):
+    yield here, fresh, breakpoint_order(goal, here), True
+    for other in crossings(goal, here, goal.solver.session.section):
         yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
 
 
@@ -291,7 +288,7 @@ def _roomy(goal: Goal, here: Posture) -> bool:
     """Whether the arm is so far from all bodies that a step to the target will not bring it to them, as a rule."""
     if goal.extras.constraints:
         return False
-    enough = goal.gap + goal.solver.session_least_room + goal.solver.session_room * goal.position_error(here)
+    enough = goal.gap + goal.solver.session.least_room + goal.solver.session.room * goal.position_error(here)
     return here.outline.clearance(goal.scene, enough) >= enough
 
 
@@ -301,27 +298,27 @@ def _servo(
     """One step towards the target and, in what it leaves free, towards larger margin; then corrections. The posture is
     None where it is not allowed."""
     residual, solver = goal.residual(here), goal.solver
-    if goal.reached(here, solver.session_tolerance, solver.session_tolerance):
+    if goal.reached(here, solver.session.tolerance, solver.session.tolerance):
         return here, near, 0
     rows, bounds = goal.space.inequalities(here.q)
-    if here.margin < goal.floor + solver.session_careful or (guarded and goal.hindered):
+    if here.margin < goal.floor + solver.session.careful or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
         rows, bounds = order.kept(here.q, rows, bounds)
-    limits = boxed(goal, rows, np.minimum(bounds, 0.0), solver.first_step)
+    limits = boxed(goal, rows, np.minimum(bounds, 0.0), solver.descent.first_step)
     scale = goal.space.scale
-    matrix = np.vstack([solver.target_weight * near.target, np.diag(1 / scale)])
+    matrix = np.vstack([solver.descent.target_weight * near.target, np.diag(1 / scale)])
     # The shortest way, which tells how far to go beside it.
     size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
     push = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
     steep = float(np.linalg.norm(push))
-    aside = push * (solver.session_push * size * min(1.0, 1.0 / steep)) if steep > 0 else push
-    chosen = constrained_least_squares(matrix, np.append(-solver.target_weight * residual, aside), *limits)
+    aside = push * (solver.session.push * size * min(1.0, 1.0 / steep)) if steep > 0 else push
+    chosen = constrained_least_squares(matrix, np.append(-solver.descent.target_weight * residual, aside), *limits)
     there = None if chosen is None else here.to(goal.space.clip(here.q + chosen.x))
     if there is None:
         return None, near, 1
     target = broyden(goal, near.target, there.q - here.q, goal.residual(there) - residual)
-    back = correct(goal, there, target, close=solver.session_tolerance, most=4 if order is None else 8, order=order)
+    back = correct(goal, there, target, close=solver.session.tolerance, most=4 if order is None else 8, order=order)
     return back.posture, _Slopes(back.slope, near.margin, near.age + 1), 1 + back.solves
 
 

@@ -23,13 +23,14 @@ from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
+from .answer import InverseSolution
 from .clock import Clock
-from .goal import Goal, angle
+from .goal import Goal, angle, pose_question, unit_vector
 from .joints import Configuration
 from .multistart import Multistart, known_home
 from .outline import Outline
-from .question import pose_question, seed_posture, unit_vector
+from .posture import seed_posture
+from .settings import DEFAULT_OPTIONS, InverseOptions
 from .way import with_a_way
 
 Search = Callable[[Array, Array | None, InverseSolution | None, float, InverseOptions], InverseSolution]
@@ -134,50 +135,40 @@ def inverse_kinematics(  # noqa: PLR0913
         ) -> InverseSolution:
             start = _without_load(seed) if last is None else last
             goal = pose_question(robot, (at, along), (start, reference), options=asked, **{**kept, "min_margin": floor})
-            return _answers(goal, (start, reference), asked, clock)[0]
+            return _answers(goal, start, clock)[0]
 
         towards = None if direction is None else unit_vector("direction", direction)
         return _under_load(
             without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
         )
     goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
-    found = _answers(
-        goal, (seed, reference), options, clock, every=all_solutions, on_failure=on_failure, reachable=reachable
-    )
+    found = _answers(goal, seed, clock, every=all_solutions, on_failure=on_failure, reachable=reachable)
     return found if all_solutions else found[0]
 
 
 def _answers(
     goal: Goal,
-    places: tuple[Configuration | None, Configuration | None],
-    options: InverseOptions,
+    seed: Configuration | None,
     clock: Clock,
     *,
     every: bool = False,
     on_failure: str = "raise",
     reachable: bool = False,
 ) -> list[InverseSolution]:
-    """The answer to a question in the time that a clock leaves, or `every` one; `places` are seed and reference."""
-    seed, reference = places
-    if options.objective == "nearest" and seed is None and reference is None:
+    """The answer to a question in the time that a clock leaves, or `every` one."""
+    if goal.objective == "nearest" and not goal.named:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
-    if options.direction_weight is not None and goal.direction is None:
+    if goal.direction_weight is not None and goal.direction is None:
         raise InputError("direction_weight is given without a direction; give the direction to point along")
-    if options.method == "nlp" and goal.overdetermined:
+    if goal.options.method == "nlp" and goal.overdetermined:
         raise InputError(
             f"method is 'nlp', but the target asks for more than the {len(goal.space.lower)} independent joints of the "
             "robot can choose; use auto or gauss_newton"
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
     goal = replace(goal, clock=clock)
-    search = Multistart(goal, first, reference is not None or seed is not None, options)
-    found: list[InverseSolution] = []
-    if every:
-        found = search.all()
-    else:
-        answer = search.one()
-        found = [] if answer is None else [answer]
-    found = found or [search.failure(on_failure)]
+    search = Multistart(goal, first)
+    found = (search.all() if every else search.one()) or [search.failure(on_failure)]
     if reachable:
         begin = first if first is not None else known_home(goal.space)
         found = [with_a_way(each, begin, goal) for each in found]
@@ -195,8 +186,8 @@ def _under_load(
         raise InputError("load has a moment or turns with the tip, so no margin: no answer is known to be stable")
     if options.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
-    floor, clearance, last, room = min_margin, options.clearance, None, options.solver.aim_room
-    for _ in range(options.solver.shots):
+    floor, clearance, last, room = min_margin, options.clearance, None, options.solver.aim.room
+    for _ in range(options.solver.aim.shots):
         asked = replace(options, clearance=clearance)
         found, e = _aim(search, target, load, (last, floor, asked))
         answer = _loaded_answer(found, e, target)
@@ -232,7 +223,7 @@ def _aim(
 ) -> tuple[InverseSolution, Equilibrium]:
     """An answer without load whose loaded equilibrium is on target."""
     (position, direction), (last, floor, options) = target, question
-    at, along, missed, solver = position, direction, np.inf, options.solver
+    at, along, missed, solver = position, direction, np.inf, options.solver.aim
     for _ in range(solver.shots):
         last = search(at, along, last, floor, options)
         e = forward_kinematics(
@@ -241,10 +232,10 @@ def _aim(
         gap = position - e.tip_position
         turn = 0.0 if direction is None else angle(e.tip_rotation[:, 2], direction)
         before, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
-        if max(float(np.linalg.norm(gap)), turn) <= solver.aim_tolerance:
+        if max(float(np.linalg.norm(gap)), turn) <= solver.tolerance:
             return last, e
-        if missed > solver.aim_gain * before:
-            if missed <= solver.aim_stalled:
+        if missed > solver.gain * before:
+            if missed <= solver.stalled:
                 return last, e
             break
         at = at + gap

@@ -25,7 +25,7 @@ from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .clock import Clock
 from .joints import JointSpace
-from .settings import DEFAULT_SOLVER, InverseSolver
+from .settings import DEFAULT_SOLVER, Starts
 
 VERSION = 3
 """Of what the table holds: a change of it makes old files unread."""
@@ -44,15 +44,20 @@ LEAST_MARGIN = 0.01
 
 @dataclass(frozen=True, eq=False)
 class StartTable:
-    """Stable configurations q (N, m) with tip (N, 3) m, direction (N, 3) and margin (N,), of those `tried`; `whole` if
-    time did not run out before all were."""
+    """Stable configurations."""
 
     q: Array
+    """(N, m) joint values."""
     tip: Array
+    """(N, 3) m."""
     direction: Array
+    """(N, 3) along which the tip points."""
     margin: Array
+    """(N,)."""
     tried: int
+    """Configurations of which these are the stable ones."""
     whole: bool
+    """Whether time did not run out before all were tried."""
 
 
 def build_table(
@@ -69,7 +74,7 @@ def build_table(
     count = 8  # configurations between two looks at the clock, more where these are quick
     while tried < size and not clock.over:
         began, some = clock.seconds, q[tried : tried + count]
-        joint = some @ space.spread.T + space.offset
+        joint = space.joint(some)
         found = forward_kinematics_batch(space.robot, joint[:, :n], joint[:, n:])
         kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
         parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))
@@ -157,7 +162,7 @@ def nearest_starts(
     *,
     min_margin: float,
     reference: Array | None,
-    solver: InverseSolver = DEFAULT_SOLVER,
+    weights: Starts = DEFAULT_SOLVER.starts,
 ) -> Array:
     """(k, m) configurations of a table, turned towards a target (position, direction or None), most promising first.
 
@@ -186,15 +191,15 @@ def nearest_starts(
     turn = np.where(outside, part, turn)
     cost = np.linalg.norm(_turned(tip, turn) - position, axis=1) / space.length
     if direction is not None:
-        cost = cost + solver.direction_weight * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
+        cost = cost + weights.direction_weight * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
     if reference is not None:
-        cost = cost + solver.nearness_weight * np.linalg.norm((turned - reference) / space.scale, axis=1)
+        cost = cost + weights.nearness_weight * np.linalg.norm((turned - reference) / space.scale, axis=1)
     # Rounded, so that round-off does not choose among mirror images.
     return space.clip(turned[np.argsort(np.round(cost, 9), kind="stable")])
 
 
 def spread_starts(
-    space: JointSpace, q: Array, count: int, *, first: int, pool: int = DEFAULT_SOLVER.pool
+    space: JointSpace, q: Array, count: int, *, first: int, pool: int = DEFAULT_SOLVER.starts.pool
 ) -> Iterator[Array]:
     """At most `count` of joint values (k, m) sorted by promise: the `first` of them, then such as differ most from all
     chosen before, among the `pool` most promising; each is looked for when it is asked for."""

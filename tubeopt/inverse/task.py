@@ -25,31 +25,33 @@ SAME = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Margin and clearance (m) to keep, and what a search leaves for what is between its points.
+    """Margin and clearance to keep, and what a search leaves for what is between its points.
 
     What lies between two points that are checked deviates from the chord by the square of their distance. So a point
     is allowed if it keeps what is asked, and how much it has to spare decides how close its neighbours must be: one
-    `margin_room` and one `clearance_room` (m) at the longest steps, a quarter at half of these.
-
-    `floor`: clearance (m) to spare at least, but for the neighbourhood of `ends`, points (k, m) of the chart that were
-    found to be allowed by other code.
-    `max_force`: on the tip, N, up to which margin and clearance shall hold; `reserve`: part of `clearance` for it, m.
-    `effort`: how hard a way is searched for.
-    `clock`: when it is over, looking at points raises LateError, and no further motion is found to hold.
+    `margin_room` and one `clearance_room` at the longest steps, a quarter at half of these.
     """
 
     chart: Chart
     obstacles: tuple[Obstacle, ...]
     min_margin: float
     clearance: float
+    """m."""
     margin_room: float = 2e-3
     clearance_room: float = 3e-4
+    """m."""
     floor: float = 3e-5
+    """Clearance (m) to spare at least, but for the neighbourhood of `ends`."""
     ends: Array | None = None
+    """(k, m) points of the chart that were found to be allowed by other code."""
     max_force: float = 0.0
+    """On the tip, N, up to which margin and clearance shall hold."""
     effort: WaySearch = DEFAULT_WAY
+    """How hard a way is searched for."""
     reserve: float = 0.0
+    """Part of `clearance` for that force, m."""
     clock: Clock = field(default_factory=lambda: Clock(math.inf))
+    """When it is over, looking at points raises LateError, and no further motion is found to hold."""
     _held: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)
     """`fineness` of motions that hold: a way is asked for more than once."""
 

@@ -93,7 +93,7 @@ def _thinned(table: Array, start: Posture) -> Array | None:
 def _followed(space: JointSpace, table: Array, ends: tuple[Posture, Posture]) -> tuple[Array, Array] | None:
     """Rotations and translations of rows of joint values (W, m), if the robot follows them from the one posture to the
     other without a snap; else None."""
-    rotations, translations = np.split(np.array([space.joint(q) for q in table]), 2, axis=1)
+    rotations, translations = np.split(space.joint(table), 2, axis=1)
     try:
         path = follow(space.robot, rotations, translations, start=ends[0].equilibrium)
     except (SolveError, InputError):
@@ -114,14 +114,10 @@ def answer_at(
     goal: Goal, at: Posture, status: InverseStatus, statistics: InverseStatistics, **told: Any
 ) -> InverseSolution:
     """The answer to a question at a posture, with what is `told` of how the robot gets there."""
-    equilibrium = at.equilibrium
     return InverseSolution(
-        robot=goal.space.robot,
         target_position=goal.position,
         target_direction=goal.direction,
-        rotations=equilibrium.rotations,
-        translations=equilibrium.translations,
-        equilibrium=equilibrium,
+        equilibrium=at.equilibrium,
         position_error=goal.position_error(at),
         direction_error=goal.direction_error(at),
         scene=goal.scene,
@@ -134,7 +130,7 @@ def answer_at(
 
 def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointWay:
     """A way through independent joint values (m,)."""
-    return JointWay(origin, *np.split(np.array([space.joint(q) for q in points]), 2, axis=1))
+    return JointWay(origin, *np.split(space.joint(np.array(points)), 2, axis=1))
 
 
 def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> InverseSolution:
@@ -160,7 +156,7 @@ def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
     margin and clearance are kept.
     """
     words, solver = _far(goal, before, after), goal.solver
-    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / solver.leap_sampled))
+    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / solver.leap.sampled))
     aside, margin, gap, here = 0.0, np.inf, 0.0, before
     for k in range(1, count + 1):
         there = here.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
@@ -170,7 +166,7 @@ def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
         if k < count:
             aside = max(aside, _aside(here.tip, before.tip, after.tip))
             margin, gap = min(margin, here.margin), max(gap, goal.violation(here) if goal.hindered else 0.0)
-    if aside > solver.leap_aside * float(np.linalg.norm(after.tip - before.tip)) + solver.leap_least_aside:
+    if aside > solver.leap.aside * float(np.linalg.norm(after.tip - before.tip)) + solver.leap.least_aside:
         words.append(f"the tip leaves the line between the targets by {aside * 1e3:.3g} mm")
     if margin < min(goal.floor, before.margin, after.margin) - solver.margin_room:
         words.append(f"the margin falls to {margin:.4g}")
@@ -186,9 +182,9 @@ def _far(goal: Goal, before: Posture, after: Posture) -> list[str]:
     size = float(np.linalg.norm(after.tip - before.tip)) / goal.space.length
     if goal.pointed:
         size += angle(before.direction, after.direction)
-    allowed = np.where(np.arange(len(moved)) < n, solver.leap_turn, solver.leap_shift) * size + solver.leap_least
+    allowed = np.where(np.arange(len(moved)) < n, solver.leap.turn, solver.leap.shift) * size + solver.leap.least
     turn = np.arctan2(after.tip[1], after.tip[0]) - np.arctan2(before.tip[1], before.tip[0])
-    allowed[:n] += solver.leap_azimuth * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
+    allowed[:n] += solver.leap.azimuth * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
     worst = int(np.argmax(moved - allowed))
     if moved[worst] <= allowed[worst]:
         return []

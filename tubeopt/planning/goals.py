@@ -20,10 +20,10 @@ from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..inverse.descent import reach
+from ..inverse.goal import pose_question
 from ..inverse.joints import JointSpace, configuration
 from ..inverse.outline import Outline
 from ..inverse.posture import posture_of, start_at
-from ..inverse.question import pose_question
 from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium.anew import equilibrium_at
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import equilibrium_at, forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import SolveError

@@ -22,7 +22,7 @@ from ..errors import SolveError
 from ..inverse.clock import Clock
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..stability.snapping import find_snap
+from ..stability.following import find_snap
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearing import Wanted, cleared

@@ -12,8 +12,7 @@ from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..errors import InputError, SolveError, finite, instance
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
-from ..inverse.joints import JointSpace
-from ..inverse.question import prepared
+from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -75,7 +74,7 @@ def asked(
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
-    space = prepared(robot, limits, options.carriage_gap, options.section_length)
+    space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     rate_limits.of(space)
     chart = Chart(space) if load is None else _loaded(space, load, options)
     task = PlanTask(

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from ..bodies.anatomy import Anatomy, anatomy_seen, centres, field_of_image
+from ..bodies.anatomy import Anatomy, anatomy_seen, centres
 from ..bodies.corridors import PLACE, load_mesh, load_points
 from ..bodies.distance_field import DistanceField
 from ..bodies.frames import Frame, base_frame, ras, register
 from ..bodies.images import LabelImage, read_image
+from ..bodies.labels import field_of_image
 from ..bodies.solids import field_of_mesh, field_of_points
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file

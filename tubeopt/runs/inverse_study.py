@@ -11,7 +11,8 @@ from pydantic import Field, field_validator, model_validator
 
 from ..display import Displayed
 from ..errors import SolveError
-from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
+from ..files.checked import NotNegative, Positive, Triple, in_file
+from ..files.fields import asking, values
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..robots.robot import Robot
@@ -72,6 +73,7 @@ class TargetTable(Displayed):
     """Whether each was looked for near the one before."""
 
 
+@asking(InverseOptions)
 class InverseStudy(Surrounded, LoadedStudy):
     """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
 
@@ -97,17 +99,6 @@ class InverseStudy(Surrounded, LoadedStudy):
     reference_deg: OnePerTube | None = Field(None, description="rotations to stay close to")
     reference_mm: OnePerTube | None = Field(None, description="translations to stay close to")
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
-    objective: Literal["nearest", "margin", "curvature"] | None = Field(
-        None, description="what is best: nearest (to the start), margin or curvature", examples=["WHAT"]
-    )
-    direction_weight: Positive | None = Field(
-        None, description="make the direction a cost of this weight", examples=["W"]
-    )
-    clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
-    method: Literal["auto", "gauss_newton", "nlp"] = Field(
-        "auto", description="how to solve: auto, gauss_newton or nlp"
-    )
-    starts: Annotated[Whole, Field(ge=1)] = Field(48, description="most starting configurations")
     time_limit_s: Positive = Field(Decimal(20), description="on the clock, for each target, with the way to it")
     all: bool = Field(False, description="all distinct postures for the target, the best first")
     closest: bool = Field(False, description="where the target is out of reach, the closest pose")
@@ -130,9 +121,9 @@ class InverseStudy(Surrounded, LoadedStudy):
         if self.follow and self.closest:
             raise ValueError("closest cannot be had with follow: the way ends where a target is out of reach")
         pointed = self.direction is not None or (self.targets is not None and self.targets.direction is not None)
-        if self.direction_weight is not None and not pointed:
+        if self.si("direction_weight") is not None and not pointed:
             raise ValueError("direction_weight is given without a direction")
-        if self.objective == "nearest" and self.start is None and self._reference() is None:
+        if self.si("objective") == "nearest" and self.start is None and self._reference() is None:
             raise ValueError("objective is nearest; it needs a start or a reference to be near to")
         if self.pushing() is not None and (self.all or self.follow or self.closest):
             raise ValueError("all, follow and closest are for a robot without load")
@@ -144,7 +135,7 @@ class InverseStudy(Surrounded, LoadedStudy):
         return joints_of(self.robot, self.si("reference_deg"), self.si("reference_mm"))
 
     def _common(self) -> dict[str, Any]:
-        given = self.in_si("objective", "direction_weight", "clearance_mm", "method", "starts", "time_limit_s")
+        given = values(InverseOptions, self) | self.in_si("time_limit_s")
         return {
             "seed": self.start,
             "min_margin": self.si("min_margin"),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
 from ..display import Displayed
 from ..equilibrium.readings import to_model
@@ -171,6 +171,7 @@ class CertifyStudy(Study):
 
     kind: Literal["certify"]
     robot: RobotPath
+    _robot_file: str = PrivateAttr("ROBOT.yaml")
     translations_mm: OnePerTube | None = SHIFTED
     box: bool = Field(False, description="for all translations that the robot's limits allow")
     lower_mm: OnePerTube | None = Field(None, description="least translations of a box, in place of the limits")
@@ -178,6 +179,10 @@ class CertifyStudy(Study):
     max_tip_force_mN: Positive | None = Field(
         None, description="whatever pushes on the tip with up to this force, in any direction that it keeps"
     )
+
+    def model_post_init(self, context: Any) -> None:
+        """Keep where the robot is, unless a sweep has read it before."""
+        self._robot_file = (context or {}).get("files", {}).get("robot", self._robot_file)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -194,7 +199,7 @@ class CertifyStudy(Study):
         """The verdict; raises SolveError where `judge` does."""
         worst = self._worst() if self.over_box else None
         shift = self._shift("translations_mm") if worst is None else worst.certificate.translations
-        found = Certification(self.robot, judge(self.robot, shift, progress=progress), worst)
+        found = Certification(self.robot, judge(self.robot, shift, progress=progress), worst, self._robot_file)
         if self.max_tip_force_mN is None:
             return found
         force = self.si("max_tip_force_mN")

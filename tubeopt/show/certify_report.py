@@ -179,6 +179,11 @@ def _gradient(a: Certification) -> dict[str, list[float | None]]:
     return found
 
 
+SHARE: tuple[Quantity[tuple[tuple[int, int], float]], ...] = (
+    Quantity("tubes", "the two, from 1", lambda taken: taken[0]),
+    Quantity("share", "what they take", lambda taken: taken[1]),
+)
+
 BOX: tuple[Quantity[WorstCertificate], ...] = (
     Quantity("lower_mm", "least translations"),
     Quantity("upper_mm", "greatest translations"),
@@ -209,8 +214,7 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
              lambda a: None if a.verdict.certificate.pair is None else [i + 1 for i in a.verdict.certificate.pair]),
     Quantity("limiting_section_mm", "the section that limits the certificate", lambda a: a.verdict.certificate.section,
              label="limited by", words=_limited),
-    Quantity("shares", "what each pair of tubes takes from a margin of 1",
-             lambda a: [{"tubes": list(pair), "share": share} for pair, share in _shares(a)],
+    Quantity("shares", "what each pair of tubes takes from a margin of 1", _shares, of=SHARE,
              label="takes from the margin", words=_takes),
     Quantity("gradient", "derivatives of the certificate by each tube's parameters, per unit of the key", _gradient),
     Quantity("ways_tried", "ways on which a snap was looked for", lambda a: a.verdict.ways),

@@ -12,10 +12,11 @@ from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
 from ..design.optimize import DesignSolution
-from ..design.pareto import ParetoFront
+from ..design.pareto import FrontPoint, ParetoFront
 from ..design.rechecks import Check
 from ..design.remarks import Dimension
 from ..design.sensitivities import Sensitivity
+from ..design.stock import Candidate
 from ..design.tolerance import ToleranceAnalysis
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -93,10 +94,17 @@ TOLERANCE: tuple[Quantity[ToleranceAnalysis], ...] = (
     Quantity("failed", "samples that could not be solved"),
 )
 
+FRONT_POINT: tuple[Quantity[tuple[ParetoFront, FrontPoint]], ...] = (
+    Quantity("margin", "that was asked for", lambda at: at[1].margin),
+    Quantity("value", "of the objective", lambda at: at[1].objective * at[0].task.objectives[0].factor),
+)
+
 FRONT: tuple[Quantity[ParetoFront], ...] = (
     Quantity("objective", "what is traded for margin"),
     Quantity("unit", "of its values", lambda front: front.task.objectives[0].unit),
-    Quantity("points", "margins and what they cost", lambda front: _front_points(front)),
+    Quantity(
+        "points", "margins and what they cost", lambda front: [(front, point) for point in front.points], of=FRONT_POINT
+    ),
     Quantity("infeasible_from", "the margin from which there is no design", lambda front: front.ended),
 )
 
@@ -146,6 +154,16 @@ SOLUTION: tuple[Quantity[DesignSolution], ...] = (
     Quantity("seconds", "wall time, s"),
 )  # fmt: skip
 
+CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
+    Quantity("sizes", "inner to outer", lambda of: [size.name for size in of[1].sizes], label="inner to outer",
+             words=lambda of: ", ".join(size.name for size in of[1].sizes)),
+    Quantity("value", "of the objective", lambda of: of[1].objective and of[1].objective * of[0].factor, label="value",
+             words=lambda of: "–" if of[1].objective is None else f"{of[1].objective * of[0].factor:.5g} {of[0].unit}"),
+    Quantity("status", "design, infeasible with what failed, or pruned", lambda of: of[1].status, label="",
+             words="{status}"),
+)  # fmt: skip
+"""A choice from stock, by what was wanted."""
+
 DESIGN: tuple[Quantity[DesignAnswer], ...] = (
     *within(SOLUTION, lambda a: a.solution),
     Quantity("objectives", "what was wanted, each with its unit", lambda a: _objectives(a)),
@@ -158,7 +176,7 @@ DESIGN: tuple[Quantity[DesignAnswer], ...] = (
     Quantity("region", "what is reached of a region, where that was wanted", of=REGION),
     *within((line("as manufactured", _made), line("tip spread", _spread)), lambda a: a.tolerance),
     *within(SEARCHED, lambda a: a.region),
-    Quantity("stock", "choices from stock, where that was asked for, the best first", lambda a: _stock(a),
+    Quantity("stock", "choices from stock, where that was asked for, the best first", lambda a: _choices(a), of=CHOICE,
              label="from stock", words=lambda a: _best(a)),
     line("seconds", "{seconds:.1f}"),
 )  # fmt: skip
@@ -170,23 +188,8 @@ def _best(a: DesignAnswer) -> str | None:
     return f"{', '.join(size.name for size in a.stock.best.sizes)} (of {len(a.stock.candidates)} choices)"
 
 
-def _front_points(front: ParetoFront) -> list[dict[str, float]]:
-    factor = front.task.objectives[0].factor
-    return [{"margin": point.margin, "value": point.objective * factor} for point in front.points]
-
-
-def _stock(a: DesignAnswer) -> list[dict[str, Any]] | None:
-    if a.stock is None:
-        return None
-    factor = a.solution.task.objectives[0].factor
-    return [
-        {
-            "sizes": [size.name for size in one.sizes],
-            "value": None if one.objective is None else one.objective * factor,
-            "status": one.status,
-        }
-        for one in a.stock.candidates
-    ]
+def _choices(a: DesignAnswer) -> list[tuple[AnyObjective, Candidate]] | None:
+    return None if a.stock is None else [(a.solution.task.objectives[0], one) for one in a.stock.candidates]
 
 
 def dimensions(s: DesignSolution, of: str = "") -> RenderableType:
@@ -229,31 +232,18 @@ class DesignReport(Report[DesignAnswer]):
             parts += [Text(f"  {one.sentence}") for one in s.sensitivities]
         parts.append(checked_again(s))
         if self.answer.stock is not None:
-            columns = ("inner to outer", "value", "")
-            parts.append(grid(columns, self.stock_rows(), title="choices from stock", key=True))
+            parts.append(grid(*self.from_stock(), title="choices from stock", key=True))
         return parts
 
-    def stock_rows(self) -> Sequence[tuple[str, ...]]:
-        """Sizes, value and status of every choice, the best first."""
-        choice = self.answer.stock
-        if choice is None:
-            return []
-        wanted = self.answer.solution.task.objectives[0]
-        shown = choice.candidates[:STOCK_ROWS]
-        rows = [
-            (
-                ", ".join(size.name for size in one.sizes),
-                "–" if one.objective is None else f"{one.objective * wanted.factor:.5g} {wanted.unit}",
-                one.status,
-            )
-            for one in shown
-        ]
-        rest = choice.candidates[STOCK_ROWS:]
+    def from_stock(self) -> tuple[list[str], list[list[str]]]:
+        """A table of the choices, the best first, and of how many more there are."""
+        choices = _choices(self.answer) or []
+        heads, rows = columns(choices[:STOCK_ROWS], CHOICE)
         counts = {"design": "worse designs", "infeasible": "infeasible", "pruned": "pruned by their bound"}
         for status, words in counts.items():
-            count = sum(one.status.startswith(status) for one in rest)
-            rows += [(f"{count} more", "–", words)] if count else []
-        return rows
+            count = sum(one.status.startswith(status) for _, one in choices[STOCK_ROWS:])
+            rows += [[f"{count} more", "–", words]] if count else []
+        return heads, rows
 
     def save(self, directory: Path) -> list[Path]:
         """Write the robot, design.json and the page report.md."""
@@ -293,7 +283,7 @@ class DesignReport(Report[DesignAnswer]):
             ("promise", "found", "kept"), [(c.what, c.found, "yes" if c.kept else "no") for c in s.verification.checks]
         )
         if self.answer.stock is not None:
-            lines += ["", "## Choices from stock", "", *_markdown(("inner to outer", "value", ""), self.stock_rows())]
+            lines += ["", "## Choices from stock", "", *_markdown(*self.from_stock())]
         lines += ["", "## Pictures", ""]
         for name in self.pictures():
             lines += [f"![{CAPTIONS[name]}]({file_name(name)})", "", f"*{CAPTIONS[name]}*", ""]
@@ -308,7 +298,7 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
     before, after = (
         stability_map(robot, samples=MAP_SAMPLES, directions=MAP_DIRECTIONS, workers=1) for robot in robots
     )
-    return plot_before_after(before, after, path, heading=robots[1].name)
+    return plot_before_after((before, after), path, heading=robots[1].name)
 
 
 def _objectives(a: DesignAnswer) -> dict[str, float]:

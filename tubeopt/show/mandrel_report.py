@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,8 +31,8 @@ MANDREL: tuple[Quantity[Mandrel], ...] = (
     Quantity("diameter_mm", "cylinder, diameter", _turned(lambda b: 2 * b.radius), form=".4f", optional=True),
     Quantity("length_mm", "cylinder, length", _turned(lambda b: b.length), form=".4g", optional=True),
     Quantity("helix_radius_mm", "helix, radius", _turned(lambda b: b.helix_radius), form=".4f", optional=True),
-    Quantity("pitch_mm", "helix, pitch", _turned(lambda b: 2 * math.pi * abs(b.lead)), form=".4f", optional=True),
-    Quantity("handed", "helix, handed", _turned(lambda b: "left" if b.lead < 0 else "right"), optional=True),
+    Quantity("pitch_mm", "helix, pitch", _turned(lambda b: b.pitch), form=".4f", optional=True),
+    Quantity("handed", "helix, handed", _turned(lambda b: b.handed), optional=True),
     Quantity("size_mm", "block", lambda m: m.body.size if isinstance(m.body, Block) else None, form=".4g",
              optional=True),
     Quantity("width_mm", "groove, width", form=".4g"),

@@ -158,12 +158,16 @@ def _check(check: Check) -> dict[str, Any]:
     return {"what": check.name, **with_unit(SUFFIXES[check.unit], values), "passed": check.passed}
 
 
-def _trials(c: Calibration) -> list[dict[str, float]]:
-    trials = zip(c.mold_curvature.tolist(), c.obtained_curvature.tolist(), c.lost - c.fitted, strict=True)
-    return [
-        {"mold_radius_mm": TO_MM / k, "obtained_radius_mm": TO_MM / o, "residual_percent": 100 * float(r)}
-        for k, o, r in trials
-    ]
+TRIAL: tuple[Quantity[tuple[float, float, float]], ...] = (
+    Quantity("mold_radius_mm", "radius of the mold", lambda trial: 1 / trial[0]),
+    Quantity("obtained_radius_mm", "radius of the tube that came out", lambda trial: 1 / trial[1]),
+    Quantity("residual_percent", "of the lost part, beyond what the model says", lambda trial: trial[2]),
+)
+"""Of a trial: curvatures of mold and tube, 1/m, and by how much the lost part is off the model."""
+
+
+def _trials(c: Calibration) -> list[tuple[float, float, float]]:
+    return list(zip(*(x.tolist() for x in (c.mold_curvature, c.obtained_curvature, c.lost - c.fitted)), strict=True))
 
 
 def _within(interval: tuple[float, float] | None) -> str:
@@ -177,7 +181,7 @@ def _radii(c: Calibration) -> list[float] | None:
 
 
 CALIBRATION: tuple[Quantity[Calibration], ...] = (
-    Quantity("trials", "trials", lambda c: _trials(c), words=lambda c: str(len(c.mold_curvature))),
+    Quantity("trials", "trials", _trials, of=TRIAL, words=lambda c: str(len(c.mold_curvature))),
     Quantity("model", "model", words="{model}"),
     Quantity("fraction_percent", "lost at small curvature", lambda c: c.springback.fraction,
              words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}"),

@@ -17,12 +17,16 @@ from .report import Report
 SHOWN = 3
 """Failures that are told; the table has all."""
 
+FAILURE: tuple[Quantity[tuple[int, str]], ...] = (
+    Quantity("point", "its number, from 1", lambda failed: failed[0] + 1),
+    Quantity("reason", "why it failed", lambda failed: failed[1]),
+)
+
 SWEEP: tuple[Quantity[Sweep], ...] = (
     Quantity("points", "points", words=lambda a: _points(a)),
     Quantity("computed", "points computed by this run"),
     Quantity("failed", "failed", lambda a: len(a.failures), form="d"),
-    Quantity("failures", "points that failed, from 1, and why",
-             lambda a: [{"point": index + 1, "reason": reason} for index, reason in a.failures]),
+    Quantity("failures", "points that failed", of=FAILURE),
     Quantity("table", "table", lambda a: _kept(a, a.table)),
     Quantity("arrays", "the same as arrays", lambda a: _kept(a, a.arrays)),
     Quantity("journal", "a line per point, as they were computed", lambda a: _kept(a, a.journal)),

@@ -5,16 +5,14 @@ from .certificate import Certificate, certify, snap_free_certificate
 from .deflection import deflection_bound
 from .energy import EnergyMap, energy_map
 from .equilibria import find_equilibria
-from .following import Path, follow
+from .following import Path, find_snap, follow
 from .friction_band import FrictionBand, friction_band
-from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
+from .motion import Snap
 from .settings import EquilibriaSearch, SnapSearch
-from .snap import Snap
-from .snapping import find_snap
 from .stroke import find_stroke_force
-from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict
+from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict, judge
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [

@@ -25,17 +25,18 @@ from .folds import Fold, polish_fold
 
 @dataclass(frozen=True, eq=False)
 class Branch(Displayed):
-    """A curve of equilibria, P points in order along it, stable and unstable.
-
-    fraction (P,): of the way from start to end.  rotations (P, n): joint values.  tip_rotations (P, n), margin (P,).
-    folds: the equilibria where the curve turns back, where a robot that follows it snaps.
-    """
+    """A curve of equilibria, P points in order along it, stable and unstable."""
 
     fraction: Array
+    """(P,) of the way from start to end."""
     rotations: Array
+    """(P, n) joint values, rad."""
     tip_rotations: Array
+    """(P, n) rad."""
     margin: Array
+    """(P,)."""
     folds: tuple[Equilibrium, ...]
+    """Equilibria where the curve turns back, where a robot that follows it snaps."""
 
 
 @small

@@ -20,7 +20,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
-from .pair_certificate import least_margin_of_pair, margins, pair_of
+from .pair import least_margin_of_pair, margins, pair_of
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -36,34 +36,33 @@ class CertificateStatus(Sentence):
 
 @dataclass(frozen=True)
 class CertificateStatistics:
-    """Tubes of the robot, and pairs of them that are coupled."""
+    """What a certificate is about."""
 
     tubes: int
+    """Of the robot."""
     pairs: int
+    """Of them that are coupled."""
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate(Displayed):
-    """Proved stability of a robot at given translations, for all rotations.
-
-    Attributes:
-        margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where
-            nothing can be proved: tubes off the centreline that are not three equal ones per segment.
-        translations: (n,) m.
-        gradient: of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
-            the eigenvalue is double, so that the margin has no derivative, and with tubes made of pieces.
-        pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
-            for tubes off the centreline, of which three take it together.
-        section: (start, end) of the section where it takes most, m.
-        share: (n, n) part of 1 - margin that each pair takes; sums to 1 above the diagonal.
-    """
+    """Proved stability of a robot at given translations, for all rotations."""
 
     margin: float
+    """mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where nothing
+    can be proved: tubes off the centreline that are not three equal ones per segment."""
     translations: Array
+    """(n,) m."""
     gradient: dict[str, Array]
+    """Of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where the eigenvalue
+    is double, so that the margin has no derivative, and with tubes made of pieces."""
     pair: tuple[int, int] | None
+    """The two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and for tubes
+    off the centreline, of which three take it together."""
     section: tuple[float, float] | None
+    """(start, end) of the section where it takes most, m."""
     share: Array
+    """(n, n) part of 1 - margin that each pair takes; sums to 1 above the diagonal."""
 
     @property
     def value(self) -> float:
@@ -95,7 +94,7 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
     conservative, since three tubes cannot oppose each other pairwise. With tubes made of pieces it is exact for two
-    coupled ones, whatever their curvatures, twists and stiffnesses are along them (see `pair_certificate`); for more it
+    coupled ones, whatever their curvatures, twists and stiffnesses are along them (see `stability.pair`); for more it
     is a lower bound, since the second variation at any rotations is at least that of the worst case point by point.
     What the mesh may leave out of varying couplings, by the difference to a finer one, is taken off.
 
@@ -248,7 +247,7 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
     """The certificate of tubes off the centreline: its three tubes take alike from the margin."""
     assembly = robot.assembly(shift)
     margin, segment = proof(assembly)
-    gradient = proof_gradient(assembly, robot.moving_together)
+    gradient = proof_gradient(robot, shift)
     share = np.zeros((robot.n_tubes, robot.n_tubes))
     if segment is not None:
         mine = list(segment.tubes)

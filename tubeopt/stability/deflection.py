@@ -104,18 +104,15 @@ def _reach(bundle: Bundle, s: float) -> float:
 @dataclass(frozen=True)
 class ForceBound(Displayed):
     """What holds for all rotations, on a way of translations, and for all tip forces up to a size that keep their
-    direction.
-
-    Attributes:
-        max_force: N.
-        margin: no stable equilibrium has less; above 0 there is one for every force, and nothing snaps or buckles.
-        deflection: how far any point of the arm at most is from where it is without force, m; infinite where the margin
-            is not above 0.
-    """
+    direction."""
 
     max_force: float
+    """N."""
     margin: float
+    """No stable equilibrium has less; above 0 there is one for every force, and nothing snaps or buckles."""
     deflection: float
+    """How far any point of the arm at most is from where it is without force, m; infinite where the margin is not above
+    0."""
 
 
 def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> ForceBound:

@@ -24,8 +24,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ..errors import InputError
 from ..physics.certificate import PARAMETERS
-from ..robots.assembly import ROUND_OFF, Assembly, merge, where
+from ..robots.assembly import ROUND_OFF, Assembly, assemble
+from ..robots.robot import Robot
 from ..typing import Array
 from .eccentric_bound import DELTAS, cross_sections, longest
 
@@ -187,52 +189,38 @@ def untwisted_tips(n: int, shape: Untwisted, bends: Array) -> tuple[Array, int]:
     return tips, odd
 
 
-def _changed(assembly: Assembly, name: str, tubes: list[int], change: float) -> Assembly:
-    """An assembly with one parameter of `physics.certificate.PARAMETERS` of some tubes changed."""
-    if name in ("bending_stiffness", "torsional_stiffness", "curvature"):
-        values = getattr(assembly, name).copy()
-        values[tubes] += change
-        return replace(assembly, **{name: values})
-    lengthened = np.zeros(assembly.n_tubes)
-    lengthened[tubes] = change
-    # The transition stays where the straight part grows at a fixed translation, and moves with the translation.
-    straight, moved, curved = (
-        lengthened * (name == part) for part in ("straight_length", "translation", "curved_length")
-    )
-    transition, end = assembly.transition + moved, assembly.end + moved + curved
-    cuts = merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
-    present, bent = where(transition, end, assembly.curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
-    return replace(
-        assembly,
-        transmission=assembly.transmission + straight - moved,
-        transition=transition,
-        end=end,
-        start=cuts[:-1],
-        length=np.diff(cuts),
-        present=present,
-        curved=bent,
-    )
-
-
-def proof_gradient(assembly: Assembly, carriages: tuple[tuple[int, ...], ...]) -> dict[str, Array]:
+def proof_gradient(robot: Robot, translations: Array) -> dict[str, Array]:
     """Change of `proof` with each of PARAMETERS, (n,), by differences: tubes that move together change together and
     share the derivative in equal parts. NaN where either side leaves what can be proved; where one does, that of the
     other."""
-    here = proof(assembly)[0]
-    out = {name: np.full(assembly.n_tubes, np.nan) for name in PARAMETERS}
+    here = robot.assembly(translations)
+    out = {name: np.full(here.n_tubes, np.nan) for name in PARAMETERS}
     for name in PARAMETERS:
-        for group in carriages:
+        for group in robot.moving_together:
             tubes = list(group)
-            size = (
-                float(np.abs(getattr(assembly, name)[tubes[0]])) if hasattr(assembly, name) else assembly.total_length
-            )
+            size = float(np.abs(getattr(here, name)[tubes[0]])) if hasattr(here, name) else here.total_length
             h = STEP * max(size, 1e-300)
-            at = [(side * h, proof(_changed(assembly, name, tubes, side * h))[0]) for side in (-1.0, 1.0)]
-            known = [(x, value) for x, value in (at[0], (0.0, here), at[1]) if np.isfinite(value)]
+            at = [(x, _proof_at(robot, translations, (name, tubes, x))) for x in (-h, 0.0, h)]
+            known = [(x, value) for x, value in at if np.isfinite(value)]
             if len(known) > 1:
                 (low, first), *_, (high, last) = known
                 out[name][tubes] = (last - first) / (high - low) / len(tubes)
     return out
+
+
+def _proof_at(robot: Robot, translations: Array, changed: tuple[str, list[int], float]) -> float:
+    """The proof with one of PARAMETERS of some tubes `changed` by so much; -inf where there are no such tubes."""
+    (name, group, change), here = changed, robot.assembly(translations)
+    tubes, shift = list(robot.tubes), translations.copy()
+    try:
+        if name == "translation":
+            shift[group] += change
+        else:
+            for i in group:
+                tubes[i] = replace(tubes[i], **{name: getattr(tubes[i], name) + change})
+        return proof(assemble(tubes, shift, offset=here.offset, offset_angle=here.offset_angle))[0]
+    except InputError:
+        return -np.inf
 
 
 def proof(assembly: Assembly) -> tuple[float, Segment | None]:

@@ -22,16 +22,18 @@ from .equilibria import find_equilibria
 
 @dataclass(frozen=True, eq=False)
 class EnergyMap(Displayed):
-    """Least elastic energy (J) with the tips of two tubes held at given angles; its stationary points are equilibria.
-
-    first, second: (N,) tip angles (rad) of tubes `tubes`.  energy: (N, N), rows by `first`.  equilibria: all of them.
-    """
+    """Least elastic energy with the tips of two tubes held at given angles; its stationary points are equilibria."""
 
     tubes: tuple[int, int]
+    """Whose tips are held, from 0."""
     first: Array
+    """(N,) tip angles of the first of `tubes`, rad."""
     second: Array
+    """(N,) of the second."""
     energy: Array
+    """(N, N), rows by `first`, J."""
     equilibria: tuple[Equilibrium, ...]
+    """All of them."""
 
 
 @small

@@ -1,37 +1,34 @@
-"""Quasi-static motion along a path of joint values, with its history: where the robot snaps, and where it lands."""
+"""Quasi-static motion along a path of joint values, with its history: where the robot snaps, and where it lands; the
+first snap on a straight way."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..block.transcription.second_variation import softest
 from ..display import Displayed
 from ..equilibrium.batch import joint_arrays
-from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import JointFamily
+from ..equilibrium.load_continuation import Family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import Solution, polish, to_equilibrium
-from ..errors import InputError, SolveError
+from ..equilibrium.solving import polish
+from ..errors import InputError, SolveError, vector
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..solvers.settings import CONTINUATION
 from ..typing import Array, Sentence
-from .folds import Fold, distance, land, polish_fold
-from .loaded_following import loaded_leg, loaded_legs
+from .motion import Event, Place, Snap, Way, leg, steps_along, to_snap, told, way_between
 from .rubbing_following import rubbing_legs
-from .snap import Snap, snap_between
 
 T = TypeVar("T")
 
@@ -45,11 +42,14 @@ class PathStatus(Sentence):
 
 @dataclass(frozen=True)
 class PathStatistics:
-    """Waypoints, snaps between them, and iterations of Newton's method that their equilibria took."""
+    """What a motion took."""
 
     waypoints: int
+    """That the robot came to."""
     snaps: int
+    """Between the waypoints."""
     iterations: int
+    """Of Newton's method that their equilibria took."""
 
 
 class HeldEquilibria(Sequence[Equilibrium]):
@@ -84,6 +84,7 @@ class Path(Displayed):
     equilibria: Sequence[Equilibrium]
     """(T,) at the waypoints."""
     snaps: tuple[Snap, ...]
+    """On the way, in order."""
 
     @property
     def value(self) -> Array:
@@ -100,14 +101,6 @@ class Path(Displayed):
         """What it took."""
         spent = sum(each.statistics.iterations for each in self.equilibria)
         return PathStatistics(len(self.equilibria), len(self.snaps), spent)
-
-
-@dataclass(frozen=True, eq=False)
-class Event:
-    """The end of a branch on a segment: the fold, and the point where the robot has landed."""
-
-    fold: Fold
-    landed: Point
 
 
 @small
@@ -150,8 +143,7 @@ def follow(
             raise InputError("friction and a load are given; a motion is followed with one of them")
         states, snaps = _collected(rubbing_legs(robot, joints, friction, start), progress)
         return Path(HeldEquilibria(robot, states), snaps)
-    legs = _legs(robot, joints, start) if load is None else loaded_legs(robot, joints, load, start)
-    equilibria, snaps = _collected(legs, progress)
+    equilibria, snaps = _collected(_legs(robot, joints, load, start), progress)
     return Path(tuple(equilibria), snaps)
 
 
@@ -168,29 +160,48 @@ def _collected(
     return reached, tuple(snaps)
 
 
-def _legs(robot: Robot, joints: Array, start: Equilibrium | None) -> Iterator[tuple[Equilibrium, list[Snap]]]:
+def _legs(
+    robot: Robot, joints: Array, load: Load | None, start: Equilibrium | None
+) -> Iterator[tuple[Equilibrium, list[Snap]]]:
     """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it."""
-    first = start if start is not None else forward_kinematics(robot, *np.split(joints[0], 2))
+    if load is None:
+        first, point = _start(robot, joints[0], start)
+    else:
+        first, point = _loaded_start(robot, joints[0], load, start)
+    yield first, []
+    for k, (here, there) in enumerate(pairwise(joints)):
+        way = way_between(robot, here, there, load)
+        point, snaps = leg(way, point, k)
+        yield told(way, point, "the waypoint before"), snaps
+
+
+def _start(robot: Robot, joint: Array, start: Equilibrium | None) -> tuple[Equilibrium, Place]:
+    """The stable equilibrium at a waypoint, to which the robot is moved from `start`, and as a point of a way."""
+    first = start if start is not None else forward_kinematics(robot, *np.split(joint, 2))
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    solution, own = polish(first), np.concatenate([first.rotations, first.translations])
-    if not np.allclose(own, joints[0], rtol=0, atol=1e-12):
-        solution, _ = _leg(JointPath(robot, own, joints[0]), solution, 0)
-    yield _finish(robot, solution, joints[0], "start"), []
-    for k in range(len(joints) - 1):
-        solution, snaps = _leg(JointPath(robot, joints[k], joints[k + 1]), solution, k)
-        yield _finish(robot, solution, joints[k + 1], "the waypoint before"), snaps
+    point: Place = Point(1.0, polish(first))
+    way = JointPath(robot, np.concatenate([first.rotations, first.translations]), joint)
+    if not _at(first, joint):
+        point, _ = leg(way, point, 0)
+    return told(way, point, "start"), point
 
 
-def _leg(path: JointPath, solution: Solution, index: int) -> tuple[Solution, list[Snap]]:
-    """The end of a motion from a stable solution, and the snaps on it, which lie behind the waypoint `index`."""
-    snaps = list[Snap]()
-    for step in motion_along(path, solution):
-        if isinstance(step, Point):
-            solution = step.solution
-        else:
-            snaps.append(to_snap(path, step, index))
-    return solution, snaps
+def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> tuple[Equilibrium, Place]:
+    """The same under load: the equilibrium of forward kinematics, or on the branch of `start`."""
+    load.require_energy("snaps are not told")
+    first = start
+    if start is None or start.load != load or not _at(start, joint):
+        first = forward_kinematics(robot, *np.split(joint, 2), load=load, guess=start)
+    assert first is not None
+    if not first.stable:
+        raise InputError(f"the start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    return first, loaded_point(first)
+
+
+def _at(equilibrium: Equilibrium, joint: Array) -> bool:
+    own = np.concatenate([equilibrium.rotations, equilibrium.translations])
+    return bool(np.allclose(own, joint, rtol=0, atol=1e-12))
 
 
 def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
@@ -206,66 +217,68 @@ def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLik
     return alpha, shift
 
 
-def _finish(robot: Robot, solution: Solution, joint: Array, start: str) -> Equilibrium:
-    translations = tuple(np.split(joint, 2)[1].tolist())
-    return to_equilibrium(robot, solution, translations, ("newton", start, 0.0))
+Configuration = tuple[ArrayLike, ArrayLike | None]
 
 
-def motion_along(path: JointPath, solution: Solution) -> Iterator[Point | Event]:
-    """Points of the motion from a stable solution at the start of a path; an event wherever the robot snaps.
+@small
+def find_snap(
+    robot: Robot,
+    start: Configuration,
+    end: Configuration,
+    *,
+    equilibrium: Equilibrium | None = None,
+    load: Load | None = None,
+) -> Snap | None:
+    """The first snap on the straight path from `start` to `end`, or None where the branch reaches the end.
 
-    The last point is at the end of the path.
+    The branch is followed to where it ends; the fold there is the root of a bordered determinant.
+
+    Args:
+        start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
+        equilibrium: stable equilibrium at `start` on the branch to follow; by default that of `forward_kinematics`.
+        load: forces that keep their direction and stay on the robot.
+
+    Raises:
+        InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.
+        SolveError: no stable equilibrium at `start`, or none where the robot lands.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> home = [0, 0, 0]
+        >>> snap = tubeopt.find_snap(robot, (home, home), (np.radians([360, 0, 0]), home))
+        >>> round(float(np.degrees(snap.rotations[0])), 3)
+        214.222
     """
-    here = Point(0.0, solution)
-    for goal in path.events():
-        while here.t < goal:
-            points, reached = follow_to(path, here, goal)
-            yield from points
-            here = points[-1] if points else here
-            if reached:
-                break
-            fold = fold_ahead(path, here, min(goal, here.t + 1e-2))
-            event = beyond(path, here, goal, fold or Fold(here.t, here.solution, _softest(here.solution)))
-            if isinstance(event, Event):
-                yield event
-                here = event.landed
-            else:
-                here = event
-            yield here
+    way = way_between(robot, _joint(robot, "start", start), _joint(robot, "end", end), load)
+    steps = steps_along(way, _first(robot, way, equilibrium))
+    return next((to_snap(way, step, 0) for step in steps if isinstance(step, Event)), None)
 
 
-def fold_ahead(path: JointPath, here: Point, far: float) -> Fold | None:
-    """The fold close ahead of a point of a stable branch, up to fraction `far`; None where none is found."""
-    fold = polish_fold(path, here)
-    return fold if fold is not None and here.t - 1e-6 <= fold.t <= far else None
+def _first(robot: Robot, way: Way, equilibrium: Equilibrium | None) -> Place:
+    """The stable point at the start of a way, on the branch of an equilibrium if one is given."""
+    if isinstance(way, Family):
+        return _loaded_start(robot, way.path.start, way.load, equilibrium)[1]
+    first = equilibrium if equilibrium is not None else forward_kinematics(robot, *way.at(0.0))
+    if not first.stable:
+        raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")
+    own = np.concatenate([first.rotations, first.translations])
+    if np.abs(own - way.start).max() > 1e-9:
+        raise InputError("equilibrium is at other joint values than start; they must be the same")
+    return Point(0.0, polish(first))
 
 
-def beyond(path: JointPath, here: Point, goal: float, fold: Fold) -> Event | Point:
-    """What happens at a fold ahead of a point: a snap, or a smooth change to a neighbouring branch."""
-    landed = land(fold.solution, fold.direction)
-    turn = 0.0 if landed is None else distance(landed, fold.solution)
-    t = min(goal, fold.t + CONTINUATION.past)
-    unstable = solve_at(path, t, here) if turn <= CONTINUATION.smooth_turn else None
-    # Without equilibria beyond the fold even a small turn is a snap.
-    if landed is not None and unstable is None and turn > CONTINUATION.least_turn:
-        return Event(fold, Point(fold.t, landed))
-    # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
-    landed = None if unstable is None else land(unstable.solution, _softest(unstable.solution))
-    if landed is None:
-        raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
-    return Point(t, landed)
-
-
-def _softest(solution: Solution) -> Array:
-    return softest(solution.problem, solution.result.state)
-
-
-def to_snap(path: JointPath, event: Event, index: int) -> Snap:
-    """An event on a path as a snap after the waypoint `index`."""
-    joint = np.concatenate(path.at(event.fold.t))
-    ends = (event.fold.solution, "fold"), (event.landed.solution, "energy descent")
-    before, after = (_finish(path.robot, solution, joint, how) for solution, how in ends)
-    return snap_between(index, event.fold.t, before, after)
+def _joint(robot: Robot, name: str, value: Configuration) -> Array:
+    try:
+        rotations, translations = value
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {value!r}; it must be a pair (rotations, translations)") from None
+    home = robot.home_translations if translations is None else translations
+    alpha = vector(f"rotations of {name}", rotations, robot.n_tubes)
+    shift = vector(f"translations of {name}", home, robot.n_tubes)
+    robot.assembly(shift)
+    return np.concatenate([alpha, shift])
 
 
 @small
@@ -291,7 +304,6 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         return Path((equilibrium, forward_kinematics(robot, alpha, shift, load=load, guess=equilibrium)), ())
     except SolveError:
         here = np.concatenate([alpha, shift])
-    family = JointFamily(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
-    point, snaps = loaded_leg(family, loaded_point(equilibrium), 0)
-    end = to_loaded(point)
-    return Path((equilibrium, end), tuple(snaps))
+    family = Family(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
+    point, snaps = leg(family, loaded_point(equilibrium), 0)
+    return Path((equilibrium, told(family, point, "the load before")), tuple(snaps))

@@ -32,20 +32,19 @@ from .certificate import convexity
 
 @dataclass(frozen=True, eq=False)
 class FrictionBand(Displayed):
-    """Where friction can hold an arm at M points along it.
-
-    equilibrium: without friction.   friction: as given.
-    certificate: of convexity at these translations; without tubes made of pieces that of freedom from snaps.
-    first_order: (M, 3) half widths along the axes of the plate, m, true for small friction only.
-    guaranteed: (M,) m, radius around the equilibrium that no state at these joint values leaves; inf where the
-        certificate is not positive.
-    """
+    """Where friction can hold an arm at M points along it."""
 
     equilibrium: Equilibrium
+    """Without friction."""
     friction: Friction
+    """As given."""
     certificate: float
+    """Of convexity at these translations; without tubes made of pieces that of freedom from snaps."""
     first_order: Array
+    """(M, 3) half widths along the axes of the plate, m, true for small friction only."""
     guaranteed: Array
+    """(M,) radius around the equilibrium that no state at these joint values leaves, m; inf where the certificate is
+    not positive."""
 
     @property
     def tip_half_widths(self) -> Array:

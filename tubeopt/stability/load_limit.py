@@ -11,7 +11,7 @@ from ..block.transcription.loaded import tip_position
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
+from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry, reach
 from ..equilibrium.load_problem import check_load
 from ..equilibrium.loaded import unloaded_point
 from ..equilibrium.result import Equilibrium, Statistics
@@ -33,25 +33,22 @@ class LoadLimitStatus(Sentence):
 
 @dataclass(frozen=True, eq=False)
 class LoadLimit(Displayed):
-    """The end of the stable branch that grows from no load.
-
-    Attributes:
-        factor: on the load, at which the branch ends or loses stability.
-        kind: "fold": the equilibrium vanishes, and the robot snaps.  "bifurcation": it goes on, but unstable, and the
-            robot leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses.
-        before: the equilibrium at the limit (margin 0).
-        after: where the robot goes: at a fold at the same load, at a bifurcation at a load larger by `past` of
-            `Continuation`, where the side is as likely as the other. None where descent finds no equilibrium.
-        tip_jump: m.   energy_released: of tubes and load together, J; both at the load of `after`, from the equilibrium
-            that the robot leaves, and NaN without an `after`.
-    """
+    """The end of the stable branch that grows from no load."""
 
     factor: float
+    """On the load, at which the branch ends or loses stability."""
     kind: str
+    """"fold": the equilibrium vanishes, and the robot snaps; or "bifurcation": it goes on, but unstable, and the robot
+    leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses."""
     before: Equilibrium
+    """The equilibrium at the limit (margin 0)."""
     after: Equilibrium | None
+    """Where the robot goes: at a fold at the same load, at a bifurcation at a load larger by `past` of `Continuation`,
+    where the side is as likely as the other. None where descent finds no equilibrium."""
     tip_jump: float
+    """m, at the load of `after`, from the equilibrium that the robot leaves; NaN without an `after`."""
     energy_released: float
+    """Likewise, of tubes and load together, J."""
 
     @property
     def value(self) -> float:
@@ -127,7 +124,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
             point = unloaded_point(first, grown)
         else:
             point = _restart(point, Member.of(robot, alpha, shift, grown, factor=reached / goal))
-        family = LoadFamily(point.member)
+        family = Family.growing(point.member)
         point = reach(family, point, 1.0)
         if point.t < 1.0:
             loss = branch_end(family, point, 1.0)

@@ -15,7 +15,7 @@ from ..solvers.flow import downhill, flow
 from ..solvers.loaded import loaded_margin, turn_of
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
-from ..typing import Array
+from ..typing import Array, Of
 from .folds import turning_point
 
 NEUTRAL = 1e-9
@@ -24,12 +24,13 @@ NEUTRAL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """Where a stable branch is lost: t, the equilibrium there, "fold" or "bifurcation", and the softest direction."""
+    """Where a stable branch is lost: the equilibrium there, "fold" or "bifurcation", and the softest direction."""
 
-    t: float
     point: LoadedPoint
     kind: str
     direction: Array
+
+    t = Of[float]("point")
 
 
 def branch_end(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
@@ -55,7 +56,7 @@ def fold(family: Family, near: LoadedPoint) -> Loss | None:
     there = family.member(found.t)
     state = there.at(found.x)
     point = LoadedPoint(found.t, there, state, loaded_margin(there.problem, state), found.steps)
-    return Loss(found.t, point, "fold", found.direction)
+    return Loss(point, "fold", found.direction)
 
 
 def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
@@ -74,7 +75,7 @@ def bifurcation(family: Family, near: LoadedPoint, goal: float) -> Loss | None:
             return None
         if beyond.margin < 0:
             found = _root(at, near.t, t)
-            return None if found is None else Loss(found.t, found, "bifurcation", found.softest)
+            return None if found is None else Loss(found, "bifurcation", found.softest)
         if t == goal:
             return None
         ahead *= 10

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +15,7 @@ from ..errors import InputError
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
+from ..solvers.parallel.executors import executor, run_all
 from ..typing import Array, Mask, Sentence
 from .ways import straight_way
 
@@ -48,31 +45,35 @@ class MapStatus(Sentence):
 
 @dataclass(frozen=True)
 class MapStatistics:
-    """Ways to the points of the map, directions of its boundary, and snaps on the ways to the points."""
+    """What a map took."""
 
     ways: int
+    """To its points."""
     directions: int
+    """Of its boundary."""
     snaps: int
+    """On the ways to the points."""
 
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap(Displayed):
-    """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations.
-
-    tubes: the two that turn; all others stay at home.  angles: (N,) rad, of both axes.
-    margin: (N, N) at the end, rows by the first tube.  snaps: (N, N) snaps on the way.
-    directions: (D,) rad from the axis of the first tube, rising: those asked for, and more between two of them where
-    the boundary ends or goes on elsewhere.  boundary: (D, 2) rotations (rad) at the first snap in each; NaN in those
-    without.  approach: (D, A) margins at a turn of APPROACH (A,) rad ahead of it, where it falls; NaN likewise.
-    """
+    """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations."""
 
     tubes: tuple[int, int]
+    """That turn; all others stay at home."""
     angles: Array
+    """(N,) of both axes, rad."""
     margin: Array
+    """(N, N) at the end, rows by the first tube."""
     snaps: Array
+    """(N, N) on the way."""
     directions: Array
+    """(D,) from the axis of the first tube, rising, rad: those asked for, and more between two of them where the
+    boundary ends or goes on elsewhere."""
     boundary: Array
+    """(D, 2) rotations at the first snap in each, rad; NaN in those without."""
     approach: Array
+    """(D, A) margins at a turn of APPROACH (A,) rad ahead of it, where it falls; NaN likewise."""
 
     @property
     def value(self) -> Array:
@@ -111,7 +112,7 @@ def stability_map(
         tubes: the tubes that turn, from 0.   samples: points per axis.
         directions: of the snap boundary, evenly around home. Where it ends between two of them, or goes on elsewhere,
             more are looked into, until that is known to a hundredth of what lies between the two.
-        workers: processes.   progress: called with the tasks done and their number.
+        workers: processes; 0 is one per core.   progress: called with the tasks done and their number.
 
     Raises:
         InputError: fewer than three tubes, tubes that do not exist or are the same, a tube out of its actuator.
@@ -139,9 +140,10 @@ def stability_map(
     around = np.arange(directions // (1 + mirrored)) * TURN / directions
     parts = np.array_split(around, max(1, len(around) // 15))
     jobs = [(origin, tubes, row, False) for row in rows] + [(origin, tubes, rim(part), True) for part in parts]
-    results = _done(jobs, workers, progress)
+    with executor(workers) as pool:
+        results = run_all(_done, jobs, pool, progress)
     table, found = np.array(results[: len(rows)]), np.concatenate(results[len(rows) :])
-    around, found = _closed_in(around, period, found, lambda ends: _job(origin, tubes, ends, True))
+    around, found = _closed_in(around, period, found, lambda ends: _done((origin, tubes, ends, True)))
     if mirrored:
         table = np.concatenate([table, table[: samples // 2][::-1, ::-1]])
         around, found = np.concatenate([around, around + np.pi]), np.vstack([found, found * MIRRORED])
@@ -160,24 +162,10 @@ def rim(directions: Array) -> Array:
     return np.asarray(ray * (np.pi / np.abs(ray).max(1, keepdims=True)))
 
 
-IGNORED = signal.SIGINT, signal.SIG_IGN
-
-
-def _done(jobs: Sequence[tuple[Any, ...]], workers: int, progress: Callable[[int, int], object] | None) -> list[Array]:
-    """What `_job` makes of arguments, in order."""
-    results = []
-    alone = nullcontext()  # and of several, who asked them hears of Ctrl-C
-    with ProcessPoolExecutor(workers, None, signal.signal, IGNORED) if workers > 1 else alone as pool:
-        for result in (map if pool is None else pool.map)(_job, *zip(*jobs, strict=True)):
-            results.append(result)
-            if progress is not None:
-                progress(len(results), len(jobs))
-    return results
-
-
-def _job(origin: Equilibrium, tubes: tuple[int, int], ends: Array, rays: bool) -> Array:
-    """(k, 2) margin and number of snaps on the ways from home to pairs of rotations (k, 2); or, on `rays`, (k, 2 + A)
-    the rotations at the first snap and the margins ahead of it, NaN without."""
+def _done(job: tuple[Equilibrium, tuple[int, int], Array, bool]) -> Array:
+    """What becomes of ways from home, on which two tubes turn, to pairs of rotations (k, 2): margin and number of snaps
+    (k, 2); or, on `rays`, (k, 2 + A) the rotations at the first snap and the margins ahead of it, NaN without."""
+    origin, tubes, ends, rays = job
     out = np.full((len(ends), 2 + len(APPROACH) * rays), np.nan)
     for row, end in zip(out, ends, strict=True):
         goal = np.zeros(origin.robot.n_tubes)

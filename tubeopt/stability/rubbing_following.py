@@ -23,7 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .snap import Snap, snap_between
+from .motion import Snap
 
 SHORTEST = 1e-11
 """Turn of a base (rad), or shift over the longest tube, in a step that fails only where the state is lost."""
@@ -111,7 +111,7 @@ def _told(robot: Robot, snap: RubbingSnap, index: int) -> Snap:
     before, after = (
         to_held_equilibrium(robot, side, how) for side, how in ((snap.before, "fold"), (snap.after, "flow"))
     )
-    return snap_between(index, snap.fraction, before, after)
+    return Snap(index, snap.fraction, before, after)
 
 
 def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None) -> Held:

@@ -14,14 +14,12 @@ from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
-from .folds import Fold, land
-from .following import Event, to_snap
-from .pair import PairFold, pair_fold
-from .pair_certificate import farthest_fold, pair_of
+from .folds import land
+from .following import find_snap
+from .motion import Event, Snap, to_snap
+from .pair import PairFold, farthest_fold, pair_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
-from .snap import Snap
-from .snapping import find_snap
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,12 +210,8 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
 
 def _pair(search: Search) -> Found | None:
     """The snap of two coupled tubes."""
-    poses = search.relaxed()
-    try:
-        fold = pair_fold(search.problem, search.coupled, poses[0])
-    except SolveError:
-        search.failed += 1
-        return None
+    poses, pair = search.relaxed(), pair_of(search.problem)
+    fold = None if pair is None else pair_fold(pair)
     if fold is None:
         return None
     way = _pair_way(search, poses, fold)
@@ -257,6 +251,8 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
     def solution(z: Array) -> Solution:
         return Solution.at(search.problem, rotations, z)
 
-    vanishing = Fold(t, solution(sign * fold.z), fold.direction)
-    after = land(vanishing.solution, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
-    return None if after is None else Found(way, to_snap(path, Event(vanishing, Point(t, after)), 0), followed=False)
+    lost = solution(sign * fold.z)
+    after = land(lost, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
+    if after is None:
+        return None
+    return Found(way, to_snap(path, Event(Point(t, lost), Point(t, after)), 0), followed=False)

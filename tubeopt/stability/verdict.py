@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..robots.robot import Robot
+from ..errors import SolveError
+from ..robots.robot import Robot, is_general
+from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
-from .certificate import Certificate
-from .snap import Snap
-from .worst import WorstMargin
+from .certificate import Certificate, certify
+from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
+from .following import find_snap
+from .motion import Snap
+from .search import search_snap
+from .settings import DEFAULT_SEARCH, SnapSearch
+from .sheet import TURN
+from .worst import WorstMargin, worst_margin
 
 ASSUMING = "assuming no external load, weight or friction"
 """What every statement about snapping leaves out, in a clause."""
@@ -38,38 +47,42 @@ class VerdictStatus(Sentence):
 
 @dataclass(frozen=True)
 class VerdictStatistics:
-    """Ways that were tried for a snap, and on how many of them the equilibria were lost."""
+    """What a verdict took."""
 
     ways: int
+    """That were tried for a snap."""
     failed: int
+    """On how many of them the equilibria were lost."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict(Displayed):
-    """Whether a robot can snap at given translations.
-
-    certificate: the lower bound of the margin over all rotations: proved.
-    worst: the least margin that search found, None where it ended on a fold (margin 0).
-    start, end: (n,) rotations (rad) of a straight way on which the robot snaps, and the snap; None where none is known.
-    ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
-    followed: whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and
-    is known from its fold alone.
-    decided: whether no more than two tubes are coupled, so that the certificate is exact, and a snap is known where it
-    is below 0; of tubes of one curvature each the nearest one.
-    """
+    """Whether a robot can snap at given translations."""
 
     _brief = ("robot", "finding", "certificate")
 
     robot: Robot
+    """That is judged."""
     certificate: Certificate
+    """The lower bound of the margin over all rotations: proved."""
     worst: WorstMargin | None
+    """The least margin that search found, None where it ended on a fold (margin 0)."""
     start: Array | None = None
+    """(n,) rotations from which a straight way begins on which the robot snaps, rad; None where none is known."""
     end: Array | None = None
+    """(n,) where it ends."""
     snap: Snap | None = None
+    """On that way."""
     ways: int = 0
+    """How many were tried."""
     failed: int = 0
+    """On how many of them the equilibria were lost."""
     followed: bool = True
+    """Whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and is
+    known from its fold alone."""
     decided: bool = False
+    """Whether no more than two tubes are coupled, so that the certificate is exact, and a snap is known where it is
+    below 0; of tubes of one curvature each the nearest one."""
 
     @property
     def value(self) -> bool | None:
@@ -105,17 +118,109 @@ class Verdict(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class EccentricVerdict(Verdict):
-    """A `Verdict` that knows a closed form too.
-
-    untwisted: margin of the softest shape with one tube of a segment against the two others, all of them equilibria.
-        Below 0 two more equilibria have its joint rotations, and the robot snaps on some way, shown or not. None where
-        the robot is not made of segments of three equal tubes.
-    """
+    """A `Verdict` that knows a closed form too."""
 
     untwisted: float | None = None
+    """Margin of the softest shape with one tube of a segment against the two others, all of them equilibria. Below 0
+    two more equilibria have its joint rotations, and the robot snaps on some way, shown or not. None where the robot is
+    not made of segments of three equal tubes."""
 
     @property
     def finding(self) -> Finding:
         """The verdict in a word."""
         known = self.untwisted is not None and self.untwisted < 0 and not self.certificate.snap_free
         return Finding.CAN_SNAP if known else super().finding
+
+
+@small
+def judge(
+    robot: Robot,
+    translations: ArrayLike | None = None,
+    *,
+    effort: SnapSearch = DEFAULT_SEARCH,
+    progress: Callable[[int, int], object] | None = None,
+) -> Verdict:
+    """Prove that a robot cannot snap at given translations, or find a snap.
+
+    Where the certificate is not above 0, the robot is turned from its relaxed pose, all tubes curving to one side,
+    until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
+    `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
+    below 0, and their snap is found wherever it is. Robots with tubes made of pieces are turned from home, inside their
+    limits; more than two of them are not decided but where the certificate is above 0. Of tubes off the centreline one
+    tube of a segment is turned by a turn, forth and back, the other two held, all other segments curving to one side:
+    half-way lie the untwisted shapes of the closed form (see `eccentric_certificate`).
+
+    Args:
+        translations: (n,) m; default home.
+        effort: how hard is searched where no proof decides.
+        progress: called with the steps done and their likely number.
+
+    Raises:
+        InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> print(tubeopt.judge(robot).finding)
+        can snap
+    """
+    certificate = certify(robot, translations)
+    try:
+        worst = worst_margin(robot, translations, effort=effort)
+    except SolveError:
+        worst = None
+    if robot.assembly(certificate.translations).eccentric:
+        return _eccentric(robot, certificate, worst, progress)
+    if certificate.snap_free:
+        return Verdict(robot, certificate, worst)
+    unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
+    found, search = search_snap(robot, certificate.translations, unstable, effort, progress)
+    decided = len(search.coupled) == 2 and (found is not None or not is_general(robot))
+    verdict = Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed, decided=decided)
+    if found is None:
+        return verdict
+    start, end = found.way
+    return replace(verdict, start=start, end=end, snap=found.snap, followed=found.followed)
+
+
+def _eccentric(
+    robot: Robot, certificate: Certificate, worst: WorstMargin | None, progress: Callable[[int, int], object] | None
+) -> EccentricVerdict:
+    """The verdict on tubes off the centreline."""
+    segments = segments_of(robot.assembly(certificate.translations))
+    shapes = sorted(map(softest_untwisted, segments or ()), key=lambda shape: shape.margin)
+    verdict = EccentricVerdict(robot, certificate, worst, untwisted=shapes[0].margin if shapes else None)
+    if certificate.snap_free:
+        return verdict
+    bends = np.array([np.sign(tube.curvature) for tube in robot.tubes])
+    ways = list(_ways(robot.n_tubes, shapes, bends))
+    for k, (start, end) in enumerate(ways):
+        if progress is not None:
+            progress(k, len(ways))
+        try:
+            snap = find_snap(robot, (start, certificate.translations), (end, certificate.translations))
+        except SolveError:
+            continue
+        if snap is not None:
+            return replace(verdict, start=start, end=end, snap=snap, ways=k + 1)
+    return replace(verdict, ways=len(ways))
+
+
+def _ways(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Array, Array]]:
+    """Rotations (n,) to start from and to turn to, the likeliest to snap on the way first."""
+    for shape in shapes:
+        for k in range(len(DIRECTIONS) if shape.margin < 0 else 1):
+            further = float(DIRECTIONS[k])
+            tips, odd = untwisted_tips(n, shape, bends)
+            # All segments turn alike: the outer ones keep their direction relative to this one.
+            start = tips + further
+            start[odd] -= np.pi
+            for turn in (TURN, -TURN):
+                end = start.copy()
+                end[odd] += turn
+                yield _rounded(start), _rounded(end)
+
+
+def _rounded(angles: Array) -> Array:
+    """Angles (rad) that are whole degrees exactly, so that they can be told and typed."""
+    return np.asarray(np.radians(np.round(np.degrees(angles), 6)))

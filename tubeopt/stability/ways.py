@@ -18,7 +18,7 @@ from ..equilibrium.solving import polish, to_equilibrium
 from ..solvers.compiled.binding import kernel_of
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .following import Event, beyond, fold_ahead, motion_along
+from .motion import Event, beyond, fold_ahead, motion_along
 
 STEP = (1 - 1e-9) * CONTINUATION.largest_turn
 """Turn (rad) of a step of the kernel: the most that it takes, less a round-off that would make it more; of those that
@@ -89,7 +89,7 @@ def _taken_over(path: JointPath, here: Equilibrium, left: float) -> tuple[Equili
         far, fold = min(1.0, TAKEN_OVER / left), fold_ahead(path, start, min(1.0, CLOSE / left))
     for step in motion_along(path, start.solution) if fold is None else (beyond(path, start, 1.0, fold),):
         if isinstance(step, Event):
-            folds.append(step.fold.t)
+            folds.append(step.lost.t)
         point = step.landed if isinstance(step, Event) else step
         if folds or point.t >= far:
             break

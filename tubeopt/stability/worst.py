@@ -15,13 +15,13 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, vector
-from ..robots.robot import Robot, shifts
+from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
-from ..typing import Array, Index
+from ..typing import Array, Index, Of
 from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
-from .pair_certificate import least_margin_of_pair, pair_of
+from .pair import least_margin_of_pair, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .shooting import profiles, to_base
 from .simplex import minimise_together
@@ -33,16 +33,16 @@ least."""
 
 @dataclass(frozen=True, eq=False)
 class WorstMargin(Displayed):
-    """The least margin that was found over all rotations at given translations: what a certificate may not exceed.
+    """The least margin that was found over all rotations at given translations: what a certificate may not exceed."""
 
-    margin: as found.  equilibrium: where, with the joint values to repeat it.  searches: local searches done.
-    unstable: (B, n) tip angles, rad, of the unstable equilibria at which local searches ended.
-    """
-
-    margin: float
     equilibrium: Equilibrium
+    """Where, with the joint values to repeat it."""
     searches: int
+    """Local ones that were done."""
     unstable: Array
+    """(B, n) tip angles of the unstable equilibria at which local searches ended, rad."""
+
+    margin = Of[float]("equilibrium")
 
 
 @small
@@ -54,7 +54,7 @@ def worst_margin(
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
     function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
     are improved by Nelder and Mead's method. Of two coupled tubes made of pieces it is the least there is (see
-    `pair_certificate`). Of tubes off the centreline every segment is searched for itself: tips of its own tubes over a
+    `stability.pair`). Of tubes off the centreline every segment is searched for itself: tips of its own tubes over a
     turn each, those of the others as in its softest untwisted shape, from which one local search begins.
 
     Args:
@@ -73,7 +73,7 @@ def worst_margin(
     """
     n, shift = robot.n_tubes, tuple(shifts(robot, translations).tolist())
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
-    pair = pair_of(problem)
+    pair = pair_of(problem) if is_general(robot) else None
     if pair is None:
         ends = [end for base, turning in _places(problem) for end in _searched(problem, base, turning, effort)]
     else:
@@ -85,7 +85,7 @@ def worst_margin(
     solution = Solution.near(problem, rotations, profiles(problem, tips)[0], failure)
     equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
     unstable = np.array([tips for tips, found in ends if found < 0]).reshape(-1, n)
-    return WorstMargin(solution.margin, equilibrium, 0 if pair else len(ends), unstable)
+    return WorstMargin(equilibrium, 0 if pair else len(ends), unstable)
 
 
 def _places(problem: ReducedProblem) -> list[tuple[Array, Index]]:
@@ -134,14 +134,16 @@ def _margins(problem: ReducedProblem, tips: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class WorstCertificate(Displayed):
-    """The certificate over a box of translations: its least value, where, and how many evaluations that took."""
+    """The certificate over a box of translations."""
 
     certificate: Certificate
+    """Where it is least."""
     lower: Array
     """(n,) least translations of the box, m."""
     upper: Array
-    """(n,) largest translations of the box, m."""
+    """(n,) largest, m."""
     evaluations: int
+    """That the search took."""
 
 
 @small

@@ -63,17 +63,20 @@ def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable:
-    """A published table of tip errors over direction and separation, with the means that were printed beside it.
-
-    direction (D,), separation (S,): rad.  error (S, D): m.  mean_by_direction (D,), mean_by_separation (S,), mean: m.
-    """
+    """A published table of tip errors over direction and separation, with the means that were printed beside it."""
 
     direction: Array
+    """(D,) rad."""
     separation: Array
+    """(S,) rad."""
     error: Array
+    """(S, D) m."""
     mean_by_direction: Array
+    """(D,) m."""
     mean_by_separation: Array
+    """(S,) m."""
     mean: float
+    """Of all, m."""
 
     @property
     def summary(self) -> ErrorSummary:
@@ -85,29 +88,28 @@ class ErrorTable:
 class Validation(Displayed):
     """Measured against predicted tips of N configurations, both in the plate frame. SI units; NaN where nothing was
     seen, or no stable shape was found.
-
-    Attributes:
-        robot, measurements: the input; readings become joint values by the robot's calibration.
-        registration: how measured points came into the plate frame.
-        measured, predicted: (N, 3) positions of the foremost station, m.
-        along: (N, K) distances between measured and predicted positions of all stations, m, the foremost first.
-        axis_errors: (N,) angle between the measured and the predicted direction of the tip, rad; None where it was not
-            measured.
-        margin: (N,) stability margin of the predicted shapes.
-        length: greatest arc length of the arm in front of the plate, m: what percentages refer to.
-        parity: how far the errors depend on the way; None where the way does not retrace itself.
     """
 
     robot: Robot
+    """Its calibration makes joint values of the readings."""
     measurements: Measurements
+    """What it is held against."""
     registration: Registration
+    """How measured points came into the plate frame."""
     measured: Array
+    """(N, 3) positions of the foremost station, m."""
     predicted: Array
+    """(N, 3) of the same, m."""
     along: Array
+    """(N, K) distances between measured and predicted positions of all stations, m, the foremost first."""
     axis_errors: Array | None
+    """(N,) angle between the measured and the predicted direction of the tip, rad; None where it was not measured."""
     margin: Array
+    """(N,) stability margin of the predicted shapes."""
     length: float
+    """Greatest arc length of the arm in front of the plate, m: what percentages refer to."""
     parity: Parity | None
+    """How far the errors depend on the way; None where the way does not retrace itself."""
 
     @property
     def residuals(self) -> Array:

@@ -25,48 +25,45 @@ LOSSES = ("linear", "huber", "soft_l1")
 class FitSolver(Settings):
     """How a fit descends; a field of `FitOptions`.
 
-    Args:
-        iterations: after which it gives up.
-        settled: relative decrease of the cost at which it ends: a small part of what noise makes of it.
-        nearly_settled: the same where a step is costly, or one of many fits alike: a few hundredths of a standard error
-            of the parameters. Along a way with friction, kinks where what sticks changes let steps gain less than they
-            promise, and never end.
-        faithful: part of the promised decrease that came about, from which costly slopes serve another step.
-        first_damping: of the first step, relative to the diagonal of the normal equations.
-        chord_iterations: with slopes that are known from near by, as in fits to all folds but one: each gains two
-            digits or more.
-        most_damping: at which a step is too short to be worth another.
-        same_noise: relative change of the estimated noise at which it has settled.
-        blocks: of rows that intervals are drawn from again, where there are as many places.
-        draws: of them.
-        rounds: of choosing effects at most.
-        tried: sets of effects, of those that promise most, that are fitted at each round.
-        strong: twice the logarithm of a Bayes factor from which on the evidence against an effect counts: very strong
-            (Kass and Raftery, J. Am. Stat. Assoc. 90 (1995)).
-        crooked: a set is fitted if it is no more than so much worse to first order, which curvature of the model may
-            make up for.
-        robust_from: length of an error of three coordinates, in standard deviations of one, from which a robust loss
-            grows like it and no longer like its square.
-
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     iterations: int = 50
+    """After which it gives up."""
     settled: float = 1e-7
+    """Relative decrease of the cost at which it ends: a small part of what noise makes of it."""
     nearly_settled: float = 1e-5
+    """The same where a step is costly, or one of many fits alike: a few hundredths of a standard error of the
+    parameters. Along a way with friction, kinks where what sticks changes let steps gain less than they promise, and
+    never end."""
     faithful: float = 0.7
+    """Part of the promised decrease that came about, from which costly slopes serve another step."""
     first_damping: float = 1e-6
+    """Of the first step, relative to the diagonal of the normal equations."""
     chord_iterations: int = 8
+    """With slopes that are known from near by, as in fits to all folds but one: each gains two digits or more."""
     most_damping: float = 1e12
+    """At which a step is too short to be worth another."""
     same_noise: float = 0.02
+    """Relative change of the estimated noise at which it has settled."""
     blocks: int = 20
+    """Of rows that intervals are drawn from again, where there are as many places."""
     draws: int = 400
+    """Of them."""
     rounds: int = 8
+    """Of choosing effects at most."""
     tried: int = 4
+    """Sets of effects, of those that promise most, that are fitted at each round."""
     strong: float = 10.0
+    """Twice the logarithm of a Bayes factor from which on the evidence against an effect counts: very strong (Kass and
+    Raftery, J. Am. Stat. Assoc. 90 (1995))."""
     crooked: float = 30.0
+    """A set is fitted if it is no more than so much worse to first order, which curvature of the model may make up
+    for."""
     robust_from: float = 3.0
+    """Length of an error of three coordinates, in standard deviations of one, from which a robust loss grows like it
+    and no longer like its square."""
 
     @property
     def by_chords(self) -> FitSolver:

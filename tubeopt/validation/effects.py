@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,13 +21,18 @@ from .setup import Setup, members
 
 @dataclass(frozen=True)
 class Span:
-    """Start, least and greatest value, a change that is large, and how far the drawing may be off (one sigma)."""
+    """The range of a number that is estimated."""
 
     start: float
+    """Value of the robot as given."""
     low: float
+    """Least that is searched."""
     high: float
+    """Greatest that is searched."""
     scale: float
+    """A change of this size is a large one."""
     prior: float
+    """How far the drawing may be off, one standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -53,37 +58,35 @@ Change = Callable[[Setup, Setup, Sequence[int], float, bool], None]
 
 @dataclass(frozen=True)
 class Effect:
-    """One kind of deviation from the drawing.
-
-    Attributes:
-        meaning: in words, with I for the number.   unit: "", "1/m", "rad", "m", "s", "N" or "m/N".
-        each: what its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
-            eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot),
-            "pair" of tubes that rub, "xyz", "xy", or "" for a single parameter.
-        span: range of the parameter.
-        change: sets the parameter.
-        common: whether a parameter for all at once, without a number, is known as well.
-        first: the lowest number that there is.
-        needs: what the data must have: "time", "way" (rows in order of time), "orientation", "plate" (a registration
-            that does not fit the plate's pose itself), or "".
-        sets: names of what it sets, by which effects contradict each other.
-        history: whether it makes the tip depend on how its configuration was reached.
-        compared: whether a model comparison tries it: "always", "asked" (by name only, since it takes long) or "never".
-        drives: whether it changes nothing but joint values.
-    """
+    """One kind of deviation from the drawing."""
 
     meaning: str
+    """In words, with I for the number."""
     unit: str
+    """One of "", "1/m", "rad", "m", "s", "N" and "m/N"."""
     each: str
+    """What its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
+    eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot), "pair" of
+    tubes that rub, "xyz", "xy", or "" for a single parameter."""
     span: Range
+    """Range of the parameter."""
     change: Change
+    """Sets the parameter."""
     common: bool = False
+    """Whether a parameter for all at once, without a number, is known as well."""
     first: int = 1
+    """The lowest number that there is."""
     needs: str = ""
+    """What the data must have: "time", "way" (rows in order of time), "orientation", "plate" (a registration that does
+    not fit the plate's pose itself), or ""."""
     sets: tuple[str, ...] = ()
+    """Names of what it sets, by which effects contradict each other."""
     history: bool = False
+    """Whether it makes the tip depend on how its configuration was reached."""
     compared: str = "always"
+    """Whether a model comparison tries it: "always", "asked" (by name only, since it takes long) or "never"."""
     drives: bool = False
+    """Whether it changes nothing but joint values."""
 
 
 def _put(name: str, how: Callable[[float, Array], Array | float] = lambda value, _: value) -> Change:
@@ -96,8 +99,15 @@ def _put(name: str, how: Callable[[float, Array], Array | float] = lambda value,
     return change
 
 
-def _latency(setup: Setup, _: Setup, __: Sequence[int], value: float, ___: bool) -> None:
-    setup.latency = value
+def _drive(name: str) -> Change:
+    """A number of the drives, by its name in their calibration."""
+
+    def change(setup: Setup, _: Setup, which: Sequence[int], value: float, __: bool) -> None:
+        known: float | tuple[float, ...] = getattr(setup.drives, name)
+        given = value if isinstance(known, float) else tuple(value if i in which else x for i, x in enumerate(known))
+        setup.drives = replace(setup.drives, **{name: given})  # type: ignore[arg-type]
+
+    return change
 
 
 def _curvature(setup: Setup, first: Setup, which: Sequence[int], value: float, common: bool) -> None:
@@ -120,10 +130,10 @@ def _within(start: float, reach: float, scale: float, prior: float) -> Range:
 
 
 def _own(name: str, reach: float, scale: float, prior: float, *, positive: bool = False) -> Range:
-    """Around the value of the setup, or from 0 on."""
+    """Around the value of the drives, or from 0 on."""
 
     def span(context: Context, index: int | None) -> Span:
-        start = float(np.atleast_1d(getattr(context.setup, name))[index or 0])
+        start = float(np.atleast_1d(getattr(context.setup.drives, name))[index or 0])
         ends = (0.0, max(start, reach)) if positive else (start - reach, start + reach)
         return Span(start, *ends, scale, prior)
 
@@ -158,7 +168,7 @@ def _nu_span(context: Context, index: int | None) -> Span:
 def _translation_span(context: Context, index: int | None) -> Span:
     together = context.robot.moving_together
     tubes = list(range(context.robot.n_tubes)) if index is None else list(together[index])
-    start = float(context.setup.translation[tubes[0]])
+    start = context.setup.drives.translation_offsets[tubes[0]]
     room = min(context.robot.tubes[i].straight_length - _furthest(context, i) for i in tubes)
     scale = context.length / 10
     return Span(start, start - 2 * scale, start + max(0.0, min(2 * scale, room)), scale, 2e-3)
@@ -166,8 +176,8 @@ def _translation_span(context: Context, index: int | None) -> Span:
 
 def _furthest(context: Context, tube: int) -> float:
     """The largest translation of a tube by the model, m."""
-    setup, measured = context.setup, context.measurements.translations[:, tube].max()
-    return float(setup.translation_gain[tube] * measured + setup.translation[tube])
+    drives, measured = context.setup.drives, context.measurements.translations[:, tube].max()
+    return float(drives.translation_gains[tube] * measured + drives.translation_offsets[tube])
 
 
 def _transmission_span(context: Context, index: int | None) -> Span:
@@ -216,37 +226,37 @@ DEGREE = math.pi / 180
 EFFECTS: dict[str, Effect] = {
     "latency": Effect(
         "the measured tips come so much later than the joint readings", "s", "",
-        _own("latency", 0.5, 0.1, 0.1), _latency, needs="time", history=True, drives=True,
+        _own("latency", 0.5, 0.1, 0.1), _drive("latency"), needs="time", history=True, drives=True,
     ),
     "translation": Effect(
         "offset added to the translation of carriage I", "m", "carriage",
-        _translation_span, _put("translation"), drives=True,
+        _translation_span, _drive("translation_offsets"), drives=True,
     ),
     "rotation": Effect(
         "offset added to the rotation of tube I", "rad", "tube",
-        _own("rotation", math.pi, 1.0, 10 * DEGREE), _put("rotation"), drives=True,
+        _own("rotation_offsets", math.pi, 1.0, 10 * DEGREE), _drive("rotation_offsets"), drives=True,
     ),
     "rotation_gain": Effect(
         "factor on the rotation readings of tube I", "", "tube",
-        _own("rotation_gain", 0.2, 0.1, 0.02), _put("rotation_gain"), drives=True,
+        _own("rotation_gains", 0.2, 0.1, 0.02), _drive("rotation_gains"), drives=True,
     ),
     "translation_gain": Effect(
         "factor on all translation readings, or on those of carriage I", "", "carriage",
-        _own("translation_gain", 0.2, 0.1, 0.02), _put("translation_gain"), common=True, drives=True,
+        _own("translation_gains", 0.2, 0.1, 0.02), _drive("translation_gains"), common=True, drives=True,
     ),
     "rotation_play": Effect(
         "half width of the backlash between drive and tube I", "rad", "tube",
-        _own("rotation_play", 20 * DEGREE, 0.1, DEGREE, positive=True), _put("rotation_play"),
+        _own("rotation_play", 20 * DEGREE, 0.1, DEGREE, positive=True), _drive("rotation_play"),
         needs="way", history=True, drives=True,
     ),
     "translation_play": Effect(
         "half width of the backlash between drive and carriage I", "m", "carriage",
-        _own("translation_play", 5e-3, 1e-3, 5e-4, positive=True), _put("translation_play"),
+        _own("translation_play", 5e-3, 1e-3, 5e-4, positive=True), _drive("translation_play"),
         needs="way", history=True, drives=True,
     ),
     "translation_compliance": Effect(
         "by how much carriage I of a concentric robot yields to the force of its tubes", "m/N", "spring",
-        _own("translation_compliance", 0.1, 0.01, 1e-3, positive=True), _put("translation_compliance"),
+        _own("translation_compliance", 0.1, 0.01, 1e-3, positive=True), _drive("translation_compliance"),
         compared="asked", drives=True,
     ),
     "friction": Effect(

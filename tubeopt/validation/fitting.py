@@ -46,28 +46,27 @@ FIRST_GUESS = 1e-3, np.radians(1.0)
 class FitOptions:
     """How a fit goes about it.
 
-    Args:
-        registration, base: as for `validate`.
-        folds: of the cross-validation: blocks of the way (rows with times, places that are passed again together), or
-            rows dealt in a fixed order; each is predicted by a fit, registration included, to the others. 0: none.
-        confidence: of the intervals, between 0 and 1.
-        loss: how a large error counts: "linear" (least squares), "huber" or "soft_l1".
-        priors: whether parameters are drawn to their values in the drawing, by how far these may be off.
-        noise: standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it.
-        solver: how the fit descends.
-
     Raises:
         InputError: a value out of its range.
     """
 
     registration: str = "rigid"
+    """As for `validate`."""
     base: BasePose = SENSOR_FRAME
+    """As for `validate`."""
     folds: int = 5
+    """Of the cross-validation: blocks of the way (rows with times, places that are passed again together), or rows
+    dealt in a fixed order; each is predicted by a fit, registration included, to the others. 0: none."""
     confidence: float = 0.95
+    """Of the intervals, between 0 and 1."""
     loss: str = "linear"
+    """How a large error counts: "linear" (least squares), "huber" or "soft_l1"."""
     priors: bool = False
+    """Whether parameters are drawn to their values in the drawing, by how far these may be off."""
     noise: tuple[float | None, float | None] = (None, None)
+    """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""
     solver: FitSolver = DEFAULT_SOLVER
+    """How the fit descends."""
 
     def __post_init__(self) -> None:
         choice("registration", self.registration, FREEDOMS)
@@ -82,22 +81,21 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted parameter with its confidence interval [low, high]; unit "", "1/m", "rad", "m", "s", "N" or "m/N".
-
-    The interval takes errors as independent; `block_error`, the standard error from blocks of rows drawn again, does
-    not, and is the one to believe where it is larger. A parameter that the data cannot determine is held at its start:
-    its value is the start and its interval infinite.
-    """
+    """A fitted parameter with its confidence interval."""
 
     name: str
     unit: str
+    """One of "", "1/m", "rad", "m", "s", "N" and "m/N"."""
     start: float
     value: float
     standard_error: float
+    """If errors were independent, as for `low` and `high`."""
     low: float
     high: float
     held: bool
+    """Whether the data cannot determine it: its value is the start and its interval infinite."""
     block_error: float
+    """Standard error from blocks of rows drawn again, to be believed where it is larger; so are the next two."""
     block_low: float
     block_high: float
 
@@ -119,35 +117,34 @@ class FitStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Fit(Displayed):
-    """A robot calibrated to measurements.
-
-    Attributes:
-        robot: with the estimated parameters, those of its drives as its `calibration`; save it as YAML.
-        estimates: one for every chosen parameter.
-        correlation: (P, P) of the estimates, NaN for those that are held.
-        confidence: of the intervals.
-        noise: estimated standard deviation of one measured coordinate, m.   axis_noise: of a direction, rad, or None.
-        before, after: the robot as given and as fitted, against all measurements.
-        held_out_errors, held_out_axis_errors: (N,) tip errors (m) and angles (rad) of each row, by the fit to the folds
-            without it; None without folds, or without directions.
-        fold: (N,) fold of each row, None without folds.
-        remarks: in words, what the data do not determine, or hardly, and what was noticed when they were read.
-        evaluations: shapes that were solved.
-    """
+    """A robot calibrated to measurements."""
 
     robot: Robot
+    """With the estimated parameters, those of its drives as its `calibration`; save it as YAML."""
     estimates: tuple[Estimate, ...]
+    """One for every chosen parameter."""
     correlation: Array
+    """(P, P) of the estimates, NaN for those that are held."""
     confidence: float
+    """Of the intervals."""
     noise: float
+    """Estimated standard deviation of one measured coordinate, m."""
     axis_noise: float | None
+    """Of a direction, rad, or None."""
     before: Validation
+    """The robot as given, against all measurements."""
     after: Validation
+    """The robot as fitted, against all measurements."""
     held_out_errors: Array | None
+    """(N,) tip errors of each row, by the fit to the folds without it, m; None without folds."""
     held_out_axis_errors: Array | None
+    """(N,) angles of the same, rad; None without folds, or without directions."""
     fold: Index | None
+    """(N,) fold of each row, None without folds."""
     remarks: tuple[str, ...]
+    """In words, what the data do not determine, or hardly, and what was noticed when they were read."""
     evaluations: int
+    """Shapes that were solved."""
 
     @property
     def value(self) -> Robot:

@@ -22,14 +22,12 @@ STILL = 2e-4
 
 @dataclass(frozen=True, eq=False)
 class Passes:
-    """Rows of a way, and the places that they are at.
-
-    place: (N,) the row that first came by, its own index where the way was new.
-    pairs: (M, 2) rows at one place that were passed in opposite directions, a row in at most one pair.
-    """
+    """Rows of a way, and the places that they are at."""
 
     place: Index
+    """(N,) the row that first came by, its own index where the way was new."""
     pairs: Index
+    """(M, 2) rows at one place that were passed in opposite directions, a row in at most one pair."""
 
 
 def passes(measurements: Measurements) -> Passes:
@@ -97,16 +95,16 @@ def deal(measurements: Measurements, folds: int, place: Index | None = None) -> 
 
 @dataclass(frozen=True)
 class Parity:
-    """Residuals of places that were passed both ways: half their difference depends on the way there (history: latency,
-    friction, backlash), half their sum does not. Root mean squares, m; noise is in both alike.
-
-    pairs: how many.   measured: the same of half the difference of the tips as measured, without any model.
-    """
+    """Residuals of places that were passed both ways, root mean squares, m; noise is in all alike."""
 
     pairs: int
+    """How many."""
     history: float
+    """Of half their difference, which depends on the way there: latency, friction, backlash."""
     static: float
+    """Of half their sum, which does not."""
     measured: float
+    """Of half the difference of the tips as measured, without any model."""
 
 
 def parity(pairs: Index, residuals: Array, measured: Array) -> Parity | None:

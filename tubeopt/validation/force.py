@@ -31,21 +31,18 @@ UNSEEN = 1e-8
 class ForceSolver(Settings):
     """How the fit of a force descends; of `estimate_force` and `estimate_forces`.
 
-    Args:
-        steps: after which it gives up.
-        longest_move: largest move of a measured point in one step, as a share of the arm: beyond, the linear fit tells
-            nothing.
-        first_damping: of the square of the best told direction: others may be seen a thousand times less.
-        settled: step, in standard errors of the force, below which it has settled.
-
     Raises:
         InputError: steps that are no whole number of at least 1, another number that is not positive.
     """
 
     steps: int = 60
+    """After which it gives up."""
     longest_move: float = 0.1
+    """Largest move of a measured point in one step, as a share of the arm: beyond, the linear fit tells nothing."""
     first_damping: float = 1e-8
+    """Of the square of the best told direction: others may be seen a thousand times less."""
     settled: float = 1e-4
+    """Step, in standard errors of the force, below which it has settled."""
 
 
 DEFAULT_FORCE = ForceSolver()
@@ -67,27 +64,24 @@ class ForceStatistics:
 
 @dataclass(frozen=True, eq=False)
 class ForceEstimate(Displayed):
-    """A force at the tip, world axes, and how far it is told.
-
-    Attributes:
-        force: (3,) N.
-        covariance: (3, 3) N^2, by the noise of the measurement; inf along directions that are not seen at all.
-        directions: (3, 3) unit vectors by row, from the best to the worst told.   errors: (3,) standard error along
-            each, N.
-        equilibrium: of the robot under that force.
-        residual: root mean square distance of the measured points from the fitted ones, m.
-        fit: sum of squares of residuals over noise, and by what number it is on average: measured coordinates less 3.
-        iterations: steps of the fit.
-    """
+    """A force at the tip, world axes, and how far it is told."""
 
     force: Array
+    """(3,) N."""
     covariance: Array
+    """(3, 3) N^2, by the noise of the measurement; inf along directions that are not seen at all."""
     directions: Array
+    """(3, 3) unit vectors by row, from the best to the worst told."""
     errors: Array
+    """(3,) standard error along each, N."""
     equilibrium: Equilibrium
+    """Of the robot under that force."""
     residual: float
+    """Root mean square distance of the measured points from the fitted ones, m."""
     fit: tuple[float, int]
+    """Sum of squares of residuals over noise, and by what number it is on average: measured coordinates less 3."""
     iterations: int
+    """Steps of the fit."""
 
     @property
     def value(self) -> Array:
@@ -119,17 +113,18 @@ class ForceEstimate(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class ForceRecord(Displayed):
-    """Forces at the tip over the N rows of a recording.
-
-    robot, measurements, noise: what was asked, noise in m.   estimates: one per row, None where there is none.
-    failures: (row, reason in words) of those.
-    """
+    """Forces at the tip over the N rows of a recording."""
 
     robot: Robot
+    """That was pushed."""
     measurements: Measurements
+    """Where its arm was seen."""
     noise: float
+    """Of a measured coordinate, m."""
     estimates: tuple[ForceEstimate | None, ...]
+    """One per row, None where there is none."""
     failures: tuple[tuple[int, str], ...]
+    """(row, reason in words) of those."""
 
     @property
     def force(self) -> Array:

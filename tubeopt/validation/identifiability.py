@@ -113,22 +113,16 @@ def join(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def history_parameters(model: ArmModel) -> list[Parameter]:
-    """Every parameter by which the tip depends on how its configuration was reached, where the data can tell."""
-    known = groups(model.robot, model.measurements, model.method)
-    names = [name for kind, own in known.items() if EFFECTS[kind].history for name in own]
-    return list(choose_parameters(model.robot, model.measurements, names, model.method)) if names else []
-
-
 def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
     """A remark where an effect of history was fitted that others of these data could imitate."""
     fitted = {p.name for p in model.parameters if p.effect.history}
     if not fitted:
         return []
-    known = history_parameters(model)
-    others = [p for p in known if p.name not in fitted]
-    if not others:
+    known = groups(model.robot, model.measurements, model.method)
+    names = [name for kind, own in known.items() if EFFECTS[kind].history for name in own if name not in fitted]
+    if not names:
         return []
+    others = choose_parameters(model.robot, model.measurements, names, model.method)
     every = [*model.parameters, *others]
     start = np.append(fit.state.x, [p.start for p in others])
     count = len(model.parameters)

@@ -21,15 +21,16 @@ Z = (0.0, 0.0, 1.0)
 class JointLog:
     """Joint readings at times of their own.
 
-    time: (M,) s, ascending.   rotations, translations: (M, n), rad and m.
-
     Raises:
         InputError: arrays that do not fit each other, times that do not ascend, or a number that is not finite.
     """
 
     time: Array
+    """(M,) s, ascending."""
     rotations: Array
+    """(M, n) rad."""
     translations: Array
+    """(M, n) m."""
 
     def __post_init__(self) -> None:
         time, rotations = finite_array("log.time", self.time, 1), finite_array("log.rotations", self.rotations, 2)
@@ -54,37 +55,37 @@ class Measurements:
     For an eccentric robot that is the sheath's centreline where one sensor sits in each of its three tubes; a single
     sensor there is off by the tube's distance from the centreline.
 
-    Args:
-        rotations, translations: (N, n) joint readings, rad and m; translations from home.
-        sensors: (N, S, 3) positions in the frame of the measuring device, m; (N, 3) is one sensor. NaN where a sensor
-            was not seen; every row needs one that was.
-        direction, separation: (N,) mirror actuation that the rotations come from, rad; None where there is none.
-        source: where the data are from, for messages and pictures.
-        time: (N,) s of the positions; None where there is none. Rows are then single configurations, not a way.
-        behind: (S,) distance of each sensor behind the tip along the arm, m; None is all at the tip.
-        orientation: (N, 3, 3) frame of the tip's sensor in the device's, NaN where it was not seen; None for none.
-        sensor_axis: (3,) direction along the tube, towards the tip, in the frame of the tip's sensor; None finds out
-            which of +-x, +-y, +-z it is.
-        log: joint readings at a rate of their own, where the joints were recorded apart.
-        remarks: what was noticed when the data were read, in words.
-
     Raises:
         InputError: arrays that do not fit each other, no configuration, a row that no sensor saw, or a number that is
             not finite.
     """
 
     rotations: Array
+    """(N, n) joint readings, rad."""
     translations: Array
+    """(N, n) joint readings from home, m."""
     sensors: Array
+    """(N, S, 3) positions in the frame of the measuring device, m; (N, 3) is one sensor. NaN where a sensor was not
+    seen; every row needs one that was."""
     direction: Array | None = None
+    """(N,) of the mirror actuation that the rotations come from, rad; None where there is none."""
     separation: Array | None = None
+    """(N,) of the same, rad."""
     source: str = ""
+    """Where the data are from, for messages and pictures."""
     time: Array | None = None
+    """(N,) s of the positions; None where there is none. Rows are then single configurations, not a way."""
     behind: Array | None = None
+    """(S,) distance of each sensor behind the tip along the arm, m; None is all at the tip."""
     orientation: Array | None = None
+    """(N, 3, 3) frame of the tip's sensor in the device's, NaN where it was not seen; None for none."""
     sensor_axis: Array | None = None
+    """(3,) direction along the tube, towards the tip, in the frame of the tip's sensor; None finds out which of +-x,
+    +-y, +-z it is."""
     log: JointLog | None = None
+    """Joint readings at a rate of their own, where the joints were recorded apart."""
     remarks: tuple[str, ...] = ()
+    """What was noticed when the data were read, in words."""
 
     def __post_init__(self) -> None:
         rotations = finite_array("rotations", self.rotations, 2)
@@ -136,14 +137,20 @@ class Measurements:
     @property
     def stations(self) -> Array:
         """(K,) distances behind the tip at which there are sensors, m, the foremost first."""
-        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
-        return np.unique(np.round(behind / SAME_PLACE)) * SAME_PLACE
+        return np.unique(np.round(self._behind / SAME_PLACE)) * SAME_PLACE
+
+    @property
+    def _behind(self) -> Array:
+        return np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
+
+    def _at(self, station: float) -> Array:
+        """(N, s, 3) positions of the sensors at a station."""
+        return np.asarray(self.sensors[:, np.abs(self._behind - station) < SAME_PLACE])
 
     @property
     def station_position(self) -> Array:
         """(N, K, 3) mean over the sensors of each station that were seen, m; NaN where none was."""
-        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
-        return np.stack([_mean(self.sensors[:, np.abs(behind - at) < SAME_PLACE]) for at in self.stations], axis=1)
+        return np.stack([_mean(self._at(station)) for station in self.stations], axis=1)
 
     @property
     def tip_position(self) -> Array:
@@ -153,9 +160,7 @@ class Measurements:
     @property
     def sensor_spread(self) -> Array:
         """(N,) root mean square distance of the foremost sensors from their mean, m; 0 for one sensor."""
-        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
-        front = self.sensors[:, np.abs(behind - self.stations[0]) < SAME_PLACE]
-        squares = ((front - self.tip_position[:, None]) ** 2).sum(2)
+        squares = ((self._at(self.stations[0]) - self.tip_position[:, None]) ** 2).sum(2)
         return np.asarray(np.sqrt(np.nansum(squares, axis=1) / np.maximum(np.isfinite(squares).sum(1), 1)))
 
     def rows(self, index: ArrayLike) -> Measurements:

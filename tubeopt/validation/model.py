@@ -140,11 +140,11 @@ class ArmModel:
 
     def joints(self, setup: Setup) -> tuple[Array, Array]:
         """(N, n) joint values of the model, rad and m."""
-        rotations, translations = self.timeline.readings(setup.latency)
-        alpha = self.timeline.with_play(rotations * setup.rotation_gain + setup.rotation, setup.rotation_play)
-        shift = translations * setup.translation_gain + setup.translation
-        shift = self.timeline.with_play(shift, setup.translation_play)
-        if not setup.translation_compliance.any():
+        drives = setup.drives
+        alpha, shift = drives.to_model(*self.timeline.readings(drives.latency))
+        alpha = self.timeline.with_play(alpha, np.array(drives.rotation_play))
+        shift = self.timeline.with_play(shift, np.array(drives.translation_play))
+        if not any(drives.translation_compliance):
             return alpha, shift
         return alpha, self._yielded(setup, alpha, shift)
 
@@ -154,14 +154,14 @@ class ArmModel:
         Tubes that rub carry the friction among themselves; to the carriages they are tubes that do not.
         """
         for told, *given, found in self._gave_way:
-            same = told.same_tubes(setup) and np.array_equal(told.translation_compliance, setup.translation_compliance)
-            if same and np.array_equal(given, [alpha, shift]):
+            yields_alike = told.drives.translation_compliance == setup.drives.translation_compliance
+            if yields_alike and told.same_tubes(setup) and np.array_equal(given, [alpha, shift]):
                 return found
         near = None
         if self._gave_way:
             _, _, before, there = self._gave_way[0]
             near = there + shift - before
-        found = yielded(setup.robot(self.robot), alpha, shift, setup.translation_compliance, near)
+        found = yielded(setup.robot(self.robot), alpha, shift, np.array(setup.drives.translation_compliance), near)
         self._gave_way[:] = [(setup.copy(), alpha, shift, found), *self._gave_way[:2]]
         return found
 

@@ -10,7 +10,7 @@ from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from .effects import EFFECTS, KINDS, Context, Effect
+from .effects import EFFECTS, KINDS, Context, Effect, Span
 from .measurements import Measurements
 from .registration import FITS_PLATE
 from .setup import Setup, members
@@ -22,28 +22,19 @@ COUNTED = {"carriage": "carriages", "spring": "carriages that yield", "pair": "p
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """A number to be estimated.
-
-    Attributes:
-        name, kind, index: as chosen ("curvature_2"), its kind ("curvature"), its number from 0 (None: all).
-        unit: "", "1/m", "rad", "m", "s", "N" or "m/N".
-        start, low, high: value of the robot as given, and the range that is searched.
-        scale: a change of this size is a large one.
-        prior: how far the drawing may be off, one standard deviation.
-        which: places in the setup that it sets.
-    """
+class Parameter(Span):
+    """A number to be estimated."""
 
     name: str
+    """As chosen: "curvature_2"."""
     kind: str
+    """That of its effect: "curvature"."""
     index: int | None
+    """Its number, from 0; None: all."""
     unit: str
-    start: float
-    low: float
-    high: float
-    scale: float
-    prior: float
+    """As of its effect; "" for a factor on all curvatures."""
     which: tuple[int, ...]
+    """Places in the setup that it sets."""
 
     @property
     def effect(self) -> Effect:
@@ -123,10 +114,9 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
     if missing:
         raise InputError(f"parameter {name!r} {missing}")
     index = None if number is None else numbers_of(context, effect).index(number) + effect.first - 1
-    span = effect.span(context, index)
     unit = "" if index is None and kind == "curvature" else effect.unit
-    which = _places(context, effect, index)
-    return Parameter(name, kind, index, unit, span.start, span.low, span.high, span.scale, span.prior, which)
+    span, which = effect.span(context, index), _places(context, effect, index)
+    return Parameter(**vars(span), name=name, kind=kind, index=index, unit=unit, which=which)
 
 
 def _known(kind: str, number: str | None) -> bool:

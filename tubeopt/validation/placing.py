@@ -33,20 +33,18 @@ from .poses import solve_poses
 class PlacementSearch(Settings):
     """How hard it is searched where to measure; of `where_to_measure`.
 
-    Args:
-        candidates: random configurations that are chosen from.
-        draws: times as many are drawn at most, until enough are admissible.
-        rounds: times that every chosen configuration is offered for exchange, at most.
-        compared: random choices whose median tells what is gained.
-
     Raises:
         InputError: one that is no whole number of at least 1.
     """
 
     candidates: int = 600
+    """Random configurations that are chosen from."""
     draws: int = 60
+    """Times as many are drawn at most, until enough are admissible."""
     rounds: int = 8
+    """Times that every chosen configuration is offered for exchange, at most."""
     compared: int = 20
+    """Random choices whose median tells what is gained."""
 
 
 DEFAULT_PLACEMENT = PlacementSearch()
@@ -54,28 +52,28 @@ DEFAULT_PLACEMENT = PlacementSearch()
 
 @dataclass(frozen=True, eq=False)
 class Placement(Displayed):
-    """Configurations to measure, in an order that can be driven.
-
-    Attributes:
-        rotations, translations: (N, n) readings of the drives, rad and m; home where a leg goes round a snap.
-        measured: (N,) whether a row is one to measure, or only on the way.
-        margin: (N,) stability margin.
-        parameters: names.   units: of their standard errors.
-        standard_errors: (P,) expected at `noise`; random: (P,) of as many random configurations, the median.
-        noise: standard deviation of a measured coordinate, m, that the errors are told for.
-    """
+    """Configurations to measure, in an order that can be driven."""
 
     robot: Robot
     """That is to be measured."""
     rotations: Array
+    """(N, n) readings of the drives, rad; home where a leg goes round a snap."""
     translations: Array
+    """(N, n) of the same, m."""
     measured: Mask
+    """(N,) whether a row is one to measure, or only on the way."""
     margin: Array
+    """(N,) stability margin."""
     parameters: tuple[str, ...]
+    """Names."""
     units: tuple[str, ...]
+    """Of their standard errors."""
     standard_errors: Array
+    """(P,) expected at `noise`."""
     random: Array
+    """(P,) of as many random configurations, the median."""
     noise: float
+    """Standard deviation of a measured coordinate, m, that the errors are told for."""
 
 
 @small

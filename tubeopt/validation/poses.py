@@ -27,20 +27,18 @@ from ..typing import Array, Index, Mask
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Stable equilibria of N configurations, each found on its own; NaN where none was. Plate frame, SI.
-
-    Attributes:
-        position: (N, K, 3) of K stations, the foremost first.
-        frame: (N, 3, 3) of the tip of the tube that ends last: its own axes, turned with it.
-        margin: (N,), NaN too where it was not asked for.   length: (N,) of the arm in front of the plate, m.
-        failures: (row, reason in words).
-    """
+    """Stable equilibria of N configurations, each found on its own; NaN where none was. Plate frame, SI."""
 
     position: Array
+    """(N, K, 3) of K stations, the foremost first."""
     frame: Array
+    """(N, 3, 3) of the tip of the tube that ends last: its own axes, turned with it."""
     margin: Array
+    """(N,), NaN too where it was not asked for."""
     length: Array
+    """(N,) of the arm in front of the plate, m."""
     failures: tuple[tuple[int, str], ...]
+    """(row, reason in words)."""
 
     @property
     def found(self) -> Mask:

@@ -124,18 +124,14 @@ def register(
 
 
 def _about_axis(measured: Array, predicted: Array, base: BasePose) -> Registration:
-    """Base to the origin, its axis to z by the smallest turn, then the best yaw."""
-    x, y, z = base.axis
-    about = math.atan2(-x, y)  # of the turn's axis in the plane: an angle has a length of 1 however small x and y are
-    turn = math.atan2(math.hypot(x, y), z) * np.array([math.cos(about), math.sin(about), 0.0])
-    upright = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
-    q = (measured - np.array(base.position)) @ upright.T
-    along = float((q[:, :2] * predicted[:, :2]).sum())
-    turned = float((q[:, 0] * predicted[:, 1] - q[:, 1] * predicted[:, 0]).sum())
-    if math.hypot(along, turned) <= IN_LINE**2 * len(q):
+    """Base to the origin, its axis to z, with the best yaw."""
+    from_base = measured - np.array(base.position)
+    pairs = np.vstack([[0.0, 0.0, 1.0], predicted]), np.vstack([base.axis, from_base])
+    weights = np.append(np.inf, np.ones(len(measured)))
+    rotation = scipy.spatial.transform.Rotation.align_vectors(*pairs, weights=weights)[0].as_matrix()
+    if ((from_base @ rotation.T)[:, :2] * predicted[:, :2]).sum() <= IN_LINE**2 * len(measured):
         raise InputError(
             "registration is 'base-axis' and every tip lies on the axis, about which the frame could turn; measure "
             "bent configurations, or use none"
         )
-    rotation = scipy.spatial.transform.Rotation.from_euler("z", math.atan2(turned, along)).as_matrix() @ upright
     return Registration("base-axis", rotation, -rotation @ np.array(base.position))

@@ -34,46 +34,46 @@ from .subsets import Effects, HeldOutSets, Slopes, slopes_around
 
 @dataclass(frozen=True)
 class Step:
-    """One effect of a comparison, at the state to which it was added, or would be next.
-
-    effect: its kind.   parameters: their names.   kept: whether it pays.
-    gain: part by which the held-out error falls.   certainty: gain over its standard error between folds.
-    held_out: tip errors with it, m.   held_out_axis: root mean square of the angles, rad, or None.
-    rivals: effects that would have predicted as well in its place: these data do not tell which of them it is.
-    """
+    """One effect of a comparison, at the state to which it was added, or would be next."""
 
     effect: str
+    """Its kind."""
     parameters: tuple[str, ...]
+    """Their names."""
     kept: bool
+    """Whether it pays."""
     gain: float
+    """Part by which the held-out error falls."""
     certainty: float
+    """Gain over its standard error between folds."""
     held_out: ErrorSummary
+    """Tip errors with it, m."""
     held_out_axis: float | None
+    """Root mean square of the angles, rad, or None."""
     rivals: tuple[str, ...] = ()
+    """Effects that would have predicted as well in its place: these data do not tell which of them it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Displayed):
-    """Effects in the order in which they pay.
-
-    Attributes:
-        start: held-out tip errors of the robot as given, only registered.   start_axis: its angles, rad, or None.
-        steps: the effects that were kept, in order.
-        dropped: effects of sets on the way to the last that others made useless; `refused` tells what they would bring.
-        refused: those that do not pay beside the kept ones, the best first.
-        fit: with the kept effects; None where none pays.
-        folds: how many there are.
-        remarks: what was noticed when the measurements were read, in words.
-    """
+    """Effects in the order in which they pay."""
 
     start: ErrorSummary
+    """Held-out tip errors of the robot as given, only registered."""
     start_axis: float | None
+    """Its angles, rad, or None."""
     steps: tuple[Step, ...]
+    """The effects that were kept, in order."""
     dropped: tuple[str, ...]
+    """Effects of sets on the way to the last that others made useless; `refused` tells what they would bring."""
     refused: tuple[Step, ...]
+    """Those that do not pay beside the kept ones, the best first."""
     fit: Fit | None
+    """With the kept effects; None where none pays."""
     folds: int
+    """How many there are."""
     remarks: tuple[str, ...]
+    """What was noticed when the measurements were read, in words."""
 
     @property
     def chosen(self) -> tuple[str, ...]:
@@ -145,13 +145,10 @@ class _Search:
         place = passes(measurements).place
         self.fold, self.block = (deal(measurements, k, place) for k in (options.folds, options.solver.blocks))
         self.model = ArmModel(robot, measurements, (), options.registration, options.base)
-        self.fits: dict[Effects, _Trial | None] = {}
         self.passed: list[str] = []
         self.tried = 0
-        self.begun = self.now = self._fitted((), self.model.start, FIRST_GUESS)
-        self.fits[Effects()] = self.begun
-        self.slopes = self._slopes(self.now, known)
-        self.sets = self._sets(self.slopes)
+        self.begun = self._fitted((), self.model.start, FIRST_GUESS)
+        self._stand(self.begun)
 
     def run(self) -> None:
         """From set to set while one is better, then to effects that stand first in the table where nothing speaks
@@ -169,11 +166,15 @@ class _Search:
     def _move(self, trial: _Trial) -> None:
         self.passed += self.now.effects
         long = self._long(trial.effects)
-        self.now = self._fitted(trial.effects, trial.fit.state, trial.sigma) if long else trial
-        self.slopes = self._slopes(self.now, self.known)
+        self._stand(self._fitted(trial.effects, trial.fit.state, trial.sigma) if long else trial)
+
+    def _stand(self, trial: _Trial) -> None:
+        """A fit, and what is told of all others around it."""
+        self.now = trial
+        self.slopes = self._slopes(trial, self.known)
         self.sets = self._sets(self.slopes)
         # What was fitted from afar, by the slopes there, may not have come to its end.
-        self.fits = {Effects(): self.begun, Effects(trial.effects): self.now}
+        self.fits: dict[Effects, _Trial | None] = {Effects(): self.begun, Effects(trial.effects): trial}
 
     def _better(self) -> _Trial | None:
         """The first of the sets that promise most, or nearly, which is better than that of now; None where none is."""
@@ -326,13 +327,12 @@ class _Search:
 
     def _refused(self) -> tuple[Step, ...]:
         """What each of the other effects would bring beside those that were kept, the best first."""
-        slopes = self._slopes(self.now, self.known)
-        weights, out = self._weights(slopes), list[Step]()
+        weights, out = self._weights(self.slopes), list[Step]()
         for kind in self.known:
-            if kind in self.now.effects or not any(p.kind == kind for p in slopes.model.parameters):
+            if kind in self.now.effects or not any(p.kind == kind for p in self.slopes.model.parameters):
                 continue
             fitted = self.fits.get(Effects({*self.now.effects, kind}))
-            residuals = slopes.beside(kind, weights, self.fold) if fitted is None else fitted.residuals
+            residuals = self.slopes.beside(kind, weights, self.fold) if fitted is None else fitted.residuals
             out.append(self._step(kind, self.now, residuals, kept=False))
         return tuple(sorted(out, key=lambda step: -step.gain))
 

@@ -20,76 +20,57 @@ from ..typing import Array
 
 CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
 
-DRIVES = {
-    "rotation": "rotation_offsets",
-    "rotation_gain": "rotation_gains",
-    "rotation_play": "rotation_play",
-    "translation": "translation_offsets",
-    "translation_gain": "translation_gains",
-    "translation_play": "translation_play",
-    "translation_compliance": "translation_compliance",
-}
-"""Numbers of the drives -> the table of a calibration that holds them."""
-
 
 @dataclass(eq=False)
 class Setup:
     """The numbers of a robot with n tubes of m kinds, as measured; effects change them in place. SI units.
 
-    Attributes:
-        latency: s by which the measured tips come later than the joint readings.
-        rotation, rotation_gain, rotation_play, translation, translation_gain, translation_play, translation_compliance:
-            (n,) of the drives; see `Calibration`.
-        friction: (n - 1,) N m per m between neighbouring tubes of a concentric robot; (0,) of others.
-        clearance: (n - 1,) m, radial, of every tube in the next one of a concentric robot; (0,) of others.
-        curvature, straight_length, curved_length, bending_stiffness, torsional_stiffness: (m,) of the tubes that the
-            robot is described by, one per segment of an eccentric one; straight_length with the transmission.
-        piece_curvature: (p,) 1/m added to the precurvature of `pieces`, all those of tubes that have two or more: the
-            tube and the piece, from 0.
-        plate_shift, plate_tilt: (3,) m and (2,) rad about x and y, by which the plate stands off where the
-            registration puts it.
-        sensor_offset: (3,) m, of the tip's sensor from the tip, in the frame of the tube that ends last.
-        sensor_tilt: (2,) rad about x and y of that frame, between the tip's tangent and the sensor's axis.
-        transmission: the part of straight_length that the file of an eccentric robot calls transmission, m.
+    The robot is described by m tubes, one per segment of an eccentric one.
     """
 
-    latency: float
-    rotation: Array
-    rotation_gain: Array
-    rotation_play: Array
-    translation: Array
-    translation_gain: Array
-    translation_play: Array
-    translation_compliance: Array
+    drives: Calibration
     friction: Array
+    """(n - 1,) N m per m between neighbouring tubes of a concentric robot; (0,) of others."""
     clearance: Array
+    """(n - 1,) m, radial, of every tube in the next one of a concentric robot; (0,) of others."""
     curvature: Array
+    """(m,) 1/m."""
     straight_length: Array
+    """(m,) m, with the transmission."""
     curved_length: Array
+    """(m,) m."""
     bending_stiffness: Array
+    """(m,) N m^2."""
     torsional_stiffness: Array
+    """(m,) N m^2."""
     piece_curvature: Array
+    """(p,) 1/m added to the precurvature of `pieces`."""
     plate_shift: Array
+    """(3,) m by which the plate stands off where the registration puts it."""
     plate_tilt: Array
+    """(2,) rad about x and y, of the same."""
     sensor_offset: Array
+    """(3,) m, of the tip's sensor from the tip, in the frame of the tube that ends last."""
     sensor_tilt: Array
+    """(2,) rad about x and y of that frame, between the tip's tangent and the sensor's axis."""
     transmission: float = 0.0
+    """The part of `straight_length` that the file of an eccentric robot calls transmission, m."""
     pieces: tuple[tuple[int, int], ...] = ()
+    """Tube and piece, from 0, of all (p) that belong to tubes with two or more."""
 
     @classmethod
     def of(cls, robot: Robot) -> Setup:
         """The robot as its file describes it, on a plate and with a sensor that are where they should be."""
-        drives = robot.calibration or Calibration.none(robot.n_tubes)
         tubes = members(robot)
+        torque, clearance = _between(robot)
         extra = robot.transmission_length if isinstance(robot, EccentricRobot) else 0.0
         dimensions = dimensions_of(tubes)
         dimensions["straight_length"] += extra
         pieces = tuple((k, j) for k, tube in enumerate(tubes) if len(tube.pieces) > 1 for j in range(len(tube.pieces)))
         return cls(
-            latency=drives.latency,
-            **{name: np.array(getattr(drives, table)) for name, table in DRIVES.items()},
-            friction=_torques(robot),
-            clearance=_clearance(robot),
+            drives=robot.calibration or Calibration.none(robot.n_tubes),
+            friction=torque,
+            clearance=clearance,
             **dimensions,
             piece_curvature=np.zeros(len(pieces)),
             plate_shift=np.zeros(3),
@@ -108,12 +89,6 @@ class Setup:
         """Whether both describe the same tubes, which rub alike."""
         return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in TUBES)
 
-    def calibration(self, found_by: str = "") -> Calibration | None:
-        """The part that the drives have; None where they read true."""
-        tables: dict[str, Any] = {table: tuple(getattr(self, name).tolist()) for name, table in DRIVES.items()}
-        found = Calibration(**tables, latency=self.latency, found_by=found_by)
-        return None if found.trivial else found
-
     def robot(self, given: Robot, found_by: str = "") -> CommonRobot:
         """The robot with these numbers; raises InputError where there is none."""
         first = Setup.of(given)
@@ -121,16 +96,20 @@ class Setup:
             tubes = members(given)
         else:
             tubes = tuple(self._tube(tube, k, first) for k, tube in enumerate(members(given)))
-        extra = 0.0
+        drives = None if self.drives.trivial else replace(self.drives, found_by=found_by)
+        if isinstance(given, ConcentricRobot):
+            rubbing = replace(friction_of(given) or Friction(), torque=tuple(self.friction.tolist()) or (0.0,))
+            friction = None if rubbing.trivial else rubbing
+            loose = tuple(self.clearance.tolist()) if self.clearance.any() else None
+            return replace(given, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
+        if isinstance(given, SegmentedEccentricRobot):
+            return replace(given, segments=tubes, calibration=drives)
         if isinstance(given, EccentricRobot):
             # What is behind the straight part of the tube is transmission, as far as there is any.
             extra = max(0.0, given.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
-        drives = self.calibration(found_by)
-        if isinstance(given, ConcentricRobot):
-            friction = _with_torque(friction_of(given), self.friction)
-            loose = tuple(self.clearance.tolist()) if self.clearance.any() else None
-            return replace(given, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
-        return _rebuild(given, tubes, extra, drives)
+            kept = replace(tubes[0], straight_length=given.tube.straight_length)
+            return replace(given, tube=kept, transmission_length=extra, calibration=drives)
+        raise InputError(f"robot is a {type(given).__name__}; only robots that a file can describe can be calibrated")
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
         lengthened = float(self.straight_length[k] - first.straight_length[k])
@@ -160,23 +139,13 @@ TUBES = ("friction", "clearance", "piece_curvature", *DIMENSIONS)
 """What describes the tubes, how they rub, and how loose they are."""
 
 
-def _torques(robot: Robot) -> Array:
+def _between(robot: Robot) -> tuple[Array, Array]:
+    """(n - 1,) torque of friction and clearance between the tubes of a concentric robot; (0,) of others."""
     if not isinstance(robot, ConcentricRobot):
-        return np.zeros(0)
-    pairs = robot.n_tubes - 1
-    return np.zeros(pairs) if robot.friction is None else np.array(robot.friction.per_pair("torque", pairs))
-
-
-def _clearance(robot: Robot) -> Array:
-    if not isinstance(robot, ConcentricRobot):
-        return np.zeros(0)
-    return np.zeros(robot.n_tubes - 1) if robot.clearance is None else np.array(robot.clearance)
-
-
-def _with_torque(friction: Friction | None, torque: Array) -> Friction | None:
-    """A friction with other torques per length (n - 1,), N m per m; None where nothing rubs."""
-    changed = replace(friction or Friction(), torque=tuple(torque.tolist()) or (0.0,))
-    return None if changed.trivial else changed
+        return np.zeros(0), np.zeros(0)
+    none = (0.0,) * (robot.n_tubes - 1)
+    torque = none if robot.friction is None else robot.friction.per_pair("torque", len(none))
+    return np.array(torque), np.array(none if robot.clearance is None else robot.clearance)
 
 
 def members(robot: Robot) -> tuple[Tube, ...]:
@@ -186,14 +155,3 @@ def members(robot: Robot) -> tuple[Tube, ...]:
     if isinstance(robot, SegmentedEccentricRobot):
         return robot.segments
     return robot.tubes
-
-
-def _rebuild(
-    given: Robot, tubes: tuple[Tube, ...], transmission: float, drives: Calibration | None
-) -> EccentricRobot | SegmentedEccentricRobot:
-    if isinstance(given, SegmentedEccentricRobot):
-        return replace(given, segments=tubes, calibration=drives)
-    if isinstance(given, EccentricRobot):
-        kept = replace(tubes[0], straight_length=given.tube.straight_length)
-        return replace(given, tube=kept, transmission_length=transmission, calibration=drives)
-    raise InputError(f"robot is a {type(given).__name__}; only robots that a file can describe can be calibrated")

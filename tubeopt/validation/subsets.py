@@ -38,15 +38,6 @@ class HeldOutSets:
     """What sets of effects lose, held out and by the fit to all: by residuals around a state, with every effect that
     may be part of a set, P parameters and F freedoms besides.
 
-    Args:
-        residuals: (V, 3).   slopes: (V, 3, P + F).   weights: (V,) of their squares.   fold (V,).
-        numbers: how many are independent.   kinds: effect of each parameter (P,).
-        there: effects that are part of the state.   absent: (P,) what to add to each to be without it.
-        drawn: (P,) what to add to be as drawn, and `prior` (P,) the standard deviation around it.
-        low, high: (P,) least and greatest change.
-        jumps: residuals (V, 3) that an effect brings at once, where its parameters alone do not say what it is to be
-            without it.
-
     Attributes:
         inflation: of the variance of parameters, 1 for independent errors.
         price: what a parameter must gain by the fit to all, two standard errors.
@@ -54,18 +45,31 @@ class HeldOutSets:
     """
 
     residuals: Array
+    """(V, 3)."""
     slopes: Array
+    """(V, 3, P + F)."""
     weights: Array
+    """(V,) of the squares of residuals."""
     fold: Index
+    """(V,)."""
     numbers: int
+    """How many are independent."""
     kinds: tuple[str, ...]
+    """(P,) effect of each parameter."""
     there: Effects
+    """Effects that are part of the state."""
     absent: Array
+    """(P,) what to add to each to be without it."""
     drawn: Array
+    """(P,) what to add to be as drawn."""
     prior: Array
+    """(P,) standard deviation around that."""
     low: Array
+    """(P,) least change."""
     high: Array
+    """(P,) greatest change."""
     jumps: Mapping[str, Array]
+    """(V, 3) residuals that an effect brings at once, where parameters alone do not say what it is to be without it."""
 
     def __post_init__(self) -> None:
         self.names, self.count, v = tuple(dict.fromkeys(self.kinds)), len(self.kinds), len(self.residuals)
@@ -158,19 +162,20 @@ class HeldOutSets:
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Around a fit to V observations, with P parameters and F freedoms of the registration.
-
-    model: with all parameters, those of the fit first.   state: where they are.   there: effects of the fit.
-    residuals: (V, 3) of the fit.   table: (V, 3, P + F) derivatives.
-    jumps: residuals (V, 3) that an effect brings at once which is there at its start already.
-    """
+    """Around a fit to V observations, with P parameters and F freedoms of the registration."""
 
     model: ArmModel
+    """With all parameters, those of the fit first."""
     state: State
+    """Where they are."""
     there: Effects
+    """Effects of the fit."""
     residuals: Array
+    """(V, 3) of the fit."""
     table: Array
+    """(V, 3, P + F) derivatives."""
     jumps: Mapping[str, Array]
+    """(V, 3) residuals that an effect brings at once which is there at its start already."""
 
     def of(self, parameters: Sequence[Parameter]) -> Array:
         """(V, 3, Q + F) derivatives by some of the parameters, in their order."""

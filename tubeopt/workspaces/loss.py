@@ -18,7 +18,7 @@ from ..robots.robot import Robot
 from ..typing import Array, Mask, Progress
 from .samples import JointSamples
 from .table import Workspace, held
-from .voxels import Keys, Store, default_size
+from .voxels import Keys, Store, default_size, size_for
 
 SURE = 5
 """Unstable equilibria in a voxel without a stable one that make it lost: where half were stable, 1 in 32 would lie."""
@@ -32,22 +32,22 @@ CHUNK = 256
 
 @dataclass(frozen=True, eq=False)
 class SnappingLoss(Displayed):
-    """Voxels of edge `size` (m) by what reaches them.
-
-    equilibria, unstable: how many were computed, and how many of them are unstable.
-    held: (V, 3) index of the voxels with a stable equilibrium.   lost: (W, 3) of those with at least `SURE` equilibria,
-        all of them unstable.
-    held_volume, lost_volume: m^3.   early_loss: lost_volume from the first half of the equilibria.
-    """
+    """Voxels by what reaches them."""
 
     robot: Robot
     """Whose workspace it is."""
     size: float
+    """Edge of the voxels, m."""
     equilibria: int
+    """How many were computed."""
     unstable: int
+    """How many of them are unstable."""
     held: Keys
+    """(V, 3) index of the voxels with a stable equilibrium."""
     lost: Keys
+    """(W, 3) of those with at least `SURE` equilibria, all of them unstable."""
     early_loss: float
+    """`lost_volume` from the first half of the equilibria, m^3."""
 
     @property
     def held_volume(self) -> float:
@@ -125,10 +125,10 @@ def _sorted(
     for tips, shift in drawn.blocks():
         found = from_tips(robot, tips, shift)
         sign = np.where(found.stable, 1.0, -1.0)
-        table = np.column_stack([tips, shift, found.tip_position, found.tip_direction, sign])
+        table = np.column_stack([found.tip_position, found.tip_direction, sign])
         table = table[_within_limits(robot, found.rotations)]
         if stores is None and len(table):
-            edge = edge or _edge(robot, table, drawn.count, reached)
+            edge = edge or (_edge(table, drawn.count) if reached is None else default_size(reached))
             stores = Store(edge), Store(edge)
         early = np.arange(done, done + len(table)) < drawn.count // 2
         for store, rows in zip(stores or (), (table[:, -1] > 0, table[:, -1] < 0), strict=False):
@@ -146,7 +146,7 @@ def _add(store: Store, table: Array, early: Mask) -> None:
 
 
 def _loss(robot: Robot, stable: Store, unstable: Store, counts: tuple[int, int]) -> SnappingLoss:
-    firm, shaky = stable.voxels(0), unstable.voxels(0)
+    firm, shaky = stable.voxels(), unstable.voxels()
     return SnappingLoss(
         robot=robot,
         size=stable.size,
@@ -176,25 +176,23 @@ def _within_limits(robot: Robot, rotations: Array) -> Mask:
     return np.asarray((turned <= high + 1e-9).all(1))
 
 
-def _edge(robot: Robot, table: Array, samples: int, reached: Workspace | None) -> float:
+def _edge(table: Array, samples: int) -> float:
     """The default edge of the voxels, for so many samples as these."""
-    if reached is not None:
-        return default_size(reached)
-    repeated = max(1, samples // len(table))
-    return default_size(Workspace(robot, "sobol", 0, np.tile(table, (repeated, 1))))
+    return size_for(np.ptp(table[:, :3], axis=0), len(table) * max(1, samples // len(table)))
 
 
 @dataclass(frozen=True, eq=False)
 class Equilibria:
-    """B equilibria.   rotations: (B, n) of the joints, rad.   tip_position: (B, 3) m.   stable: (B,).
-
-    tip_direction: (B, 3) unit vectors.
-    """
+    """B equilibria."""
 
     rotations: Array
+    """(B, n) of the joints, rad."""
     tip_position: Array
+    """(B, 3) m."""
     tip_direction: Array
+    """(B, 3) unit vectors."""
     stable: Mask
+    """(B,)."""
 
 
 def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:

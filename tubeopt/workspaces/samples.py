@@ -24,15 +24,13 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box y in [low, high] of m coordinates that holds all admissible joint values q = back y.
-
-    periodic: (m,) whether an end of the range is the same joint value as the other one.
-    """
+    """A box y in [low, high] of m coordinates that holds all admissible joint values q = back y."""
 
     low: Array
     high: Array
     back: Array
     periodic: np.ndarray
+    """(m,) whether an end of the range is the same joint value as the other one."""
 
     @property
     def free(self) -> np.ndarray:

@@ -21,17 +21,18 @@ SEARCHED, EACH = 25, 5
 
 @dataclass(frozen=True, eq=False)
 class SharedWorkspace(Displayed):
-    """Voxels of edge `size` (m) that the tips of two robots reach.
-
-    volumes: (2,) of either workspace, m^3.   shared: of both together, m^3.   places: (V, 3) centres of the voxels that
-    both reach, in the frame that the robots share, m.   bases: where the robots stand.
-    """
+    """Voxels that the tips of two robots reach."""
 
     size: float
+    """Edge of the voxels, m."""
     volumes: Array
+    """(2,) of either workspace, m^3."""
     shared: float
+    """Of both together, m^3."""
     places: Array
+    """(V, 3) centres of the voxels that both reach, in the frame that the robots share, m."""
     bases: tuple[Frame, Frame]
+    """Where the robots stand."""
 
     @property
     def value(self) -> float:

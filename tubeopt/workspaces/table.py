@@ -22,20 +22,20 @@ class Workspace(Displayed):
     """Tips of a robot at N joint values; rows of what has no stable equilibrium that was found are NaN.
 
     The arrays are views of `table`, which lies on disk where the workspace was computed with `out`.
-
-    Attributes:
-        method, seed: how the joint values were drawn.
-        table: (N, 2 n + 7) rotations, translations, tip position, tip direction, margin; rad and m.
-        failures: (row, reason) of configurations without an equilibrium.
     """
 
     _brief = ("robot", "method", "seed", "table")
 
     robot: Robot
+    """Whose tips they are."""
     method: str
+    """By which the joint values were drawn."""
     seed: int
+    """Of the joint values."""
     table: Array
+    """(N, 2 n + 7) rotations, translations, tip position, tip direction, margin; rad and m."""
     failures: tuple[tuple[int, str], ...] = ()
+    """(row, reason) of configurations without an equilibrium."""
 
     def __len__(self) -> int:
         return len(self.table)

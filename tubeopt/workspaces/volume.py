@@ -14,21 +14,21 @@ from .voxels import Keys, Voxels, cells, default_size, of_first_half, on_surface
 
 @dataclass(frozen=True)
 class Volume:
-    """A volume (m^3) and how far it is to be trusted.
-
-    method: "voxels", "meridian" or "alpha".   scale: edge of the cells, or radius of the alpha shape, m.
-    half: the volume from the first half of the samples; where it is as large, more samples change little.
-    unseen: estimated volume of voxels that no sample has hit yet (Chao 1984, from those hit once and twice); NaN for
-        the other methods.
-    surface: half the volume of the cells on the surface, which stick out of the workspace; NaN for an alpha shape.
-    """
+    """A volume and how far it is to be trusted."""
 
     value: float
+    """m^3."""
     method: str
+    """One of "voxels", "meridian" and "alpha"."""
     scale: float
+    """Edge of the cells, or radius of the alpha shape, m."""
     half: float
+    """The volume from the first half of the samples; where it is as large, more samples change little."""
     unseen: float
+    """Estimated volume of voxels that no sample has hit yet (Chao 1984, from those hit once and twice); NaN for the
+    other methods."""
     surface: float
+    """Half the volume of the cells on the surface, which stick out of the workspace; NaN for an alpha shape."""
 
 
 def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:

@@ -25,21 +25,22 @@ _HALF = 1 << (_BITS - 1)
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Cubes of edge `size` (m) that hold at least one tip; cube i spans index[i] * size to (index[i] + 1) * size.
-
-    samples: how many tips in all.   index: (V, 3).   count: (V,) tips in each, `early` of them of the first half
-        of the samples (of a grid, of a random half).
-    directions: (V,) patches of the sphere of directions, of `PATCHES`, in which tips point.
-    margin: (V,) largest stability margin of a tip.
-    """
+    """Cubes of edge `size` that hold at least one tip; cube i spans index[i] * size to (index[i] + 1) * size."""
 
     size: float
+    """m."""
     samples: int
+    """How many tips in all."""
     index: Keys
+    """(V, 3)."""
     count: Keys
+    """(V,) tips in each."""
     early: Keys
+    """(V,) of them of the first half of the samples; of a grid, of a random half."""
     directions: Keys
+    """(V,) patches of the sphere of directions, of `PATCHES`, in which tips point."""
     margin: Array
+    """(V,) largest stability margin of a tip."""
 
     def __len__(self) -> int:
         return len(self.index)
@@ -82,15 +83,13 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
     require_samples(workspace)
     edge = default_size(workspace) if size is None else positive("size", size)
     store = Store(edge)
-    kept = 0
     for first, table in workspace.chunks():
         rows = held(table, min_margin)
         early = of_first_half(workspace, first, len(table))
         store.add(table[rows, -7:-4], table[rows, -4:-1], table[rows, -1], early[rows])
-        kept += int(rows.sum())
-    if not kept:
+    if not len(store.keys):
         raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")
-    return store.voxels(kept)
+    return store.voxels()
 
 
 def of_first_half(workspace: Workspace, first: int, count: int) -> Mask:
@@ -107,7 +106,11 @@ def default_size(workspace: Workspace) -> float:
         tips = table[held(table, -np.inf), -7:-4]
         if len(tips):
             low, high, count = np.minimum(low, tips.min(0)), np.maximum(high, tips.max(0)), count + len(tips)
-    extent = high - low
+    return size_for(high - low, count)
+
+
+def size_for(extent: Array, count: int) -> float:
+    """The same for so many samples over an extent (3,), m."""
     longest = float(extent.max())
     if longest <= 0:
         return 1e-3
@@ -140,9 +143,9 @@ class Store:
         self.patches = _reduce(np.bitwise_or, [self.patches, word], order, starts)
         self.margin = _reduce(np.maximum, [self.margin, margin], order, starts)
 
-    def voxels(self, samples: int) -> Voxels:
+    def voxels(self) -> Voxels:
         """What was sorted in."""
-        directions = np.bitwise_count(self.patches).astype(np.int64)
+        directions, samples = np.bitwise_count(self.patches).astype(np.int64), int(self.count.sum())
         return Voxels(self.size, samples, index_of(self.keys), self.count, self.early, directions, self.margin)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -157,15 +157,32 @@ def tubes_along(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array
 
 @dataclass(frozen=True, eq=False)
 class ArmShape:
-    """The whole arm at its m = 1 + STEPS x P shape points: arc_length (m,), rotation (n, m), torsion (n, m),
-    curvature (m, 2), position (m, 3), frame (m, 3, 3)."""
+    """The whole arm at its m = 1 + STEPS x P shape points."""
 
     arc_length: Array
+    """(m,) m."""
     rotation: Array
+    """(n, m) theta_i(s), rad; beyond a tube's end constant."""
     torsion: Array
+    """(n, m) its derivative, rad/m; beyond a tube's end 0."""
     curvature: Array
+    """(m, 2) curvature vector in the Bishop frame, 1/m."""
     position: Array
+    """(m, 3) of the centreline, m."""
     frame: Array
+    """(m, 3, 3) its Bishop frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class CollocationPoints:
+    """The N collocation points of an equilibrium: where a warm start begins."""
+
+    point: Array
+    """(N,) arc length, m."""
+    point_rotation: Array
+    """(N, n) theta_i of the tubes that are coupled there, rad; their base rotation for the others."""
+    point_curvature: Array = field(default_factory=lambda: np.zeros(0))
+    """(N, 2) curvature under load, 1/m; empty without one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,9 @@ import scipy
 from numpy.typing import NDArray
 
 from ...errors import SolveError
-from ...typing import Array
-from .arm import Profile, turned_along, twisted_along
+from ...robots.assembly import Assembly
+from ...typing import Array, Of
+from .arm import ArmShape, Profile, turned_along, twisted_along
 from .buffered import section_function
 from .collocated import ENDS
 from .tableau import Tableau, tableau
@@ -27,27 +28,28 @@ class Arm:
     """A solved equilibrium on P pieces with K points each; n tubes. What a derivative needs to know of it.
 
     start, length: (P,) m.  stiffness, moment: (P, n) kb_i of the tubes present and m_i of the tubes curved.
-    torsional_stiffness, transmission: (n,).  place: offset and angle (n,), or nothing for concentric tubes.
-    theta, twist: (P, n) where pieces begin.  inner: (P, K, n) theta at the points.  tip: (n,) theta at the tip.
-    position (4 P + 1, 3), frame (4 P + 1, 3, 3), curvature (4 P + 1, 2): at the shape points, curvature of the piece
-    that ends there.
+    theta, twist: (P, n) where pieces begin.  inner: (P, K, n) theta at the points.  shape: at the shape points, with
+    the curvature of the piece that ends there.
     """
 
     tableau: Tableau
+    assembly: Assembly
     start: Array
     length: Array
     stiffness: Array
     moment: Array
-    torsional_stiffness: Array
-    transmission: Array
-    place: tuple[Array, ...]
     theta: Array
     twist: Array
     inner: Array
-    tip: Array
-    position: Array
-    frame: Array
-    curvature: Array
+    shape: ArmShape
+
+    position, frame, curvature = Of[Array]("shape"), Of[Array]("shape"), Of[Array]("shape")
+    torsional_stiffness, transmission = Of[Array]("assembly"), Of[Array]("assembly")
+
+    @property
+    def place(self) -> tuple[Array, ...]:
+        """Offset and angle (n,) of the tubes, or nothing for concentric ones."""
+        return (self.assembly.offset, self.assembly.offset_angle) if self.assembly.eccentric else ()
 
     @cached_property
     def flat(self) -> tuple[Array, Array, Array]:
@@ -61,7 +63,7 @@ class Arm:
     @cached_property
     def states(self) -> tuple[Array, Array]:
         """(P + 1, n) theta and w between the pieces."""
-        tip = self.tip[None]
+        tip = self.shape.rotation[:, -1][None]
         return np.concatenate([self.theta, tip]), np.concatenate([self.twist, np.zeros_like(tip)])
 
     @property

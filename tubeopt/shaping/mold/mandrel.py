@@ -113,12 +113,23 @@ def bend_in_space(held: Tube, solver: MoldSolver) -> Winding:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A turned cylinder along x: radius and length, m; radius of the helix, m, and its advance per rad, m, left < 0."""
+    """A turned cylinder along x, with a helix around it; m."""
 
     radius: float
     length: float
     helix_radius: float
     lead: float
+    """Advance of the helix per rad; negative: left-handed."""
+
+    @property
+    def pitch(self) -> float:
+        """Advance of the helix per turn, m."""
+        return 2 * math.pi * abs(self.lead)
+
+    @property
+    def handed(self) -> str:
+        """The helix: left or right."""
+        return "left" if self.lead < 0 else "right"
 
 
 @dataclass(frozen=True)
@@ -268,7 +279,7 @@ def _turns_apart(
     bent = math.hypot(*helix)
     if held.curved_length * bent <= 2 * math.pi:
         return []
-    wall = 2 * math.pi * abs(body.lead) * body.helix_radius * bent - width
+    wall = body.pitch * body.helix_radius * bent - width
     least = spec.groove.wall
     failure = (
         f"the turns of the groove of tube {number} leave {wall * 1e3:.4g} mm of wall between them; it must be at least "

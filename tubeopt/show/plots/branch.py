@@ -14,7 +14,7 @@ from ...stability import Branch
 from ...typing import Array
 from ..colours import tube_colour
 from .stage import note
-from .style import FAINT, INK, Axes, Figure, angle_locator, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, angle_ticks, new_figure, number, picture
 
 BAND = "#ECEEF1"
 DOT_COLOUR = "#0072B2"
@@ -66,8 +66,7 @@ def plot_branch(
     axes.set_xlabel(f"input angle of tube {tube + 1} relative to tube {base + 1} (deg)")
     axes.set_ylabel(f"tip angle of tube {tube + 1} relative to tube {base + 1} (deg)")
     axes.grid()
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(angle_locator())
+    angle_ticks(axes.xaxis, axes.yaxis)
     axes.margins(x=0.07)
     axes.legend(loc="upper left" if (tips[-1] > tips[0]) == (inputs[-1] > inputs[0]) else "upper right")
     return figure

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from os import PathLike
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from ...typing import Array
 from ..arm_surfaces import Centreline, visible
 from ..colours import tube_colour
 from .maps import draw_map
-from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
+from .style import FAINT, INK, Axes, Figure, colour_bar, disk, headed, new_figure, picture
 
 CORRIDOR = "#DCE3EA"
 BODY = "#C9CDD2"
@@ -69,13 +68,11 @@ def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
 
 
 def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
-    from matplotlib.patches import Circle
-
     for avoid in of_kind(solution.task.requirements, Avoid):
         for body in avoid.obstacles:
             if isinstance(body, Sphere):
-                centre = body.centre[i] * TO_MM, body.centre[j] * TO_MM
-                axes.add_patch(Circle(centre, body.radius * TO_MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1))
+                centre = np.array(body.centre)[[i, j]] * TO_MM
+                disk(axes, centre, body.radius * TO_MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1)
             elif isinstance(body, Capsule):
                 line = np.array([body.start, body.end])[:, [i, j]] * TO_MM
                 _draw_tube(axes, line, np.full(2, body.radius * TO_MM), BODY)
@@ -85,7 +82,7 @@ def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
 
 def _draw_tube(axes: Axes, line: Array, radii: Array, colour: str) -> None:
     """All that is within radii (k,) of a projected polyline (k, 2)."""
-    from matplotlib.patches import Circle, Polygon
+    from matplotlib.patches import Polygon
 
     for (a, b), (wide, narrow) in zip(pairwise(line), pairwise(radii.tolist()), strict=True):
         way = b - a
@@ -95,7 +92,7 @@ def _draw_tube(axes: Axes, line: Array, radii: Array, colour: str) -> None:
             corners = [a + wide * across, b + narrow * across, b - narrow * across, a - wide * across]
             axes.add_patch(Polygon(corners, fc=colour, ec="none", zorder=0))
     for centre, radius in zip(line, radii.tolist(), strict=True):
-        axes.add_patch(Circle((float(centre[0]), float(centre[1])), radius, fc=colour, ec="none", zorder=0))
+        disk(axes, centre, radius, fc=colour, ec="none", zorder=0)
 
 
 def _draw_targets(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
@@ -104,28 +101,20 @@ def _draw_targets(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
         axes.plot(points[:, i], points[:, j], "o", ms=6, mfc="none", mec=INK, mew=0.9, ls="", zorder=5)
 
 
-@styled
-def plot_before_after(
-    before: StabilityMap, after: StabilityMap, path: str | PathLike[str] | None = None, *, heading: str = ""
-) -> Figure:
-    """Stability maps of a robot before and after a design, at one scale.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
-    """
+@picture
+def plot_before_after(maps: tuple[StabilityMap, StabilityMap], *, heading: str = "") -> Figure:
+    """Stability maps of a robot before and after a design, at one scale."""
     figure = new_figure(8.6, 4.6)
     views = figure.subplots(1, 2, sharey=True)
-    for axes, chart, name in zip(views, (before, after), ("before", "after"), strict=True):
+    for axes, chart, name in zip(views, maps, ("before", "after"), strict=True):
         image, handles = draw_map(axes, chart)
         snapped = 100 * float(np.mean(chart.snaps > 0))
         axes.set_title(f"{name}: {snapped:.0f} % reached through a snap", loc="left")
-        axes.set_xlabel(f"rotation of tube {chart.tubes[0] + 1} relative to home (deg)")
+        axes.label_outer()
         if name == "before":
-            axes.set_ylabel(f"rotation of tube {chart.tubes[1] + 1} relative to home (deg)")
             figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    bar = figure.colorbar(image, ax=views, label="stability margin", pad=0.02, shrink=0.8, aspect=28)
-    bar.outline.set_visible(False)
-    return finish(headed(figure, heading) if heading else figure, path)
+    colour_bar(figure, image, "stability margin", ax=views, pad=0.02, shrink=0.8, aspect=28)
+    return headed(figure, heading)
 
 
 @picture
@@ -176,18 +165,12 @@ def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
         beside.set_xticks(at)
         beside.set(xlabel="task pose", ylabel="distance of the tip (mm)")
         beside.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    return headed(figure, heading) if heading else figure
+    return headed(figure, heading)
 
 
-@styled
-def plot_stock(
-    task: DesignTask, choice: StockChoice, path: str | PathLike[str] | None = None, *, most: int = 12
-) -> Figure:
-    """The best choices from stock: each stack of tubes to scale in cross-section, and the objective it reaches.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
-    """
+@picture
+def plot_stock(choice: StockChoice, *, task: DesignTask, most: int = 12) -> Figure:
+    """The best choices from stock: each stack of tubes to scale in cross-section, and the objective it reaches."""
     from matplotlib.patches import Annulus
 
     wanted = task.objectives[0]
@@ -210,7 +193,7 @@ def plot_stock(
     axes.spines["left"].set_visible(False)
     axes.tick_params(left=False, labelleft=False)
     axes.set_xlabel(f"{wanted.words} ({wanted.unit})" if wanted.unit else wanted.words)
-    return finish(figure, path)
+    return figure
 
 
 TICKS = 5

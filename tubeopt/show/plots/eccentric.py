@@ -15,7 +15,7 @@ from ..arm_surfaces import Centreline
 from ..colours import tube_colour
 from .shape import draw_plate
 from .stage import View
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, colour_bar, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.colors import Normalize
@@ -81,8 +81,7 @@ def plot_reach(
         axes.set(xlabel=across, ylabel=up)
         axes.autoscale_view()
         axes.set_aspect("equal")
-    bar = figure.colorbar(ScalarMappable(scale, MAP), cax=figure.add_subplot(grid[:, 2]), label=label)
-    bar.outline.set_visible(False)
+    colour_bar(figure, ScalarMappable(scale, MAP), label, cax=figure.add_subplot(grid[:, 2]))
     return figure
 
 

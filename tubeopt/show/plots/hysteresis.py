@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from ...stability import Path
 from ...typing import Array
 from .path import Value, draw_broken, place_of, stretches
 from .stage import note
-from .style import Axes, Figure, angle_locator, finish, new_figure, styled
+from .style import Axes, Figure, angle_ticks, new_figure, picture
 
 
 class Way(NamedTuple):
@@ -28,24 +27,17 @@ class Way(NamedTuple):
     width: float
 
 
-@styled
+@picture
 def plot_hysteresis(
-    forth: Path,
-    back: Path,
-    angles_deg: ArrayLike,
-    path: str | PathLike[str] | None = None,
-    *,
-    axis: str | None = None,
-    title: str = "",
+    paths: tuple[Path, Path], *, angles_deg: ArrayLike, axis: str | None = None, title: str = ""
 ) -> Figure:
     """Picture of a path forth and back: a coordinate of the tip, elastic energy and margin over the angle that turns.
 
     Snaps are arrows, with the jump of the tip in mm and the energy released in mJ.
 
     Args:
-        forth, back: of `follow`, through the same waypoints; the second in the opposite order.
-        angles_deg: (T,) angle at each waypoint of `forth`, deg.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        paths: forth and back, of `follow`, through the same waypoints, the second in the opposite order.
+        angles_deg: (T,) angle at each waypoint of the first, deg.
         axis: coordinate of the tip to show, "x", "y" or "z"; default the one that jumps most.
         title: a heading.
 
@@ -53,7 +45,7 @@ def plot_hysteresis(
         InputError: paths and angles of different lengths, an unknown axis, a name of the picture that does not end in
             a known format.
     """
-    angles = np.array(angles_deg, dtype=float)
+    (forth, back), angles = paths, np.array(angles_deg, dtype=float)
     if angles.shape != (len(forth.equilibria),) or len(back.equilibria) != len(forth.equilibria):
         raise InputError(
             f"forth has {len(forth.equilibria)} waypoints, back {len(back.equilibria)}, and angles_deg has shape "
@@ -83,8 +75,8 @@ def plot_hysteresis(
     panels[0].legend(loc="best")
     panels[-1].set_ylim(min(0.0, panels[-1].get_ylim()[0]), None)
     panels[-1].set_xlabel("rotation (deg)")
-    panels[-1].xaxis.set_major_locator(angle_locator())
-    return finish(figure, path)
+    angle_ticks(panels[-1].xaxis)
+    return figure
 
 
 def _liveliest(forth: Path, back: Path) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..colours import TUBE_COLOURS
-from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, styled
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from ...validation.force import ForceEstimate
@@ -20,15 +19,12 @@ if TYPE_CHECKING:
 AXES = "xyz"
 
 
-@styled
-def plot_payload(
-    payloads: Array, equilibria: Sequence[Equilibrium], path: str | PathLike[str] | None = None, *, title: str = ""
-) -> Figure:
+@picture
+def plot_payload(equilibria: Sequence[Equilibrium], *, payloads: Array, title: str = "") -> Figure:
     """Picture of an arm under growing payloads: its shapes from the side, and the way of its tip and its margin.
 
     Args:
-        payloads: (T,) forces, N.   equilibria: one each.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        payloads: (T,) force of each, N.
     """
     figure = new_figure(7.0, 3.4)
     side, moved, margin = figure.subplot_mosaic(
@@ -58,7 +54,7 @@ def plot_payload(
     margin.set(ylabel="stability margin", xlabel="payload (mN)")
     for panel in (side, moved, margin):
         panel.grid()
-    return finish(headed(figure, title), path)
+    return headed(figure, title)
 
 
 def _first_order(start: Equilibrium, end: Equilibrium, payloads: Array) -> Array:
@@ -70,22 +66,16 @@ def _first_order(start: Equilibrium, end: Equilibrium, payloads: Array) -> Array
     return np.asarray(part[:, None] * (start.compliance[:3, :3] @ force))
 
 
-@styled
+@picture
 def plot_load_limits(
-    angles: Array,
-    limits: Mapping[str, Array],
-    kinds: Mapping[str, Sequence[str]],
-    path: str | PathLike[str] | None = None,
-    *,
-    title: str = "",
+    limits: Mapping[str, Array], *, angles: Array, kinds: Mapping[str, Sequence[str]], title: str = ""
 ) -> Figure:
     """Picture of the least force on the tip that takes a robot out of its equilibrium, over directions in planes.
 
     Args:
-        angles: (T,) rad, from the first axis of each plane to its second.
         limits: for planes such as "xy", (T,) forces in N; NaN where none was found.
+        angles: (T,) rad, from the first axis of each plane to its second.
         kinds: "fold", "bifurcation" or "" for each.
-        path: where to save the picture; None saves nothing.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -104,22 +94,15 @@ def plot_load_limits(
         panel.grid()
         panel.set_rlabel_position(-45)
         panel.yaxis.set_major_locator(MaxNLocator(4))
-    return finish(headed(figure, title), path)
+    return headed(figure, title)
 
 
-@styled
-def plot_bearing(
-    forces: Array,
-    certificates: Mapping[str, Array],
-    path: str | PathLike[str] | None = None,
-    *,
-    title: str = "",
-) -> Figure:
+@picture
+def plot_bearing(certificates: Mapping[str, Array], *, forces: Array, title: str = "") -> Figure:
     """Picture of certificates over the largest force on the tip, of several robots; below 0 nothing is proved.
 
     Args:
-        forces: (T,) N.   certificates: (T,) by the name of the robot.
-        path: where to save the picture; None saves nothing.
+        certificates: (T,) by the name of the robot.   forces: (T,) N.
     """
     figure = new_figure(4.6, 3.0)
     axes = figure.subplots()
@@ -129,23 +112,16 @@ def plot_bearing(
     axes.set(xlabel="largest force on the tip (mN)", ylabel="certificate")
     axes.grid()
     axes.legend(loc="best")
-    return finish(headed(figure, title), path)
+    return headed(figure, title)
 
 
-@styled
-def plot_force_estimates(
-    true: Array,
-    estimates: Mapping[str, Sequence[ForceEstimate]],
-    path: str | PathLike[str] | None = None,
-    *,
-    title: str = "",
-) -> Figure:
+@picture
+def plot_force_estimates(estimates: Mapping[str, Sequence[ForceEstimate]], *, true: Array, title: str = "") -> Figure:
     """Picture of forces told from noisy measurements, with the ellipse that holds 95 % of them by the covariance.
 
     Args:
-        true: (3,) the force that acted, N.
         estimates: by what was measured.
-        path: where to save the picture; None saves nothing.
+        true: (3,) the force that acted, N.
     """
     figure = new_figure(7.0, 3.3)
     panels = figure.subplots(1, 2)
@@ -160,7 +136,7 @@ def plot_force_estimates(
         panel.set(xlabel=f"force along {AXES[i]} (mN)", ylabel=f"force along {AXES[j]} (mN)")
         panel.grid()
     panels[0].legend(loc="best")
-    return finish(headed(figure, title), path)
+    return headed(figure, title)
 
 
 CHI_SQUARED_95 = 5.991

@@ -32,11 +32,10 @@ def plot_mandrel(mandrel: Mandrel) -> Figure:
 def _made(mandrel: Mandrel) -> str:
     body = mandrel.body
     if isinstance(body, Cylinder):
-        pitch = 2 * math.pi * abs(body.lead) * TO_MM
         return (
             f"turned: cylinder {2 * body.radius * TO_MM:.2f} × {body.length * TO_MM:.1f} mm\n"
             f"groove {mandrel.width * TO_MM:g} mm, radius {body.helix_radius * TO_MM:.3f} mm, "
-            f"pitch {pitch:.3f} mm, {'left' if body.lead < 0 else 'right'}-handed"
+            f"pitch {body.pitch * TO_MM:.3f} mm, {body.handed}-handed"
         )
     size = np.array(body.size) * TO_MM
     return f"printed: block {size[0]:.1f} × {size[1]:.1f} × {size[2]:.1f} mm\ngroove {mandrel.width * TO_MM:g} mm wide"
@@ -116,10 +115,12 @@ def _numbers(mandrel: Mandrel) -> list[tuple[str, str]]:
     """What the workshop needs to know; mm."""
     body, tube, held = mandrel.body, mandrel.tube, mandrel.held
     if isinstance(body, Cylinder):
-        hand, pitch = "left" if body.lead < 0 else "right", 2 * math.pi * abs(body.lead) * TO_MM
         made = [
             ("cylinder, diameter / length", f"{2 * body.radius * TO_MM:.3f} / {body.length * TO_MM:.1f}"),
-            ("helix, radius / pitch", f"{body.helix_radius * TO_MM:.3f} / {pitch:.3f}, {hand}-handed"),
+            (
+                "helix, radius / pitch",
+                f"{body.helix_radius * TO_MM:.3f} / {body.pitch * TO_MM:.3f}, {body.handed}-handed",
+            ),
         ]
     else:
         made = [("block", " × ".join(f"{size * TO_MM:.1f}" for size in body.size))]

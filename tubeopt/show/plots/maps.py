@@ -15,7 +15,7 @@ from ...solvers.parallel.blas import small
 from ...stability import EnergyMap, StabilityMap
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
-from .style import INK, Axes, Figure, angle_locator, narrow, new_figure, picture, rotations_in_words
+from .style import INK, Axes, Figure, angle_ticks, colour_bar, narrow, new_figure, picture, rotations_in_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -75,9 +75,8 @@ def plot_energy_maps(maps: Sequence[EnergyMap], *, titles: Sequence[str] = ()) -
     if len({(*each.tubes, *each.first[[0, -1]], *each.second[[0, -1]]) for each in maps}) == 1:
         for panel in panels.ravel():
             panel.label_outer()
-    bar = figure.colorbar(filled, ax=panels, label="elastic energy (mJ)", shrink=0.8, aspect=30, pad=0.02)
+    bar = colour_bar(figure, filled, "elastic energy (mJ)", ax=panels, shrink=0.8, aspect=30, pad=0.02)
     bar.set_ticks(levels[::4].tolist(), labels=[f"{level:.1f}" for level in levels[::4]])
-    bar.outline.set_visible(False)
     _name_marks(figure, maps)
     return figure
 
@@ -105,8 +104,7 @@ def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet
         x, y = np.degrees(e.tip_rotations[list(energy_map.tubes)])
         sign = MARKS[min(e.index, len(MARKS) - 1)][0]
         axes.plot([x], [y], sign, ms=7, mfc="white", mec=INK, mew=0.9, zorder=5, clip_on=False)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(angle_locator())
+    angle_ticks(axes.xaxis, axes.yaxis)
     axes.set_xlabel(f"tip angle of tube {energy_map.tubes[0] + 1} (deg)")
     axes.set_ylabel(f"tip angle of tube {energy_map.tubes[1] + 1} (deg)")
     return filled
@@ -136,12 +134,8 @@ def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figur
     figure = new_figure(5.6, 4.9)
     axes = figure.add_subplot()
     image, handles = draw_map(axes, stability_map)
-    first, second = stability_map.tubes
-    axes.set_xlabel(f"rotation of tube {first + 1} relative to home (deg)")
-    axes.set_ylabel(f"rotation of tube {second + 1} relative to home (deg)")
     axes.set_title(title, loc="left")
-    bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0, 0.035, 1)), label="stability margin")
-    bar.outline.set_visible(False)
+    colour_bar(figure, image, "stability margin", cax=axes.inset_axes((1.03, 0, 0.035, 1)))
     figure.legend(handles=handles, loc="outside lower center", ncols=1 if narrow() else 3)
     return figure
 
@@ -164,10 +158,11 @@ def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]
         lines = [axes.plot(*curve.points.T, color=SNAP_COLOUR, lw=2.0, label=SNAPS)[0] for curve in curves]
         handles = [_cut_out(axes, behind, curves), lines[0]]
     handles += axes.plot([0], [0], "o", ms=6, mfc="white", mec=INK, mew=1.0, ls="", label="home")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(angle_locator())
+    angle_ticks(axes.xaxis, axes.yaxis)
     axes.set_aspect("equal")
     axes.set(xlim=(angles[0], angles[-1]), ylim=(angles[0], angles[-1]))
+    across, up = (f"rotation of tube {tube + 1} relative to home (deg)" for tube in stability_map.tubes)
+    axes.set(xlabel=across, ylabel=up)
     return image, handles
 
 

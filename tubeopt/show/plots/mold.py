@@ -19,7 +19,7 @@ from ...shaping.mold.springback import Calibration
 from ...typing import Array
 from ..colours import tube_colour
 from .sheet import A4, EDGE, new_sheet, numbered, write, write_rows
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, disk, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
@@ -67,7 +67,7 @@ def plot_milled(mold: Mold, *, title: str = "") -> Figure:
 
 def draw_mold(axes: Axes, mold: Mold) -> None:
     """Draw the base plate and the clamps into `axes`, in mm to the same scale both ways."""
-    from matplotlib.patches import Circle, Rectangle
+    from matplotlib.patches import Rectangle
 
     drawing = draw_plate(mold, "base")
     plate = Rectangle((0, 0), *drawing.size, fc=PLATE, ec=INK, lw=0.9, zorder=0)
@@ -76,14 +76,14 @@ def draw_mold(axes: Axes, mold: Mold) -> None:
         _draw_groove(axes, groove, mold, plate)
     for hole in mold.holes:
         face = "white" if hole.purpose == "bolt" else FAINT
-        centre = (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
-        axes.add_patch(Circle(centre, hole.diameter / 2 * TO_MM, fc=face, ec=INK, lw=0.6, zorder=3))
+        centre = np.multiply(hole.centre, TO_MM)
+        disk(axes, centre, hole.diameter / 2 * TO_MM, fc=face, ec=INK, lw=0.6, zorder=3)
     low, high = _extent(mold)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
 def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> None:
-    from matplotlib.patches import Circle, Polygon
+    from matplotlib.patches import Polygon
 
     curve = groove.centreline
     left, right = (_line(curve.offset(side * groove.width / 2).pieces) for side in (1, -1))
@@ -95,8 +95,8 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
     colour = tube_colour(groove.number - 1)
     axes.plot(*middle.T, color=colour, lw=0.8, ls=(0, (8, 2, 1.5, 2)), zorder=2)
     for vent in groove.vents:
-        centre = (vent.centre[0] * TO_MM, vent.centre[1] * TO_MM)
-        axes.add_patch(Circle(centre, vent.diameter / 2 * TO_MM, fc=VENT, ec=colour, lw=0.5, zorder=3))
+        centre = np.multiply(vent.centre, TO_MM)
+        disk(axes, centre, vent.diameter / 2 * TO_MM, fc=VENT, ec=colour, lw=0.5, zorder=3)
     for clamp in groove.clamps:
         along = np.asarray(clamp.direction)
         across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2 * TO_MM
@@ -296,4 +296,4 @@ def plot_materials(ratings: Sequence[MaterialRating], *, title: str = "") -> Fig
     signs = {"suitable" if suitable else "not suitable": bars[shown.index(suitable)] for suitable in sorted({*shown})}
     legend: dict[str, Any] = {**signs, "most that may leak": most}
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=3)
-    return headed(figure, title) if title else figure
+    return headed(figure, title)

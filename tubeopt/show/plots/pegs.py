@@ -10,7 +10,7 @@ from ...files.units import TO_MM
 from ...shaping.mold.pegs import PegBoard
 from ...typing import Array
 from ..colours import tube_colour
-from .style import INK, Axes, Figure, headed, new_figure, picture
+from .style import INK, Axes, Figure, disk, headed, new_figure, picture
 
 DISK = "#D9D4C5"
 
@@ -52,24 +52,19 @@ def _colder(board: PegBoard) -> Array:
 
 
 def _draw_board(axes: Axes, board: PegBoard) -> None:
-    from matplotlib.patches import Circle
-
     spec = board.spec.pegs
     width, height = (side * TO_MM for side in board.size)
     axes.plot([0, width, width, 0, 0], [0, 0, height, height, 0], color=INK, lw=0.8)
-    places = np.array(list(board.holes.values())) * TO_MM
-    for x, y in places:
-        axes.add_patch(Circle((x, y), 0.5 * spec.shank * TO_MM, fc="white", ec=INK, lw=0.3, alpha=0.6))
+    for hole in board.holes.values():
+        disk(axes, np.multiply(hole, TO_MM), 0.5 * spec.shank * TO_MM, fc="white", ec=INK, lw=0.3, alpha=0.6)
     points = board.centreline.sample(0.5e-3) * TO_MM
     axes.plot(*points.T, color=tube_colour(board.number - 1), lw=1.6, zorder=3)
     for peg in board.pegs:
-        x, y = (c * TO_MM for c in peg.place)
-        px, py = (c * TO_MM for c in peg.pin)
-        disk = (spec.eccentricity + 0.5 * spec.pin) * TO_MM
-        axes.add_patch(Circle((x, y), disk, fc=DISK, ec=INK, lw=0.6, zorder=2))
-        axes.add_patch(Circle((px, py), 0.5 * spec.pin * TO_MM, fc=INK, lw=0, zorder=4))
+        place, radius = np.multiply(peg.place, TO_MM), (spec.eccentricity + 0.5 * spec.pin) * TO_MM
+        disk(axes, place, radius, fc=DISK, ec=INK, lw=0.6, zorder=2)
+        disk(axes, np.multiply(peg.pin, TO_MM), 0.5 * spec.pin * TO_MM, fc=INK, lw=0, zorder=4)
         # The name stands on the side away from the tube.
-        at = np.array([x, y]) + (disk + 3.2) * _outwards(board, peg.arc_length, left=peg.left)
+        at = place + (radius + 3.2) * _outwards(board, peg.arc_length, left=peg.left)
         words = f"{peg.hole}, {math.degrees(peg.angle):g}°"
         axes.text(float(at[0]), float(at[1]), words, ha="center", va="center", fontsize=6.5, zorder=5)
     for name, (x, y), beside, side in (("proximal", points[0], -1.5, "right"), ("distal", points[-1], 1.5, "left")):

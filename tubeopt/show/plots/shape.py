@@ -16,7 +16,7 @@ from ..arm_surfaces import Bundle, Centreline, Detail, bundles, plate_part, plat
 from ..colours import tube_colour
 from .mesh import Mesh, mesh_of
 from .stage import Box, View, draw_arrow, draw_box, facets, note, rule_step, widest_view
-from .style import FAINT, INK, Axes, Figure, caption, headed, narrow, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, caption, disk, headed, narrow, new_figure, number, picture
 
 GHOST_OPACITY = 0.25
 LINE_HEIGHT = 11.0
@@ -105,7 +105,7 @@ def plot_shapes(
     scenes, _ = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
     for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
         scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
-    return headed(figure, heading) if heading else figure
+    return headed(figure, heading)
 
 
 def draw_scenes(
@@ -250,7 +250,7 @@ def close_up_radius(equilibrium: Equilibrium) -> float:
 
 def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:
     """The end of a tube, or of a segment, seen from the same side, in a circle that is drawn in the scene too."""
-    from matplotlib.patches import Circle, ConnectionPatch, PathPatch
+    from matplotlib.patches import ConnectionPatch, PathPatch
     from matplotlib.path import Path
 
     radius, end = close_up_radius(equilibrium), bundle.end
@@ -263,7 +263,7 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
     frame = Path(2 * limit * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)]))
     around = Path.make_compound_path(frame, Path.circle(radius=radius * TO_MM))
     axes.add_patch(PathPatch(around, facecolor="white", edgecolor="none", zorder=4))
-    axes.add_patch(Circle((0, 0), radius * TO_MM, fill=False, edgecolor=FAINT, lw=0.8, zorder=5))
+    disk(axes, (0, 0), radius * TO_MM, fill=False, ec=FAINT, lw=0.8, zorder=5)
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
     axes.set_aspect("equal")
     axes.axis("off")
@@ -275,8 +275,7 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
         name, colour = f"tubes {first + 1}\N{EN DASH}{bundle.tubes[-1] + 1}, \N{EMPTY SET} {diameter} mm", INK
     axes.text(0, 1.08 * radius * TO_MM, name, color=colour, ha="center", va="bottom")
     at = view.project(centre)
-    ring = Circle((at[0], at[1]), radius * TO_MM, fill=False, edgecolor=FAINT, lw=0.6, zorder=5)
-    scene.add_patch(ring)
+    disk(scene, at[:2], radius * TO_MM, fill=False, ec=FAINT, lw=0.6, zorder=5)
     link = ConnectionPatch(
         xyA=(at[0] + radius * TO_MM, at[1]),
         coordsA=scene.transData,

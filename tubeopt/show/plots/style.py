@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
@@ -22,9 +23,10 @@ from ..words import in_a_word
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
+    from matplotlib.axis import Axis
+    from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure as Figure
     from matplotlib.text import Text
-    from matplotlib.ticker import MaxNLocator
 else:
     Axes = Figure = Any  # only types of pictures: Matplotlib takes longer to load than a solve
 
@@ -146,9 +148,18 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
 
 
 def headed(figure: Figure, heading: str) -> Figure:
-    """Put a heading above everything in a figure, to the left."""
-    figure.suptitle(heading, fontsize=9, x=0.02, ha="left")
+    """Put a heading, if there is one, above everything in a figure, to the left."""
+    if heading:
+        figure.suptitle(heading, fontsize=9, x=0.02, ha="left")
     return figure
+
+
+def disk(axes: Axes, centre: ArrayLike, radius: float, **look: Any) -> None:
+    """All that is within a radius about a point (2,), in the units of the panel."""
+    from matplotlib.patches import Circle
+
+    x, y = np.asarray(centre, dtype=float)
+    axes.add_patch(Circle((float(x), float(y)), radius, **look))
 
 
 def legend_beside(axes: Axes, *entries: Any) -> None:
@@ -195,11 +206,19 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     return Path(path)
 
 
-def angle_locator() -> MaxNLocator:
-    """Ticks for an axis in deg, at round parts of a turn."""
+def angle_ticks(*scales: Axis) -> None:
+    """Ticks for scales in deg, at round parts of a turn."""
     from matplotlib.ticker import MaxNLocator
 
-    return MaxNLocator(nbins=5 if narrow() else 9, steps=[1, 1.5, 3, 4.5, 6, 9, 10])
+    for scale in scales:
+        scale.set_major_locator(MaxNLocator(nbins=5 if narrow() else 9, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
+
+
+def colour_bar(figure: Figure, drawn: Any, label: str, **where: Any) -> Colorbar:
+    """What colours mean, as a bar without a frame."""
+    bar = figure.colorbar(drawn, label=label, **where)
+    bar.outline.set_visible(False)
+    return bar
 
 
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
 
 import numpy as np
 import scipy
@@ -13,7 +12,7 @@ from ...typing import Array
 from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
 from .stage import note, round_below
-from .style import FAINT, INK, Axes, Figure, finish, headed, new_figure, picture, styled
+from .style import FAINT, INK, Axes, Figure, disk, headed, new_figure, picture
 
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
@@ -200,10 +199,8 @@ def _closed(direction: Array, points: Array) -> Array:
     return np.asarray(line(np.linspace(knots[0], knots[-1], 361)))
 
 
-@styled
-def plot_simulated_circles(
-    circles: Sequence[Array], table: ErrorTable, path: str | PathLike[str] | None = None, *, title: str = ""
-) -> Figure:
+@picture
+def plot_simulated_circles(table: ErrorTable, *, circles: Sequence[Array], title: str = "") -> Figure:
     """Simulated tips of every separation, marked with their direction, and a published table's errors around them.
 
     A disc around each simulated tip has the printed error as its radius: the measured tip, whose coordinates are not
@@ -211,16 +208,13 @@ def plot_simulated_circles(
 
     Args:
         circles: for every separation of the table, (D, 3) tips at its directions, m.
-        table: of as many separations and directions.
     """
-    from matplotlib.patches import Circle
-
     figure = new_figure(5.6, 6.0)
     axes = figure.add_subplot()
     for k, (tips, errors) in enumerate(zip(circles, table.error, strict=True)):
         colour, line = tube_colour(k), _closed(table.direction, tips[:, :2] * TO_MM)
         for at, error in zip(tips * TO_MM, errors * TO_MM, strict=True):
-            axes.add_patch(Circle((at[0], at[1]), error, fc=colour, ec="none", alpha=0.13, zorder=1))
+            disk(axes, at[:2], error, fc=colour, ec="none", alpha=0.13, zorder=1)
         radius = float(np.hypot(*tips.T[:2]).mean()) * TO_MM
         label = f"{np.degrees(table.separation[k]):g}°, radius {radius:.1f} mm"
         axes.plot(*line.T, color=colour, lw=1.2, zorder=2, label=label)
@@ -238,4 +232,4 @@ def plot_simulated_circles(
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     figure.legend(title="simulated tips; separation", loc="outside lower center", ncols=2)
     axes.set_title(title, loc="left")
-    return finish(figure, path)
+    return figure

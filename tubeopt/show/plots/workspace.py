@@ -13,7 +13,7 @@ from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
 from ...workspaces.voxels import Keys
 from .shape import draw_plate
 from .stage import View
-from .style import Axes, Figure, headed, new_figure, number, picture
+from .style import Axes, Figure, colour_bar, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.collections import Collection
@@ -55,20 +55,16 @@ def plot_workspace(
     headed(figure, title or f"{name}: tips at {len(workspace):,} joint values")
     scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
     tips = _draw_tips(scene, workspace, View(*view))
-    _bar(figure, tips, scene, "stability margin")
     share = _draw_section(sides, found, found.dexterity, float(found.dexterity.max()))
-    _bar(figure, share, sides, "share of directions")
     best = _draw_section(margins, found, found.margin, 1.0)
-    _bar(figure, best, margins, "largest margin")
+    where: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.75, "aspect": 25, "pad": 0.02}
+    colour_bar(figure, tips, "stability margin", ax=scene, **where)
+    colour_bar(figure, share, "share of directions", ax=sides, **where)
+    colour_bar(figure, best, "largest margin", ax=margins, **where)
     if loss is not None:
         _draw_lost(margins, loss)
     margins.sharey(sides)
     return figure
-
-
-def _bar(figure: Figure, drawn: Any, axes: Axes, label: str) -> None:
-    bar = figure.colorbar(drawn, ax=axes, label=label, orientation="horizontal", shrink=0.75, aspect=25, pad=0.02)
-    bar.outline.set_visible(False)
 
 
 def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path, PurePosixPath
 
-from ...bodies.anatomy import field_of_image
 from ...bodies.corridors import load_mesh
 from ...bodies.images import read_image
+from ...bodies.labels import field_of_image
 from ...bodies.obstacles import Obstacle
 from ...errors import InputError
 from ...files.yaml_file import load_yaml

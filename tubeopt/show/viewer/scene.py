@@ -291,4 +291,5 @@ def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilib
     # The few points integrate to within a per cent: what is missing at both ends is shared out between them.
     ends = Centreline(before).position(s), after.position
     position += (1 - weights) * (ends[0] - position[0]) + weights * (ends[1] - position[-1])
-    return [replace(after, position=p, frame=f) for p, f in zip(position[1:-1], frame[1:-1], strict=True)]
+    arms = (replace(after.arm, position=p, frame=f) for p, f in zip(position[1:-1], frame[1:-1], strict=True))
+    return [replace(after, arm=arm) for arm in arms]

@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike
 from ...bodies.obstacles import Obstacle
 from ...errors import InputError
 from ...files.units import TO_MM
-from ...inverse.answer import InverseOptions
 from ...inverse.descent import held_by, reach
-from ...inverse.goal import Goal
-from ...inverse.posture import Posture
-from ...inverse.question import pose_question, seed_posture
-from ...inverse.settings import InverseSolver
+from ...inverse.goal import Goal, pose_question
+from ...inverse.posture import Posture, seed_posture
+from ...inverse.settings import Descent, InverseOptions, InverseSolver
 from ...typing import Array
 from .session import Session, moved_to
 
@@ -26,7 +24,7 @@ LONGEST_PULL = 0.05
 CLOSE_ENOUGH = 1e-6
 """Distance (m) at which a target counts as reached."""
 
-QUICK = InverseOptions(solver=InverseSolver(steps=20))
+QUICK = InverseOptions(solver=InverseSolver(descent=Descent(steps=20)))
 """A step towards the target follows the hand, and there will be another one."""
 
 
