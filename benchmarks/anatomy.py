@@ -123,7 +123,7 @@ def main() -> None:
         image = make().image(given.voxel * 1e-3)
         free = image.chosen([LUMEN, TARGET])
         bodies = [field_of_image(image, lumen=free)]
-        roomy = asked(robot, bodies, 0.06, DEFAULT_RATES, None, PlanOptions(clearance=1e-3)).task
+        roomy = asked(robot, bodies, 0.06, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
         tips = roomy.arms(places(roomy, count, given.seed)).tip
         plan = partial(plan_trajectory, robot, WITHDRAWN, obstacles=bodies)
         found = asked_for(tips, partial(plan, options=OPTIONS), image, free)

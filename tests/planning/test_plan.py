@@ -39,10 +39,10 @@ from tubeopt.inverse import search
 from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
 from tubeopt.planning import plan
-from tubeopt.planning.effort import PlanEffort, PlanTask, Smoothing
+from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
-from tubeopt.planning.question import asked
+from tubeopt.planning.question import PlanTask, asked
 from tubeopt.planning.reach import least_miss
 from tubeopt.planning.smooth import joint_curves, violated
 from tubeopt.planning.timing import Limits, rounded, stopping_at
@@ -325,7 +325,7 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     rate, most = np.array([0.5, 0.2]), np.array([1.0, 0.3])
     motion = stopping_at([np.column_stack([np.interp(even, mark, c) for c in way.T])], Limits(rate, most))
     t = np.linspace(0, motion.duration, 20_001)
-    q, speed = motion.at(t), motion.curve(t, nu=1)
+    q, speed = motion.curve(t), motion.curve(t, nu=1)
     # At all times, not only where the motion has its knots.
     assert (np.abs(speed) <= rate).all()
     assert (np.abs(motion.curve(t, nu=2)) <= most).all()
@@ -337,7 +337,7 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
 
 def test_curves_of_joint_values_keep_to_motions_that_bend() -> None:
     """Close to a snap the joints turn back while the tips go straight on."""
-    task = asked(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions()).task
+    task = asked(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions())
     begin = np.zeros(len(task.scale))
     end = begin + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(begin)]
     fine = begin + np.linspace(0, 1, 4_001)[:, None] * (end - begin)
@@ -373,7 +373,7 @@ def test_a_way_with_corners_is_passed_piece_by_piece() -> None:
 
 def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
     """At 180 deg two stable equilibria mirror each other: the way from 100 deg leads to one of them."""
-    task = asked(TWO_TUBE, (), 0.05, DEFAULT_RATES, None, PlanOptions(), None).task
+    task = asked(TWO_TUBE, (), 0.05, DEFAULT_RATES, None, PlanOptions(), None)
     space, start = joint_space(TWO_TUBE), forward_kinematics(TWO_TUBE, [100 * DEG, 0.0])
     q = np.linspace(space.join(start.rotations, start.translations), space.join([180 * DEG, 0.0], [0.0, 0.0]), 9)
     motion = stopping_at([q], Limits(*DEFAULT_RATES.of(space)))

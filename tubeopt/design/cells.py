@@ -14,7 +14,7 @@ import numpy as np
 
 from ..typing import Array
 from .program import Program, evaluate, state_at
-from .solve_one import Attempt, MoreRows, Report, attempt, improve
+from .solve_one import Attempt, Report, attempt, improve
 from .state import State
 
 
@@ -120,19 +120,15 @@ def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) 
     """The optimum in one cell."""
     if evaluate(program, start) is None:
         return attempt(program, start, None)
-    rows = _rows_of(program, cell)
+
+    def rows(state: State) -> tuple[Array, Array]:
+        return cell_rows(program, state, cell)[:2]
+
     found = improve(program, start, report, rows=rows)
     if program.layout.free_poses or (found.optimum is not None and found.optimum.success):
         return found
     other = improve(program, start, report, rows=rows, strategy="patient")
     return min(found, other, key=lambda one: (not one.feasible, one.objective))
-
-
-def _rows_of(program: Program, cell: Cell) -> MoreRows:
-    def rows(state: State) -> tuple[Array, Array]:
-        return cell_rows(program, state, cell)[:2]
-
-    return rows
 
 
 def _across(program: Program, x: Array, value: float, slope: Array) -> Array:

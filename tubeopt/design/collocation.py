@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from functools import cache
 from itertools import chain
 from typing import Any
 
@@ -115,7 +116,8 @@ class _Collocated:
         self.blocks: dict[PoseNumber, EquilibriumBlock[Equilibrium]] = {}
         for k in range(len(layout.poses)):
             self._block(k)
-        self._known: dict[Quantity, Any] = {}
+        self.look = cache(self._quantity)
+        """A quantity as an expression of the program."""
         values, slopes = linear_rows(self.state, program.task)
         self._at_least(ca.DM(values) + ca.DM(slopes) @ self.moved)
         for statement in chain.from_iterable(program.stated):
@@ -147,12 +149,6 @@ class _Collocated:
             self.opti.subject_to(ca.vec(expression) / size >= 0)
 
     # --- quantities ---------------------------------------------------------------------------------------------------
-
-    def look(self, one: Quantity) -> Any:
-        """A quantity as an expression of the program."""
-        if one not in self._known:
-            self._known[one] = self._quantity(one)
-        return self._known[one]
 
     def _quantity(self, one: Quantity) -> Any:
         if one.name == "certificate":

@@ -31,15 +31,18 @@ Box = tuple[tuple[float, ...], tuple[float, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A robot moved from the `first` to the `second` of two task poses: margins and equilibria (W,) at fractions (W,)
-    of the step, and the one at which it snaps, None where it does not."""
+    """A robot moved from the `first` to the `second` of two task poses."""
 
     first: int
     second: int
     fraction: Array
+    """(W,) of the step."""
     margin: Array
+    """(W,) at these."""
     equilibria: Sequence[Equilibrium]
+    """(W,) at these."""
     snap: float | None
+    """The fraction at which it snaps; None where it does not."""
 
 
 def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
@@ -204,21 +207,21 @@ def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program,
         new.guesses.update(old.guesses)
         return new, x.copy()
     out = with_joints(new, x[: old.layout.designs], np.random.default_rng([seed, len(new.layout.poses)]))
+    first_old, first_new = len(old.task_poses), len(new.task_poses)
     pairs = [
         *(pair for before, after in zip(old.own, new.own, strict=True) for pair in zip(before, after, strict=False)),
         *([(old.depth_pose, new.depth_pose)] if old.depth_pose is not None and new.depth_pose is not None else []),
+        *((first_old + k, first_new + k) for k in range(len(added.vias))),
     ]
     for before, after in pairs:
-        here, there = old.layout.poses[before], new.layout.poses[after]
-        if isinstance(here, FreePose) and isinstance(there, FreePose):
+        there = new.layout.poses[after]
+        if isinstance(there, FreePose):
+            here = old.layout.poses[before]
+            assert isinstance(here, FreePose)
             for a, b in zip(old.layout.joints(here), new.layout.joints(there), strict=True):
                 out[b] = x[a]
         if before in old.guesses:
             new.guesses[after] = old.guesses[before]
     for name in old.layout.auxiliary:
         out[new.layout.column(name)] = x[old.layout.column(name)]
-    first_old, first_new = len(old.task_poses), len(new.task_poses)
-    for k in range(len(added.vias)):
-        if first_old + k in old.guesses:
-            new.guesses[first_new + k] = old.guesses[first_old + k]
     return new, np.clip(out, new.lower, new.upper)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -61,17 +62,6 @@ class Added:
     """Of each workspace box, m."""
 
 
-class Lately:
-    """The state that was asked for last, since several ask for the same one after another; left behind where a program
-    goes to another process."""
-
-    def __init__(self) -> None:
-        self.state: State | None = None
-
-    def __reduce__(self) -> tuple[type[Lately], tuple[()]]:
-        return Lately, ()
-
-
 @dataclass(frozen=True, eq=False)
 class Program:
     """A task with what exchange has added, laid out as unknowns and rows."""
@@ -88,12 +78,14 @@ class Program:
     depth_pose: int | None
     """That of the objective reach_radius."""
     lower: Array
+    """(X,) SI."""
     upper: Array
+    """(X,) SI."""
     scale: Array
+    """(X,) the size of a change that matters, SI."""
     elastic: bool = False
     """Whether every group of rows has a slack, of which the sum is minimised in place of the objective."""
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
-    lately: Lately = field(default_factory=Lately, init=False, repr=False)
 
     @property
     def task_poses(self) -> tuple[int, ...]:
@@ -205,23 +197,19 @@ def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:
 
 def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
     space, n = layout.space, layout.n
-    low_tubes = [tube.length for tube in space.tubes(space.start)]
+    low_tubes = np.array([tube.length for tube in space.tubes(space.start)])
     most = extreme_lengths(task, "upper")
     high_tubes = most["straight_length"] + most["curved_length"]
-    limits = task.robot.limits.rotations
-    lower = [*space.lower]
-    upper = [*space.upper]
-    scale = [*space.scale]
-    for _ in range(layout.free_poses):
-        lower += [low for low, _ in limits] + [-longest for longest in high_tubes]
-        upper += [high for _, high in limits] + [0.0] * n
-        scale += [1.0] * n + [max(0.2 * longest, 1e-3) for longest in low_tubes]
-    for name in layout.auxiliary:
-        low, high, size = BOUNDED[name]
-        lower.append(low)
-        upper.append(high)
-        scale.append(size)
-    return np.array(lower), np.array(upper), np.array(scale)
+    turns = np.array(task.robot.limits.rotations)
+    of_a_pose = (
+        np.concatenate([turns[:, 0], -high_tubes]),
+        np.concatenate([turns[:, 1], np.zeros(n)]),
+        np.concatenate([np.ones(n), np.maximum(0.2 * low_tubes, 1e-3)]),
+    )
+    auxiliary = np.reshape([BOUNDED[name] for name in layout.auxiliary], (-1, 3)).T
+    parts = zip((space.lower, space.upper, space.scale), of_a_pose, auxiliary, strict=True)
+    lower, upper, scale = (np.concatenate([own, *[joints] * layout.free_poses, more]) for own, joints, more in parts)
+    return lower, upper, scale
 
 
 def recompiled(task: DesignTask, near: Program) -> Program:
@@ -330,11 +318,13 @@ def objective_size(program: Program, state: State) -> float:
 
 
 def state_at(program: Program, x: Array) -> State:
-    """The state at x, SI; poses begin near the last ones solved."""
-    known = program.lately.state
-    if known is None or not np.array_equal(known.x, x):
-        known = program.lately.state = State(program.layout, x.copy(), program.guesses)
-    return known
+    """The state at x, SI; poses begin near the last ones solved. Several ask for the same one after another."""
+    return _state(program, x.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _state(program: Program, x: bytes) -> State:
+    return State(program.layout, np.frombuffer(x).copy(), program.guesses)
 
 
 def robot_at(program: Program, x: Array) -> ConcentricRobot:

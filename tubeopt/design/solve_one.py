@@ -223,10 +223,8 @@ def improve(
         values, start / scale, program.lower / scale, program.upper / scale, iterations=iterations,
         strategy=strategy, report=None if report is None else lambda f: report("optimum", f * size),
     )  # fmt: skip
-    optimum = Optimum(
-        optimum.x * scale, optimum.values, optimum.multipliers * size, optimum.bound_multipliers * size / scale,
-        optimum.success, optimum.status, optimum.iterations,
-    )  # fmt: skip
+    prices = optimum.multipliers * size, optimum.bound_multipliers * size / scale
+    optimum = replace(optimum, x=optimum.x * scale, multipliers=prices[0], bound_multipliers=prices[1])
     if form is cubed:
         optimum = _folded(optimum, known[1])
     reached = attempt(program, optimum.x, optimum)

@@ -44,12 +44,8 @@ class Task:
     """Clearance (m) to spare at least, but for the neighbourhood of `ends`."""
     ends: Array | None = None
     """(k, m) points of the chart that were found to be allowed by other code."""
-    max_force: float = 0.0
-    """On the tip, N, up to which margin and clearance shall hold."""
     effort: WaySearch = DEFAULT_WAY
     """How hard a way is searched for."""
-    reserve: float = 0.0
-    """Part of `clearance` for that force, m."""
     clock: Clock = field(default_factory=lambda: Clock(math.inf))
     """When it is over, looking at points raises LateError, and no further motion is found to hold."""
     _held: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)

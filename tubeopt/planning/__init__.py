@@ -8,10 +8,10 @@ from .entry import EntryRegion, plan_from_region
 from .goals import TipGoal
 from .leader import LeaderSolver, follow_the_leader
 from .motion import RateLimits
-from .options import PlanOptions
 from .pair_reach import PairReach, PairShare
 from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
+from .question import PlanOptions
 from .reach_share import ReachShare, RegionReach, evaluate_reach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
 from .tip_path import TipPathSolver, follow_tip_path

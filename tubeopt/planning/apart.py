@@ -164,20 +164,22 @@ class PairCells(Table):
 
 @dataclass(frozen=True, eq=False)
 class PairProof(Displayed):
-    """Two arms by their numbers, from 0, and lower bound of the distance between their surfaces at all times, m: -inf
-    where none is shown; the least between the equilibria that were looked at, m, and when, s, taken as linear in time
-    there. `bounds` (M,) hold in the M whiles between `times` (M + 1,), s: each as sharp as it took to show the
-    clearance, or to tell the least. What an arm needs at its plate is a body to the others: `ArmsProof.proofs` tell of
-    it."""
+    """How far the surfaces of two arms stay from each other. What an arm needs at its plate is a body to the others:
+    `ArmsProof.proofs` tell of it."""
 
     arms: tuple[int, int]
+    """Their numbers, from 0."""
     least_clearance: float
     """Lower bound at all times, m; -inf where none is shown."""
     measured_clearance: float
-    """The least that was measured, m."""
+    """The least between the equilibria that were looked at, taken as linear in time there, m."""
     when: float
+    """That was, s."""
     times: Array = field(repr=False)
+    """(M + 1,) s."""
     bounds: Array = field(repr=False)
+    """(M,) lower bounds in the whiles between them, m: each as sharp as it took to show the clearance, or to tell the
+    least."""
 
     def at_least(self, begin: Array, end: Array) -> Array:
         """(T,) lower bounds of the distance from times (T,) to later ones (T,), s, m; before and after its own times

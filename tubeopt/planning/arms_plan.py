@@ -42,8 +42,8 @@ from .arms import (
 from .effort import DEFAULT_EFFORT, ArmsSearch
 from .goals import goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
-from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
+from .question import DEFAULT_PLAN, PlanOptions
 from .trajectory import Trajectory
 
 Move = tuple[int, Trajectory]
@@ -319,7 +319,7 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
             for each in fields(one)
             if not isinstance(getattr(one, each.name), str)
         }
-        tables = ("time", "rotations", "translations", "tip_position", "margin")
+        tables = ("time", "rotations", "translations")
         joined: dict[str, Any] = {
             name: np.concatenate([getattr(whole, name), getattr(part, name)[kept]]) for name in tables
         }

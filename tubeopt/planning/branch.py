@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..typing import Array, Mask
-from .jets import Jet, linear
+from .cross_sections import Jet, linear
 from .sections import PARTS, Intervals
 
 Turn = tuple[Array, Array]

@@ -12,14 +12,12 @@ from ..bodies.distance_field import DistanceField
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
 from ..typing import Array
-from .effort import PlanTask
 from .goals import End
 from .motion import Motion
 from .proof import verify_trajectory
-from .question import Question
-from .smooth import joint_curves, smooth, violated
+from .question import PlanTask
+from .smooth import joint_curves, smooth, track, violated
 from .timing import Limits, at_full_speed, stopping_at, through
-from .tracking import Tracked, track
 from .trajectory import PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]
@@ -28,28 +26,27 @@ SHORT = 1e-9
 """Length of a way (joints' scales) on which nothing is smoothed."""
 
 
-def actuators(question: Question, first: Equilibrium) -> Limits:
+def actuators(task: PlanTask, first: Equilibrium) -> Limits:
     """What limits the speed of motions that begin at an equilibrium."""
-    task, rates = question.task, question.rates
+    rates = task.rates
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = track(task, first, q).tip
+        found = np.array([e.tip_position for e in track(task, first, q)])
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     tip = None if rates.tip is None else (rates.tip, tips)
     return Limits(*rates.of(task.chart.space), tip, task.effort.timing)
 
 
-def motions_near(question: Question, first: Equilibrium, points: Array) -> list[tuple[Motion, str, int, int]]:
+def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tuple[Motion, str, int, int]]:
     """Motions near a way, the best first, and last the way itself with rests at its corners: each as fast as it may be,
     with the objective of its smoothing, iterations and knots.
 
     What is smoothed for length is neither longer nor slower than what it began from; what is smoothed for time is no
     slower than that, nor than what is smoothed for length.
     """
-    task, clock, limits = question.task, question.clock, actuators(question, first)
-    aim, extra = question.options.objective, question.options.extra_cost
+    clock, limits, aim, extra = task.clock, actuators(task, first), task.options.objective, task.options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
     effort, found = task.effort, []
@@ -57,9 +54,9 @@ def motions_near(question: Question, first: Equilibrium, points: Array) -> list[
     most = effort.smoothing.scanned_seconds * clock.crowding if scanned else effort.smoothing.seconds
     own = Clock(min(most, effort.smoothing.share * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < effort.smoothing.least_seconds or not _worth_smoothing(question, curves):
+        if aim == "none" or own.left < effort.smoothing.least_seconds or not _worth_smoothing(task, curves):
             break
-        best = smooth(task, first, points, limits, (name, extra), own)
+        best = smooth(task, first, points, limits, name, own)
         if best is not None:
             exact = name == "margin" or extra is not None
             way = best.motion.sampled(task.scale, effort.timing)[1], best.points[-1]
@@ -82,10 +79,10 @@ def motions_near(question: Question, first: Equilibrium, points: Array) -> list[
     return [*found, (resting, "", 0, len(points))]
 
 
-def _worth_smoothing(question: Question, curves: Sequence[Array]) -> bool:
+def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
     """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
     straight line. With bodies in the way smoothing takes twice as long; its equations are those without a load."""
-    task, options = question.task, question.options
+    options = task.options
     if task.chart.load is not None:
         return False
     length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
@@ -113,12 +110,11 @@ def _rounded(
 
 
 def build(
-    question: Question, first: Equilibrium, end: End | None, motion: Motion, found: PlanStatistics
+    task: PlanTask, first: Equilibrium, end: End | None, motion: Motion, found: PlanStatistics
 ) -> Trajectory | Faults:
     """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these. What was
     `found` before is told with the length of what is made of it and the seconds of the proof."""
-    task, rates, clock = question.task, question.rates, question.clock
-    space = task.chart.space
+    rates, clock, space = task.rates, task.clock, task.chart.space
     t, q = motion.sampled(task.scale, task.effort.timing)
     begin = space.join(first.rotations, first.translations)
     last = q[-1] if end is None else end.joints
@@ -148,14 +144,14 @@ def build(
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < hurry < task.effort.timing.hurry and len(proof.faults) == 1:
-            return build(question, first, end, motion.slower(hurry), found)
+            return build(task, first, end, motion.slower(hurry), found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
-    rest = track(task, proof.samples[-1], q[len(proof.samples) :], Clock(task.effort.shares.late_seconds))
-    if rest.lost:
+    late = Clock(task.effort.shares.late_seconds)
+    arms = (*proof.samples, *track(task, proof.samples[-1], q[len(proof.samples) :], late))
+    if len(arms) < len(q):
         return (no_time(clock),)
-    known = Tracked((*proof.samples, *rest.equilibria), lost=False)
-    if end is not None and float(np.abs(task.chart.of(known.equilibria[-1]) - end.point).max()) > 1e-3:
+    if end is not None and float(np.abs(task.chart.of(arms[-1]) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
     length = float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum())
     seconds = clock.seconds
@@ -165,9 +161,7 @@ def build(
         time=t,
         rotations=table[:, :n],
         translations=table[:, n:],
-        tip_position=known.tip,
-        margin=known.margin,
-        arms=known.equilibria,
+        arms=arms,
         start=first,
         turns=(0,) * n if end is None else end.turns,
         obstacles=task.obstacles,
@@ -180,14 +174,14 @@ def build(
 
 
 def passing(
-    question: Question, first: Equilibrium, q: Array, last: Array, how: str, motions: int = 0
+    task: PlanTask, first: Equilibrium, q: Array, last: Array, how: str, motions: int = 0
 ) -> Trajectory | Faults:
     """The fastest motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart, with
     how these were found by looking at so many motions."""
-    found = PlanStatistics(how, "", motions, 0.0, 0.0, 0, len(q), question.clock.seconds)
-    motion = through(q, question.task.scale, actuators(question, first))
+    found = PlanStatistics(how, "", motions, 0.0, 0.0, 0, len(q), task.clock.seconds)
+    motion = through(q, task.scale, actuators(task, first))
     end = End(last, q[-1], (0,) * first.robot.n_tubes)
-    made = build(question, first, end, motion, found)
+    made = build(task, first, end, motion, found)
     if isinstance(made, Trajectory):  # nothing was smoothed
         return replace(made, statistics=replace(made.statistics, raw_length=made.statistics.length))
     return made

@@ -6,6 +6,7 @@ part of their proof. Tests hold it against equilibria in between.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, reduce
 
@@ -15,7 +16,34 @@ from ..robots.lengthwise import Lengthwise, lengthwise
 from ..robots.robot import Robot
 from ..robots.variation import Variation, variation
 from ..typing import Array, Index
-from .jets import Jet
+
+
+@dataclass(frozen=True, eq=False)
+class Jet:
+    """Bounds of |f|, |f'| and |f''| by time over an interval: arrays of any shape that go together."""
+
+    v: Array
+    d: Array
+    dd: Array
+
+    def __add__(self, other: Jet) -> Jet:
+        return Jet(self.v + other.v, self.d + other.d, self.dd + other.dd)
+
+    def __mul__(self, other: Jet) -> Jet:
+        return Jet(
+            self.v * other.v,
+            self.d * other.v + self.v * other.d,
+            self.dd * other.v + 2 * self.d * other.d + self.v * other.dd,
+        )
+
+    def map(self, function: Callable[[Array], Array]) -> Jet:
+        """A linear function with no negative weights, of all three."""
+        return Jet(function(self.v), function(self.d), function(self.dd))
+
+
+def linear(begin: Array, end: Array) -> Jet:
+    """Of what goes linearly from one value to another while time goes from 0 to 1."""
+    return Jet(np.maximum(np.abs(begin), np.abs(end)), np.abs(end - begin), np.zeros_like(begin))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,20 +110,22 @@ class Bending:
 
     u k(u) = S, S = sum m_i e(theta_i), k = sum kb_i / g_i, g_i = 1 + d_i u.a_i; where d = 0, k is a constant. k is
     convex, so that k >= k(0) - |grad k(0)| |u|; between tubes that lie evenly around the centreline grad k(0) = 0.
-
-    Attributes:
-        moment: (..., n) m_i, 0 where tube i is not curved.   pairs: (..., n, n) bounds of m_i m_j / k, i unlike j.
-        most: (...) bound of |u|.   stiffness: of k from below.   slope, bow: of |grad k| and of its derivative.
-        yielding: of |d(u k)| over |du| from below.
     """
 
     moment: Array
+    """(..., n) m_i, 0 where tube i is not curved."""
     pairs: Array
+    """(..., n, n) of m_i m_j / k, i unlike j."""
     most: Array
+    """(...) of |u|."""
     stiffness: Array
+    """(...) of k from below."""
     slope: Array
+    """(...) of |grad k|."""
     bow: Array
+    """(...) of its derivative."""
     yielding: Array
+    """(...) of |d(u k)| over |du| from below."""
 
     @staticmethod
     def of(c: Constants, *stretches: Index) -> Bending:
@@ -132,24 +162,24 @@ class Bending:
 @dataclass(frozen=True, eq=False)
 class Drift:
     """Bounds of how cross-sections (...) change where they move along n tubes, all else at rest: what tubes that vary
-    add to the derivatives by time of curvature and moments. Tubes on the centreline, else there is none.
-
-    Attributes:
-        still: whether nothing varies; all but 1 / kt is then a 0 of no shape.
-        pulls: (..., n) of a_i / k, a_i = kb_i u*_xy in the tube's own frame.   pairs: (..., n, n) of a_i a_j / k, i
-            unlike j.   ease: (..., n) of 1 / kt.   eased: (..., n) of its derivative by arc length.   wound: (..., n)
-            of that of u*_z, with one derivative by time.   bow: (..., n) second derivative by time of the natural turn,
-            less than which it is off a straight line in time.   give: (...) of 1 / k.
-    """
+    add to the derivatives by time of curvature and moments. Tubes on the centreline, else there is none."""
 
     still: bool
+    """Whether nothing varies; all but 1 / kt is then a 0 of no shape."""
     pulls: Jet
+    """(..., n) of a_i / k, a_i = kb_i u*_xy in the tube's own frame."""
     pairs: Jet
+    """(..., n, n) of a_i a_j / k, i unlike j."""
     ease: Jet
+    """(..., n) of 1 / kt."""
     eased: Jet
+    """(..., n) of its derivative by arc length."""
     wound: Jet
+    """(..., n) of that of u*_z, with one derivative by time."""
     bow: Array
+    """(..., n) second derivative by time of the natural turn, less than which it is off a straight line in time."""
     give: Jet
+    """(...) of 1 / k."""
 
     @staticmethod
     def of(c: Constants, move: Array, *stretches: Index) -> Drift:

@@ -1,5 +1,4 @@
-"""How hard a plan is made, beyond the search of a way: what a user may want to change, as documented fields; and the
-task that knows it."""
+"""How hard a plan is made, beyond the search of a way: what a user may want to change, as documented fields."""
 
 from __future__ import annotations
 
@@ -7,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ..errors import Settings
-from ..inverse.task import Task
 from ..inverse.way_settings import WaySearch
 
 
@@ -308,10 +306,3 @@ class PlanEffort(WaySearch):
 
 DEFAULT_EFFORT = PlanEffort()
 DEFAULT_PROOF = ProofSearch()
-
-
-@dataclass(frozen=True, eq=False)
-class PlanTask(Task):
-    """What must hold all along a plan, and how hard it is made."""
-
-    effort: PlanEffort = DEFAULT_EFFORT

@@ -24,12 +24,10 @@ from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array
 from .arms import Lines
-from .effort import PlanTask
 from .goals import TipGoal, checked_places, goal_seen, of_the_tip, start_equilibrium
 from .motion import RateLimits
-from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
-from .question import asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .trajectory import Entry, Trajectory
 
 MOST = 16384
@@ -138,7 +136,7 @@ def plan_from_region(
         True
     """
     instance("region", region, EntryRegion)
-    task = asked(robot, obstacles, options=options, **given).task
+    task = asked(robot, obstacles, options=options, **given)
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:

@@ -32,14 +32,17 @@ ROBOT, BRANCH = "robot: ", "start tip rotations in deg: "
 
 @dataclass(frozen=True, eq=False)
 class TimedJoints:
-    """T samples: time (T,) s, rotations (T, n) rad, translations (T, n) m; tip rotations (n,) at the start, rad, where
-    the file tells them."""
+    """What a file of joint values over time holds."""
 
     robot: Robot
     time: Array
+    """(T,) s."""
     rotations: Array
+    """(T, n) rad."""
     translations: Array
+    """(T, n) m."""
     start_tips: Array | None
+    """(n,) tip rotations at the start, rad, where the file tells them."""
 
     def start(self, load: Load | None = None) -> Equilibrium | None:
         """The equilibrium at the first sample, under a load, with the tip rotations of the file; None where it tells

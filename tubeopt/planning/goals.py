@@ -27,7 +27,7 @@ from ..inverse.posture import posture_of, start_at
 from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
-from .effort import PlanTask
+from .question import PlanTask
 from .reach import check_place, least_miss
 
 FINISHED = 1e-6
@@ -90,13 +90,13 @@ def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, n
     if isinstance(known, Equilibrium):
         if known.robot != space.robot:
             raise InputError(f"{name} is an equilibrium of another robot")
-        return known if load is None or known.load == load else bearing(known, load)
+        return known if load is None or known.load == load else under_load(known, load)
     q = configuration(space, name, start)
     rotations, shift = space.split(q)
     return forward_kinematics(space.robot, rotations, shift, load=load)
 
 
-def bearing(equilibrium: Equilibrium, load: Load) -> Equilibrium:
+def under_load(equilibrium: Equilibrium, load: Load) -> Equilibrium:
     """The equilibrium at the same joint values into which one grows with a load; raises SolveError where it is lost."""
     robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
     return forward_kinematics(robot, *joints, load=load, guess=equilibrium)
@@ -158,7 +158,7 @@ def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium],
     good, reasons = [], []
     for e in found:
         try:
-            good.append(e if e.load == load else bearing(e, load))
+            good.append(e if e.load == load else under_load(e, load))
         except SolveError as error:
             reasons.append(f"no plan was found: at the goal {error}")
     return good, reasons

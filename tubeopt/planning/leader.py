@@ -23,14 +23,12 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import passing
-from .effort import PlanTask
 from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
-from .options import DEFAULT_PLAN, PlanOptions
-from .question import asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import step_constraints
+from .smooth import track
 from .tip_path import distance_from
-from .tracking import track
 from .trajectory import Trajectory
 
 
@@ -98,9 +96,8 @@ def follow_the_leader(  # noqa: PLR0913
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
     instance("solver", solver, LeaderSolver)
-    question = asked(robot, obstacles, min_margin, rate_limits, limits, options)
-    task = question.task
-    with question.in_time():
+    task = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    with task.in_time():
         last = _goal(task, goal)
         path = [task.chart.of(last)]
         for share in np.linspace(1.0, begin, solver.lengths + 1)[1:]:
@@ -108,10 +105,10 @@ def follow_the_leader(  # noqa: PLR0913
         q = task.chart.joints(np.array(path))
     q[0] = task.chart.space.join(last.rotations, last.translations)
     withdrawn = track(task, last, q)
-    if withdrawn.lost:
+    if len(withdrawn) < len(q):
         raise SolveError("the arm snaps while it is withdrawn")
-    first = withdrawn.equilibria[-1]
-    made = passing(question, first, q[::-1], path[0], "leader")
+    first = withdrawn[-1]
+    made = passing(task, first, q[::-1], path[0], "leader")
     if not isinstance(made, Trajectory):
         raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(made)}")
     way = np.concatenate([first.position, made.tip_position[1:]])

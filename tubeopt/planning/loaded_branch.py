@@ -26,7 +26,7 @@ import numpy as np
 
 from ..typing import Array, Mask
 from .branch import Branch, Turn
-from .jets import Jet, linear
+from .cross_sections import Jet, linear
 from .loaded_sections import LoadedIntervals
 from .sections import PARTS
 

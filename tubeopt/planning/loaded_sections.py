@@ -10,8 +10,7 @@ import numpy as np
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..typing import Array, Index
-from .cross_sections import Bending, Drift
-from .jets import Jet
+from .cross_sections import Bending, Drift, Jet
 from .sections import JUMP, SHAPE_ERROR, Arms, Intervals
 
 

@@ -1,18 +1,21 @@
-"""A motion: joint values as a function of time, polynomials between knots; and the limits that actuators set to it."""
+"""A motion: joint values as a function of time; the limits that actuators set to it, and what is wrong with a table of
+joint values over time, whatever the arm does: ranges, order, rates, accelerations."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-import scipy
-from numpy.typing import ArrayLike
+from scipy.interpolate import PPoly
 
 from ..display import Displayed
 from ..errors import InputError, numbers, positive
 from ..files.marks import POSITIVE, key
-from ..inverse.joints import JointSpace
+from ..inverse.joints import JointSpace, joint_space
+from ..robots.limits import MOST_TURN, JointLimits, default_limits
+from ..robots.robot import Robot
 from ..typing import Array
 from .effort import Timing
 
@@ -23,6 +26,12 @@ OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_ac
 """Limits that are one number for all tubes, or one per tube."""
 
 
+TIP_SLACK = 1e-3
+"""Relative excess of the speed of the tip that does not matter, since it is measured between equilibria."""
+
+SLACK = 1e-6
+"""Of a rate, and of a range, that is round-off."""
+
 Rates = float | tuple[float, ...]
 EACH = "for all tubes, or one per tube"
 
@@ -31,20 +40,20 @@ EACH = "for all tubes, or one per tube"
 class RateLimits(Displayed):
     """How fast the actuators are; but for the tip, one number for all tubes, or one per tube.
 
-    Args:
-        rotation, translation: greatest rates, rad/s and m/s.
-        rotation_acceleration, translation_acceleration: rad/s^2 and m/s^2.
-        tip: greatest speed of the tip, m/s; None where it does not matter.
-
     Raises:
         InputError: a limit that is not a finite number greater than 0.
     """
 
     rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, EACH] = np.pi / 2
+    """rad/s."""
     translation: Annotated[Rates, key("translation_mm_per_s"), POSITIVE, EACH] = 0.02
+    """m/s."""
     rotation_acceleration: Annotated[Rates, key("rotation_deg_per_s2"), POSITIVE, EACH] = np.pi
+    """rad/s^2."""
     translation_acceleration: Annotated[Rates, key("translation_mm_per_s2"), POSITIVE, EACH] = 0.04
+    """m/s^2."""
     tip: Annotated[float | None, key("tip_mm_per_s"), POSITIVE, "greatest speed of the tip; by default any"] = None
+    """m/s; None where it does not matter."""
 
     def __post_init__(self) -> None:
         if self.tip is not None:
@@ -74,55 +83,105 @@ DEFAULT_RATES = RateLimits()
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Knots: time (K,) s from 0, joint values (K, m); in between polynomials of the time since the knot before, with
-    coefficients (d, K - 1, m), that of the highest power first and without the constant one. `tip_limited`: whether the
-    speed of the tip is."""
+    """Joint values (m,) as polynomials of time in between knots, from 0 s on."""
 
-    time: Array
-    joints: Array
-    """(K, m) at the knots."""
-    powers: Array
-    """(d, K - 1, m) coefficients in between."""
+    curve: PPoly
     tip_limited: bool = False
+    """Whether the speed of the tip is."""
+
+    @staticmethod
+    def resting(q: Array) -> Motion:
+        """One that goes nowhere, from joint values (m,)."""
+        return Motion(PPoly(q[None, None], [0.0, INSTANT / 2]))
+
+    @property
+    def time(self) -> Array:
+        """(K,) s of the knots."""
+        return np.asarray(self.curve.x)
 
     @property
     def duration(self) -> float:
         """Seconds."""
         return float(self.time[-1])
 
-    @property
-    def curve(self) -> scipy.interpolate.PPoly:
-        """The same as a function of time, of a motion that takes time."""
-        return scipy.interpolate.PPoly(np.concatenate([self.powers, self.joints[None, :-1]]), self.time)
-
     def slower(self, factor: float) -> Motion:
         """The same in so many times the time."""
-        order = np.arange(len(self.powers), 0, -1)[:, None, None]
-        return replace(self, time=self.time * factor, powers=self.powers / factor**order)
+        order = np.arange(len(self.curve.c) - 1, -1, -1)[:, None, None]
+        return replace(self, curve=PPoly(self.curve.c / factor**order, self.time * factor))
 
     def length(self, scale: Array, timing: Timing) -> float:
         """Of the path in joint space, in units of the joints' scales."""
         return float(np.linalg.norm(np.diff(self.sampled(scale, timing)[1] / scale, axis=0), axis=1).sum())
 
-    def at(self, time: ArrayLike) -> Array:
-        """(T, m) joint values at times (T,)."""
-        if self.duration == 0:
-            return np.repeat(self.joints[:1], np.size(time), axis=0)
-        values: Array = self.curve(np.asarray(time))
-        return values
-
     def sampled(self, scale: Array, timing: Timing) -> tuple[Array, Array]:
         """Evenly spaced times (T,) and joint values (T, m), close enough that straight lines between them will do."""
         if self.duration < INSTANT:  # from joint values to the same, but for round-off
-            return np.zeros(1), self.joints[:1]
-        coarse = self.at(np.linspace(0, self.duration, 40 * len(self.time)))
+            return np.zeros(1), self.curve(np.zeros(1))
+        coarse = self.curve(np.linspace(0, self.duration, 40 * len(self.time)))
         change = np.abs(np.diff(coarse / scale, axis=0)).max() * len(coarse)
         least = timing.samples_of_tip if self.tip_limited else timing.samples
         count = int(np.clip(np.ceil(change / timing.sample_step), least, timing.most_samples))
         time = np.linspace(0, self.duration, count + 1)
-        return time, self.at(time)
+        return time, self.curve(time)
 
 
-def cubic(time: Array, joints: Array, rates: Array) -> Motion:
-    """The motion with joint values and rates (K, m) at times (K,), cubic in between."""
-    return Motion(time, joints, scipy.interpolate.CubicHermiteSpline(time, joints, rates).c[:-1])
+def joint_range(robot: Robot, limits: JointLimits | None) -> JointSpace:
+    """The joint values of given limits, else of the robot's own; without either, lengths limit translations, and
+    rotations are not limited."""
+    if limits is None and robot.joint_limits is None:
+        free = ((-MOST_TURN, MOST_TURN),) * robot.n_tubes
+        limits = JointLimits(free, default_limits(robot.tubes).translations)
+    return joint_space(robot, limits)
+
+
+def rates_of(t: Array, values: Array) -> tuple[Array, Array]:
+    """(n,) largest rates between samples, and largest accelerations between these, of columns."""
+    if len(t) < 2:
+        return np.zeros(values.shape[1]), np.zeros(values.shape[1])
+    h = np.diff(t)[:, None]
+    rate = np.diff(values, axis=0) / h
+    change = np.diff(rate, axis=0) / ((h[1:] + h[:-1]) / 2) if len(h) > 1 else np.zeros((1, values.shape[1]))
+    return np.abs(rate).max(0), np.abs(change).max(0)
+
+
+def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
+    """Joint values beyond their range, and tubes out of order."""
+    faults = []
+    q = np.array([space.join(a, d) for a, d in zip(alpha, shift, strict=True)])
+    tied = np.abs(np.array([space.joint(row) for row in q])[:, alpha.shape[1] :] - shift).max()
+    if tied > 1e-9:
+        faults.append(f"tubes that move together are moved apart by {tied * 1e3:.3g} mm")
+    over = np.maximum(space.lower - q, q - space.upper) / space.scale
+    k, joint = np.unravel_index(int(np.argmax(over)), over.shape)
+    if over[k, joint] > SLACK:
+        n = alpha.shape[1]
+        name = f"rotation of tube {joint + 1}" if joint < n else f"translation of carriage {joint - n + 1}"
+        value = f"{np.degrees(q[k, joint]):.5g} deg" if joint < n else f"{q[k, joint] * 1e3:.5g} mm"
+        faults.append(f"{name} leaves its range at sample {k + 1}, {value}")
+    if len(space.least):
+        late = (space.least - q @ space.rows.T).max(0) / space.length
+        row = int(np.argmax(late))
+        if late[row] > SLACK:
+            faults.append(f"the tubes leave their order: beyond {space.row_names[row]}")
+    return faults
+
+
+def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], tip_rate: float, limits: RateLimits) -> list[str]:
+    """Joints that are faster, or accelerate more, than their limits, and the tip where it is faster than its own."""
+    faults = []
+    if limits.tip is not None and tip_rate > limits.tip * (1 + TIP_SLACK):
+        faults.append(f"the tip reaches {tip_rate * 1e3:.4g} mm/s; it must be at most {limits.tip * 1e3:.4g} mm/s")
+    n = space.robot.n_tubes
+    units = ((180 / np.pi, "deg/s"), (1e3, "mm/s")), ((180 / np.pi, "deg/s^2"), (1e3, "mm/s^2"))
+    for order, limit in enumerate(limits.of(space)):
+        most = np.concatenate([limit[:n], (space.spread @ np.append(np.zeros(n), limit[n:]))[n:]])
+        for kind, what in enumerate(("rotation", "translation")):
+            own, allowed = rates[kind][order], most[kind * n : kind * n + n]
+            i = int(np.argmax(own / allowed))
+            factor, unit = units[order][kind]
+            if own[i] > allowed[i] * (1 + 1e-3 * order + SLACK):
+                faults.append(
+                    f"{what} of tube {i + 1} reaches {own[i] * factor:.4g} {unit}; "
+                    f"it must be at most {allowed[i] * factor:.4g} {unit}"
+                )
+    return faults

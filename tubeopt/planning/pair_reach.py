@@ -22,7 +22,7 @@ from ..typing import Array, Mask
 from .arms import PlacedRobot
 from .arms_plan import plan_arms
 from .goals import checked_places
-from .options import DEFAULT_PLAN, PlanOptions
+from .question import DEFAULT_PLAN, PlanOptions
 from .reach_share import ReachShare, RegionReach, score
 
 

@@ -65,20 +65,20 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """What was found on the way.
-
-    steps: in order of time.   snap: fraction of the time at which the branch ends.   lost: (from, to) fractions of the
-    time between which nothing shows that one stable branch joins the equilibria.
-    margin: least, numerically, of all times.   clearance: bound of all times up to the last step, m; -inf where some is
-    lost.   measured: least distance that was measured, m.
-    """
+    """What was found on the way."""
 
     steps: tuple[Step, ...]
+    """In order of time."""
     snap: float | None
+    """Fraction of the time at which the branch ends."""
     lost: tuple[tuple[float, float], ...]
+    """(from, to) fractions of the time between which nothing shows that one stable branch joins the equilibria."""
     margin: float
+    """Least, numerically, of all times."""
     clearance: float
+    """Bound of all times up to the last step, m; -inf where some is lost."""
     measured: float
+    """Least distance that was measured, m."""
 
 
 class BranchEndsError(Exception):

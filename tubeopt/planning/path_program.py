@@ -46,6 +46,14 @@ BLUR = 1.5
 TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
 
+WEIGHTS = {
+    "length": (1.0, 0.1, 0.0, 0.0),
+    "time": (0.02, 1.0, 0.0, 0.0),
+    "effort": (0.02, 0.05, 1e-2, 0.0),
+    "margin": (0.02, 0.05, 0.0, 1.0),
+}
+"""Of length, time, effort and margin, for every objective."""
+
 OPTIONS: dict[str, Any] = {
     **NO_SENSITIVITIES,
     "print_time": False,
@@ -64,40 +72,42 @@ OPTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class PathQuestion:
-    """What makes two programs the same but for numbers.
-
-    kind of the arm; carriages (groups of tubes, from 0); intervals between knots; rows of the order of the joints;
-    obstacles; length (m) of the robot; how it is solved; an own cost: its expression of the quantities
-    of one pose, and its weight, which is negative where more of it is better.
-    """
+    """What makes two programs the same but for numbers."""
 
     kind: Kind
+    """Of the arm."""
     carriages: tuple[tuple[int, ...], ...]
+    """Groups of tubes, from 0."""
     intervals: int
+    """Between knots."""
     rows: int
+    """Of the order of the joints."""
     obstacles: tuple[Obstacle, ...]
     length: float
+    """Of the robot, m."""
     solver: PathSolver
     extra: tuple[Expression, float] | None = None
+    """An own cost: its expression of the quantities of one pose, and its weight, which is negative where more of it is
+    better."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathProgram:
     """The program, its Hessian, and its constraints with their Jacobian. Unknowns, in units of the scale, by columns:
     joint values (m, K), rates (m, K), tip rotations (n, K), square of the duration, margin.
-
-    `rows`: number of constraints of each kind, in order.   `parameters`: their names, in order.
-    `least`: of unknowns and parameters, the smooth least distances by columns (rows, K), m; `body`: of which obstacle
-    every one of these rows is.
     """
 
     problem: dict[str, Any]
     hessian: ca.Function
     jacobian: ca.Function
     rows: dict[str, int]
+    """Number of constraints of each kind, in order."""
     least: ca.Function
+    """(unknowns, parameters) -> the smooth least distances by columns (rows, K), m."""
     body: list[int]
+    """Of which obstacle every one of these rows is."""
     parameters: tuple[str, ...]
+    """Their names, in order."""
 
     def values(self, **given: Any) -> Array:
         """The parameters in order: robot (7n,); offset (n,) of the translations; scale (m,); rate, acceleration (m,)

@@ -21,11 +21,9 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Faults, actuators, build, motions_near, no_time
-from .effort import PlanTask
 from .goals import End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
-from .options import DEFAULT_PLAN, PlanOptions
-from .question import Question, asked, bearing
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked, bearing
 from .smooth import joint_curves
 from .timing import Limits, stopping_at
 from .trajectory import PlanStatistics, Trajectory
@@ -75,57 +73,54 @@ def plan_trajectory(  # noqa: PLR0913
         >>> plan.proved
         True
     """
-    question = asked(robot, obstacles, min_margin, rate_limits, limits, options, load)
-    with question.in_time():
-        return _planned(question, start, goal)
+    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, load)
+    with task.in_time():
+        return _planned(task, start, goal)
 
 
-def _planned(question: Question, start: Any, goal: Any) -> Trajectory:
+def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
     """The plan; raises as `plan_trajectory` does, and LateError."""
-    chart, options, effort = question.task.chart, question.options, question.task.effort
+    chart, options, effort = task.chart, task.options, task.effort
     first = start_equilibrium(chart.space, start, chart.load)
-    question = bearing(question, first.translations)
-    check_start(question.task, first)
+    task = bearing(task, first.translations)
+    check_start(task, first)
     hasty = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
-    goals = _goals(question, first, goal, 1 if hasty else effort.goals.answers)
+    goals = _goals(task, first, goal, 1 if hasty else effort.goals.answers)
     n = len(first.translations)
-    question = bearing(question, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
-    question = _between(question, first, goals)
+    task = bearing(task, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
+    task = _between(task, first, goals)
     faults: Faults = ()
     for attempt in range(effort.attempts):
-        question, goals, way = _way(question, first, goal, goals, options.seed + attempt)
+        task, goals, way = _way(task, first, goal, goals, options.seed + attempt)
         if way.points is None:
-            raise _not_found(question, first, goals, way)
+            raise _not_found(task, first, goals, way)
         reached = way.points[-1]
         end = min(goals, key=lambda each: float(np.abs(each.point - reached).max()))
-        made = _make(question, first, end, way)
+        made = _make(task, first, end, way)
         if isinstance(made, Trajectory):
             return made
         faults = made
-        if question.clock.over:
+        if task.clock.over:
             break
-        question = _between(replace(question, task=question.task.roomier()), first, goals)
+        task = _between(task.roomier(), first, goals)
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
 
 
-def _goals(question: Question, first: Equilibrium, goal: Any, enough: int) -> list[End]:
+def _goals(task: PlanTask, first: Equilibrium, goal: Any, enough: int) -> list[End]:
     """The equilibria at which the plan may end; for a goal of the tip first `enough` of those beside a roadmap."""
-    task, known = question.task, question.options.roadmap
+    known = task.options.roadmap
     near = None if known is None else partial(known.near, task, count=task.effort.goals.points)
-    share = Clock(task.effort.shares.goals * question.clock.left)
-    return ends(task, first, goal, share, modulo_turns=question.options.modulo_turns, near=near, enough=enough)
+    share = Clock(task.effort.shares.goals * task.clock.left)
+    return ends(task, first, goal, share, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
 
 
-def _between(question: Question, first: Equilibrium, goals: Sequence[End]) -> Question:
-    task = question.task
-    return replace(question, task=task.from_to(task.chart.of(first), *(end.point for end in goals)))
+def _between(task: PlanTask, first: Equilibrium, goals: Sequence[End]) -> PlanTask:
+    return task.from_to(task.chart.of(first), *(end.point for end in goals))
 
 
-def _way(
-    question: Question, first: Equilibrium, goal: Any, goals: list[End], seed: int
-) -> tuple[Question, list[End], Way]:
+def _way(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> tuple[PlanTask, list[End], Way]:
     """A way to the goals; where none is found to a goal of the tip, one to other postures that meet it."""
-    task, options, clock, effort = question.task, question.options, question.clock, question.task.effort
+    options, clock, effort = task.options, task.clock, task.effort
     until = options.time_limit - min(effort.shares.report_seconds, effort.shares.report * options.time_limit)
     left = max(0.0, min(effort.shares.search * options.time_limit, until) - clock.seconds)
     postures = of_the_tip(goal) and left > effort.shares.postures_seconds
@@ -134,63 +129,63 @@ def _way(
         way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(effort.shares.roadmap * left))
         enough = effort.goals.answers
         if way.points is None and len(goals) < enough and of_the_tip(goal):
-            goals = _goals(question, first, goal, enough)
-            question = _between(question, first, goals)
+            goals = _goals(task, first, goal, enough)
+            task = _between(task, first, goals)
             rest = Clock(effort.shares.roadmap * max(0.0, left - clock.seconds))
-            way = options.roadmap.way(question.task, begin, [end.point for end in goals], rest)
+            way = options.roadmap.way(task, begin, [end.point for end in goals], rest)
         if way.points is not None:
-            return question, goals, way
+            return task, goals, way
         left = max(0.0, until - clock.seconds)
     search = Clock(effort.shares.nearest * left if postures else left)
     find = partial(find_way, how=options.search, improving=options.search_seconds)
-    way = find(question.task, begin, [end.point for end in goals], search, seed=seed)
+    way = find(task, begin, [end.point for end in goals], search, seed=seed)
     if way.impossible and (of_the_tip(goal) or len(goals) == effort.goals.most or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
-        return question, goals, way
+        return task, goals, way
     rest = Clock(left - search.seconds)
     others = other_ends(task, first, goal, goals, rest.part(0.5), modulo_turns=options.modulo_turns)
     goals = [*goals, *others]
-    question = _between(question, first, goals)
-    again = find(question.task, begin, [end.point for end in others or goals], rest, seed=seed + 1)
-    return question, goals, replace(again, motions=way.motions + again.motions, impossible=False)
+    task = _between(task, first, goals)
+    again = find(task, begin, [end.point for end in others or goals], rest, seed=seed + 1)
+    return task, goals, replace(again, motions=way.motions + again.motions, impossible=False)
 
 
-def _make(question: Question, first: Equilibrium, end: End, way: Way) -> Trajectory | Faults:
+def _make(task: PlanTask, first: Equilibrium, end: End, way: Way) -> Trajectory | Faults:
     """Smooth a way and prove it: the smoothed motion, else the shortened way with rests at its corners."""
     assert way.points is not None
-    clock = question.clock
+    clock = task.clock
     searched = clock.seconds
     try:
-        points = _shorter(question, way)
-        raw = question.task.length(way.points)
-        motions = motions_near(question, first, points)
+        points = _shorter(task, way)
+        raw = task.length(way.points)
+        motions = motions_near(task, first, points)
     except LateError:
         return (no_time(clock),)
     smoothed = clock.seconds
     faults: Faults = ()
     for motion, how, iterations, knots in motions:
         numbers = (way.motions, raw, 0.0, iterations, knots, searched, smoothed - searched)
-        made = build(question, first, end, motion, PlanStatistics(way.how, how, *numbers))
+        made = build(task, first, end, motion, PlanStatistics(way.how, how, *numbers))
         if isinstance(made, Trajectory):
             return made
         faults = made
     return faults
 
 
-def _shorter(question: Question, way: Way) -> Array:
+def _shorter(task: PlanTask, way: Way) -> Array:
     """The points of a way with corners cut; of one over a roadmap, which is the shortest there, without smoothing only
     those corners are left out that it can do without."""
     assert way.points is not None
-    if way.how == "roadmap" and question.options.objective == "none":
-        return without_corners(question.task, way.points)
-    clock = Clock(min(2.0, 0.3 * question.clock.left))
-    return shorten(question.task, way.points, clock, seed=question.options.seed)
+    if way.how == "roadmap" and task.options.objective == "none":
+        return without_corners(task, way.points)
+    clock = Clock(min(2.0, 0.3 * task.clock.left))
+    return shorten(task, way.points, clock, seed=task.options.seed)
 
 
-def _not_found(question: Question, first: Equilibrium, goals: Sequence[End], way: Way) -> SolveError:
+def _not_found(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: Way) -> SolveError:
     """What to say where the search ended without a way: how close it came, and with what."""
-    task, clock = question.task, question.clock
+    clock = task.clock
     if way.impossible:
         return SolveError(f"no plan exists: {way.why}")
     partial, distance = None, float("nan")
@@ -198,10 +193,10 @@ def _not_found(question: Question, first: Equilibrium, goals: Sequence[End], way
         distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
         points, motion = way.closest, None
         with suppress(LateError):
-            points, motion = _affordable(task, way.closest, actuators(question, first), clock.left)
+            points, motion = _affordable(task, way.closest, actuators(task, first), clock.left)
         if motion is not None:
             found = PlanStatistics("partial", "", way.motions, 0.0, 0.0, 0, len(points), clock.seconds)
-            made = build(question, first, None, motion, found)
+            made = build(task, first, None, motion, found)
             partial = made if isinstance(made, Trajectory) and made.proof.holds else None
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
     why = f"; {way.why}" if way.why else ""

@@ -35,8 +35,7 @@ from ..stability.following import checked_waypoints
 from ..typing import Array, Of, Sentence
 from .clearing import Wanted
 from .effort import DEFAULT_PROOF, ProofSearch
-from .faults import joint_range, out_of_range, rates_of, too_fast
-from .motion import RateLimits
+from .motion import RateLimits, joint_range, out_of_range, rates_of, too_fast
 from .passage import SHORTEST, Follower, Passage, Step, follow
 
 

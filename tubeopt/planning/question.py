@@ -1,43 +1,121 @@
-"""From what a caller gives to a checked question, before any work is done."""
+"""What a caller asks of a plan, checked before any work is done."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Protocol
 
 import numpy as np
 
+from ..block.own import OwnObjective
 from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..errors import InputError, SolveError, finite, instance
+from ..display import Displayed
+from ..errors import InputError, SolveError, finite, instance, positive
+from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, check_fields, key, unit
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
 from ..inverse.joints import JointSpace, joint_space
+from ..inverse.search import SEARCHES, Way
+from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..stability.deflection import under_any_force
 from ..typing import Array
-from .effort import PlanTask
+from .effort import DEFAULT_EFFORT, PlanEffort
 from .loaded_chart import LoadedChart
 from .loaded_sections import uncovered
 from .motion import DEFAULT_RATES, RateLimits
-from .options import DEFAULT_PLAN, PlanOptions
-from .path_program import path_cost
+from .path_program import WEIGHTS, path_cost
+
+
+class Ways(Protocol):
+    """What knows ways among bodies from earlier on, as a `Roadmap`."""
+
+    def way(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
+        """A way from a point of the chart to one of goals; without points where it knows none."""
+
+    def near(self, task: PlanTask, place: Array, count: int) -> Array:
+        """At most `count` points of the chart whose tips are nearest to a place."""
+
+
+@dataclass(frozen=True)
+class PlanOptions(Displayed):
+    """Details of a plan.
+
+    Raises:
+        InputError: a value that is not allowed.
+    """
+
+    search: Annotated[str, OneOf(SEARCHES), "how a way is looked for: auto, rrt_connect or optimal"] = "auto"
+    """"auto" (straight, by translations where nothing can snap, else RRT-Connect), "rrt_connect" alone, or "optimal":
+    what "auto" finds, after which BIT* (OMPL) has `search_seconds` to find a shorter way."""
+    objective: Annotated[str, OneOf((*WEIGHTS, "none")), "of the smoothing: length, time, effort, margin or none"] = (
+        "length"
+    )
+    """"length" (of the path in joint space), "time", "effort" (int of the squares of the accelerations),
+    "margin" (largest least margin), or "none"."""
+    time_limit: Annotated[float, unit("s"), POSITIVE, "for search and smoothing"] = 60.0
+    """For the proof too."""
+    search_seconds: float = 5.0
+    """Of "optimal", s."""
+    clearance: Annotated[float, unit("mm"), NOT_NEGATIVE, "least distance of the arm from obstacles"] = 0.0
+    """Of its surface."""
+    max_force: Annotated[
+        float,
+        key("max_tip_force_mN"),
+        NOT_NEGATIVE,
+        "margin and clearance under any force on the tip of up to this size, in any direction",
+    ] = 0.0
+    """Forces that keep their direction."""
+    carriage_gap: float = 0.0
+    """As in `InverseOptions`, m."""
+    section_length: float = 0.0
+    """As in `InverseOptions`, m."""
+    modulo_turns: Annotated[bool, "goal rotations may be reached with any number of whole turns"] = False
+    """The plan tells how many."""
+    seed: Annotated[int, NOT_NEGATIVE, "of the search"] = 0
+    extra_cost: OwnObjective | None = None
+    """Of smoothing, an own objective of the joint values and the tip of one pose, `q.poses[0]`: its mean along the
+    path, times its weight, is added to the objective, in which the length counts relative to that of the way that was
+    found, as 1."""
+    effort: PlanEffort = DEFAULT_EFFORT
+    """How hard a way is searched for, smoothed, timed and proved."""
+    roadmap: Ways | None = field(default=None, repr=False)
+    """What is asked for a way before any is searched for, see `build_roadmap`."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        instance("extra_cost", self.extra_cost, OwnObjective, optional=True)
+        if self.extra_cost is not None and self.objective == "none":
+            raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
+        if self.roadmap is not None and not hasattr(self.roadmap, "way"):
+            raise InputError(f"roadmap is {self.roadmap!r}; it must be a Roadmap")
+        instance("effort", self.effort, PlanEffort)
+        positive("search_seconds", self.search_seconds)
+        for name in ("carriage_gap", "section_length"):
+            positive(name, getattr(self, name), zero=True)
+
+
+DEFAULT_PLAN = PlanOptions()
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
-    """What must hold, how fast the actuators are, and how a plan is made."""
+class PlanTask(Task):
+    """What must hold all along a plan, how fast the actuators are, and how it is made.
 
-    task: PlanTask
-    rates: RateLimits
-    options: PlanOptions
+    The clock, of the time limit, runs from when it was asked.
+    """
 
-    @property
-    def clock(self) -> Clock:
-        """Of the time limit, which runs from when it was asked."""
-        return self.task.clock
+    effort: PlanEffort = DEFAULT_EFFORT
+    max_force: float = 0.0
+    """On the tip, N, up to which margin and clearance shall hold."""
+    reserve: float = 0.0
+    """Part of `clearance` for that, m."""
+    rates: RateLimits = DEFAULT_RATES
+    options: PlanOptions = DEFAULT_PLAN
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
@@ -57,8 +135,8 @@ def asked(
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
     load: Load | None = None,
-) -> Question:
-    """The question, its clock running from here.
+) -> PlanTask:
+    """The task, its clock running from here.
 
     Raises:
         InputError: arguments of another kind, or with numbers that make no sense.
@@ -77,10 +155,17 @@ def asked(
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     rate_limits.of(space)
     chart = Chart(space) if load is None else _loaded(space, load, options)
-    task = PlanTask(
-        chart, bodies, floor, options.clearance, max_force=options.max_force, effort=options.effort, clock=clock
+    return PlanTask(
+        chart,
+        bodies,
+        floor,
+        options.clearance,
+        effort=options.effort,
+        clock=clock,
+        max_force=options.max_force,
+        rates=rate_limits,
+        options=options,
     )
-    return Question(task, rate_limits, options)
 
 
 def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
@@ -95,15 +180,14 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     return LoadedChart(space, load)
 
 
-def bearing(question: Question, *translations: Array) -> Question:
-    """The question with room for what a force on the tip moves the arm by at translations (n,) each, and between them.
+def bearing(task: PlanTask, *translations: Array) -> PlanTask:
+    """The task with room for what a force on the tip moves the arm by at translations (n,) each, and between them.
 
     Raises:
         SolveError: at one of them it is not shown that every such force leaves the margin.
     """
-    task = question.task
     if not task.max_force:
-        return question
+        return task
     robot, alone = task.chart.space.robot, []
     for each in translations:
         bound = under_any_force(robot, each, task.max_force)
@@ -117,5 +201,4 @@ def bearing(question: Question, *translations: Array) -> Question:
         alone.append(bound.deflection)
     between = under_any_force(robot, np.array(translations), task.max_force).deflection
     reserve = task.effort.force_room * (between if np.isfinite(between) else max(alone))
-    task = replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)
-    return replace(question, task=task)
+    return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)

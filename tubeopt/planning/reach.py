@@ -17,7 +17,7 @@ from ..inverse.least_squares import constrained_least_squares
 from ..inverse.multistart import known_starts
 from ..inverse.table import nearest_starts, spread_starts
 from ..typing import Array
-from .effort import PlanTask
+from .question import PlanTask
 
 DIFFERENCE = 1e-5
 """Step of the differences, in units of the scales."""

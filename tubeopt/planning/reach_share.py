@@ -27,12 +27,10 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability import find_equilibria
 from ..typing import Array, Mask
-from .effort import PlanTask
 from .goals import check_start, checked_places, start_equilibrium
 from .motion import DEFAULT_RATES
-from .options import DEFAULT_PLAN, PlanOptions
 from .plan import plan_trajectory
-from .question import asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import step_towards, tips_about
 from .roadmap import Roadmap, build_roadmap
 
@@ -123,7 +121,7 @@ def evaluate_reach(
     """
     places = checked_places(targets)
     positive("tolerance", tolerance)
-    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options).task
+    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options)
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     begin, n = task.chart.of(first), robot.n_tubes

@@ -26,10 +26,8 @@ from ..inverse.search import Way
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array, Index
-from .effort import PlanTask
 from .motion import DEFAULT_RATES
-from .options import DEFAULT_PLAN, PlanOptions
-from .question import asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 
 
 @dataclass(eq=False)
@@ -153,7 +151,7 @@ def build_roadmap(
         >>> len(tubeopt.build_roadmap(robot, count=20))
         20
     """
-    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options).task
+    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options)
     random, n = np.random.default_rng(options.seed), robot.n_tubes
     space, found, total = task.chart.space, [], 0
     drawn = task.effort.roadmap.drawn

@@ -11,8 +11,7 @@ import numpy as np
 
 from ..equilibrium.result import Equilibrium
 from ..typing import Array, Index, Mask
-from .cross_sections import Bending, Constants, Drift
-from .jets import Jet, linear
+from .cross_sections import Bending, Constants, Drift, Jet, linear
 
 SWAPPED = 1e-9
 """Breakpoints (m) may be so much out of order at the ends of an interval, which is round-off."""

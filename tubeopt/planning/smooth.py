@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
-from ..block.own import OwnObjective
 from ..block.quantities import Expression
+from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
+from ..errors import SolveError
 from ..inverse.clock import Clock
+from ..inverse.outline import Outline
 from ..typing import Array, Mask
-from .effort import PlanTask
-from .motion import Motion, cubic
+from .motion import Motion
 from .path_program import (
     MOST_NODES,
     TABLES,
+    WEIGHTS,
     PathProgram,
     PathQuestion,
     path_cost,
     path_program,
 )
+from .question import PlanTask
 from .timing import Limits
-from .tracking import Tracked, track
-
-OBJECTIVES = ("length", "time", "effort", "margin")
-"""Weights of length, time, effort and margin follow from these."""
-
-WEIGHTS = {
-    "length": (1.0, 0.1, 0.0, 0.0),
-    "time": (0.02, 1.0, 0.0, 0.0),
-    "effort": (0.02, 0.05, 1e-2, 0.0),
-    "margin": (0.02, 0.05, 0.0, 1.0),
-}
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
@@ -84,17 +78,11 @@ def resample(task: PlanTask, points: Array, count: int) -> Array:
 
 
 def smooth(
-    task: PlanTask,
-    start: Equilibrium,
-    points: Array,
-    limits: Limits,
-    aim: tuple[str, OwnObjective | None],
-    clock: Clock,
+    task: PlanTask, start: Equilibrium, points: Array, limits: Limits, objective: str, clock: Clock
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
-    the clock is over. How long it takes is told by objectives of time and effort only. `aim`: the objective, and an own
-    cost, of which the mean along the path counts beside it."""
-    objective, extra = aim
+    the clock is over. How long it takes is told by objectives of time and effort only."""
+    extra = task.options.extra_cost
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     intervals, iterations = task.effort.smoothing.intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
@@ -180,7 +168,7 @@ def _solve(
     *moved, tips, (square, _) = np.split(np.asarray(result["x"]).ravel(), sizes)
     joints, rates = (each.reshape(q.shape) * scale for each in moved)
     duration = float(np.sqrt(square)) * unit
-    motion = cubic(time * duration, joints, rates / duration)
+    motion = Motion(CubicHermiteSpline(time * duration, joints, rates / duration))
     return Smoothed(motion, np.column_stack([tips.reshape(-1, n), joints[:, n:]]), int(stats["iter_count"]))
 
 
@@ -264,25 +252,57 @@ def violated(
     and clearance (m) fall short. `places`: times (P,) at which it has to be at points (P, m) of the chart: the same
     joint values may be led to on several branches, by ways around a fold on one side and on the other."""
     time, q = motion.sampled(task.scale, task.effort.timing)
-    tracked = track(task, start, q, clock)
+    found = track(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
-    short = tracked.short(task)
-    wrong = time[: short.shape[1]][(short > 0).any(0)]
-    if tracked.lost:
-        wrong = np.append(wrong, time[short.shape[1]])
+    short = _short(task, found)
+    wrong = time[: len(found)][(short > 0).any(0)]
+    if len(found) < len(q):
+        wrong = np.append(wrong, time[len(found)])
     else:
-        first = places[0][_apart(task, time, tracked, places)][:1]
+        first = places[0][_apart(task, time, found, places)][:1]
         wrong = np.append(wrong, np.nextafter(first, 0))  # what led there lies before it
     at = np.clip(np.searchsorted(motion.time, wrong, side="right") - 1, 0, len(bad) - 1)
     bad[at] = True
     return bad, np.maximum(short.max(1, initial=0.0), 0.0)
 
 
-def _apart(task: PlanTask, time: Array, tracked: Tracked, places: tuple[Array, Array]) -> Mask:
+def track(task: PlanTask, start: Equilibrium, q: Array, clock: Clock | None = None) -> tuple[Equilibrium, ...]:
+    """The equilibria at joint values q (T, m), as forward kinematics finds them one from the other on the branch of
+    `start`: fewer than T where the branch ends, or the clock is over."""
+    space, here, found = task.chart.space, start, list[Equilibrium]()
+    for row in q:
+        rotations, shift = space.split(row)
+        try:
+            here = forward_kinematics(space.robot, rotations, shift, load=task.chart.load, guess=here)
+        except SolveError:
+            break
+        if not here.stable or (clock is not None and clock.over):
+            break
+        found.append(here)
+    return tuple(found)
+
+
+def _short(task: PlanTask, found: Sequence[Equilibrium]) -> Array:
+    """(2, T) what margin and clearance (m) of equilibria lack of what is to be kept and to be left; 0 or less where
+    nothing. Both ends are as they are."""
+    joints = [task.chart.space.join(e.rotations, e.translations) for e in found]
+    q = np.reshape(joints, (-1, len(task.scale))) / task.scale
+    step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
+    most = task.effort.smoothing.left
+    left = most * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / task.effort.timing.sample_step) ** 2
+    margin = np.array([e.margin for e in found])
+    clear = np.array([Outline(e).clearance(task.scene, task.clearance + most) for e in found])
+    out = np.array([task.min_margin + left - margin, task.clearance + left - clear])
+    for end in {0, len(q) - 1} if len(q) else ():
+        out[:, end] = np.minimum(out[:, end], 0.0)
+    return out
+
+
+def _apart(task: PlanTask, time: Array, found: Sequence[Equilibrium], places: tuple[Array, Array]) -> Mask:
     """(P,) at which of some places a motion that was followed at times (T,) is on another branch."""
-    points = np.array([task.chart.of(each) for each in tracked.equilibria])
-    found = np.column_stack([np.interp(places[0], time, column) for column in points.T])
-    return np.asarray((np.abs(found - places[1]) / task.scale).max(1) > task.effort.smoothing.apart)
+    points = np.array([task.chart.of(each) for each in found])
+    there = np.column_stack([np.interp(places[0], time, column) for column in points.T])
+    return np.asarray((np.abs(there - places[1]) / task.scale).max(1) > task.effort.smoothing.apart)
 
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:

@@ -19,10 +19,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
+from scipy.interpolate import PPoly
 
 from ..typing import Array, Index, Mask
 from .effort import DEFAULT_EFFORT, Timing
-from .motion import Motion
+from .motion import INSTANT, Motion
 
 SAME = 1e-9
 """Share of a curve below which two points of the grid are one."""
@@ -38,18 +39,20 @@ Tips = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """rate, acceleration (m,) of the joints; tip: greatest speed of the tip, m/s, and where it is; effort: the cells of
-    the grids, and the share of what is allowed that is used."""
+    """How fast joints and tip may be, and how a curve is timed."""
 
     rate: Array
+    """(m,) of the joints."""
     acceleration: Array
+    """(m,) of the joints."""
     tip: tuple[float, Tips] | None = None
+    """Greatest speed of the tip, m/s, and where it is."""
     timing: Timing = DEFAULT_EFFORT.timing
 
 
 def at_full_speed(motion: Motion, limits: Limits) -> Motion:
     """A motion from rest to rest, along the same curve, as fast as limits allow."""
-    return motion if motion.duration == 0 else _along([motion.curve], limits)[0]
+    return motion if motion.duration < INSTANT else _along([motion.curve], limits)[0]
 
 
 def stopping_at(ways: Sequence[Array], limits: Limits) -> Motion:
@@ -58,9 +61,8 @@ def stopping_at(ways: Sequence[Array], limits: Limits) -> Motion:
     parts = _along([rounded(way) for way in ways], limits)
     began = np.cumsum([0.0, *(part.duration for part in parts)])
     time = [parts[0].time, *(part.time[1:] + start for part, start in zip(parts[1:], began[1:-1], strict=True))]
-    joints = [parts[0].joints, *(part.joints[1:] for part in parts[1:])]
-    powers = np.concatenate([part.powers for part in parts], axis=1)
-    return Motion(np.concatenate(time), np.concatenate(joints), powers, parts[0].tip_limited)
+    powers = np.concatenate([part.curve.c for part in parts], axis=1)
+    return Motion(PPoly(powers, np.concatenate(time)), parts[0].tip_limited)
 
 
 def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None) -> Motion:
@@ -69,13 +71,13 @@ def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None
     step = np.linalg.norm(np.diff(q / scale, axis=0), axis=1)
     mark = np.concatenate([[0.0], np.cumsum(step)])
     if not mark[-1] > 1e-9:
-        return Motion(np.zeros(1), q[:1], np.zeros((1, 0, q.shape[1])))
+        return Motion.resting(q[0])
     count = max(100, 4 * len(q)) if spacing is None else max(8, int(np.ceil(mark[-1] / spacing)) + 1)
     even = np.linspace(0, mark[-1], count)
     return stopping_at([np.column_stack([np.interp(even, mark, column) for column in q.T])], limits)
 
 
-def rounded(table: Array) -> scipy.interpolate.PPoly:
+def rounded(table: Array) -> PPoly:
     """A smooth curve over [0, 1] close to evenly spaced points (k, m).
 
     The cubic B-spline whose control points lie on the polyline: it begins and ends at its ends, and stays within the
@@ -88,10 +90,10 @@ def rounded(table: Array) -> scipy.interpolate.PPoly:
     control = np.column_stack([np.interp(places, x, column) for column in table.T])
     curve, inner = scipy.interpolate.BSpline(knots, control, 3), knots[3:-3]
     terms = [curve(inner[:-1], nu=order) / math.factorial(order) for order in (3, 2, 1, 0)]
-    return scipy.interpolate.PPoly(np.array(terms), inner)
+    return PPoly(np.array(terms), inner)
 
 
-def _along(curves: Sequence[scipy.interpolate.PPoly], limits: Limits) -> list[Motion]:
+def _along(curves: Sequence[PPoly], limits: Limits) -> list[Motion]:
     """The fastest motions along cubic curves, each of which begins where the one before ends."""
     grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], limits.timing.cells)) for curve in curves]
     for k, (curve, s, b) in enumerate(zip(curves, grids, _largest(curves, grids, limits), strict=True)):
@@ -102,14 +104,14 @@ def _along(curves: Sequence[scipy.interpolate.PPoly], limits: Limits) -> list[Mo
     return motions if limits.tip is None else [replace(each, tip_limited=True) for each in motions]
 
 
-def _grid(curve: scipy.interpolate.PPoly, places: Array) -> Array:
+def _grid(curve: PPoly, places: Array) -> Array:
     """(N + 1,) places on a curve and its knots, those that are all but the same once."""
     s = np.union1d(curve.x, places)
     apart: Array = s[np.append(np.diff(s) > SAME * (s[-1] - s[0]), True)]
     return apart
 
 
-def _largest(curves: Sequence[scipy.interpolate.PPoly], grids: Sequence[Array], limits: Limits) -> list[Array]:
+def _largest(curves: Sequence[PPoly], grids: Sequence[Array], limits: Limits) -> list[Array]:
     """(N + 1,) the largest b on every curve's grid."""
     tips: list[Array | None] = [None] * len(curves)
     if limits.tip is not None:
@@ -126,15 +128,15 @@ def _time(s: Array, b: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / np.maximum(pace[1:] + pace[:-1], TINY))])
 
 
-def _motion(curve: scipy.interpolate.PPoly, s: Array, b: Array) -> Motion:
+def _motion(curve: PPoly, s: Array, b: Array) -> Motion:
     """Along a curve with b (N + 1,) on a grid: in every cell s grows by p t + w t^2."""
     c1, c2, c3 = _terms(curve, s)
     p, w = np.sqrt(b[:-1])[:, None], (np.diff(b) / np.diff(s) / 4)[:, None]
     powers = [c3 * w**3, 3 * c3 * p * w**2, c2 * w**2 + 3 * c3 * p**2 * w, 2 * c2 * p * w + c3 * p**3]
-    return Motion(_time(s, b), curve(s), np.array([*powers, c1 * w + c2 * p**2, c1 * p]))
+    return Motion(PPoly(np.array([*powers, c1 * w + c2 * p**2, c1 * p, curve(s[:-1])]), _time(s, b)))
 
 
-def _terms(curve: scipy.interpolate.PPoly, s: Array) -> tuple[Array, Array, Array]:
+def _terms(curve: PPoly, s: Array) -> tuple[Array, Array, Array]:
     """Three (N, m) of a curve in every cell of a grid that has its knots: c1 x + c2 x^2 + c3 x^3 from its begin."""
     first, second, third = (curve(s[:-1], nu=order) / math.factorial(order) for order in (1, 2, 3))
     return first, second, third
@@ -151,7 +153,7 @@ class _Program:
     most: Array
 
     @staticmethod
-    def of(curve: scipy.interpolate.PPoly, s: Array, limits: Limits, tip: Array | None) -> _Program:
+    def of(curve: PPoly, s: Array, limits: Limits, tip: Array | None) -> _Program:
         """That of a curve on a grid s (N + 1,), with tips (N + 1, 3) where their speed is limited."""
         h = np.diff(s)
         c1, c2, c3 = _terms(curve, s)

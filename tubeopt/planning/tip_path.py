@@ -21,11 +21,9 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import passing
-from .effort import PlanTask
 from .goals import check_start, checked_places, kept, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
-from .options import DEFAULT_PLAN, PlanOptions
-from .question import asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import least_miss
 from .trajectory import Trajectory
 
@@ -102,8 +100,8 @@ def follow_tip_path(  # noqa: PLR0913
     """
     positive("tolerance", tolerance)
     instance("solver", solver, TipPathSolver)
-    question = asked(robot, obstacles, min_margin, rate_limits, limits, options)
-    task, clock = question.task, question.clock
+    task = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    clock = task.clock
     curve = _curve(path, spline, solver.dense)
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
     longest = LONGEST * max(tube.length for tube in robot.tubes)
@@ -123,7 +121,7 @@ def follow_tip_path(  # noqa: PLR0913
                     furthest, reason = share, why
                 break
             q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
-            made = passing(question, first, q, task.chart.of(equilibria[-1]), "tip path", len(q))
+            made = passing(task, first, q, task.chart.of(equilibria[-1]), "tip path", len(q))
             if isinstance(made, Trajectory):
                 off = distance_from(curve, made.tip_position)
                 if off.max() <= tolerance:

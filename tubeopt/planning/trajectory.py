@@ -78,10 +78,6 @@ class Trajectory(Displayed):
     """(T, n) rad, not wrapped."""
     translations: Array
     """(T, n) m."""
-    tip_position: Array
-    """(T, 3) m."""
-    margin: Array
-    """(T,)."""
     arms: tuple[Equilibrium, ...]
     """Equilibria at the samples."""
     start: Equilibrium
@@ -112,6 +108,16 @@ class Trajectory(Displayed):
     def end(self) -> Equilibrium:
         """The equilibrium at its end."""
         return self.arms[-1]
+
+    @cached_property
+    def tip_position(self) -> Array:
+        """(T, 3) m."""
+        return np.array([e.tip_position for e in self.arms])
+
+    @cached_property
+    def margin(self) -> Array:
+        """(T,)."""
+        return np.array([e.margin for e in self.arms])
 
     @cached_property
     def clearance(self) -> Array:

@@ -182,18 +182,14 @@ def _furthest(context: Context, tube: int) -> float:
 
 def _transmission_span(context: Context, index: int | None) -> Span:
     tubes = members(context.robot)
-    reach = [max(_furthest(context, i) for i in _tubes_of(context, k)) for k in range(len(tubes))]
+    each = context.robot.n_tubes // len(tubes)
+    reach = [max(_furthest(context, i) for i in range(k * each, (k + 1) * each)) for k in range(len(tubes))]
     room = [most - tube.straight_length for most, tube in zip(reach, tubes, strict=True)]
     least = max(room) if index is None else room[index]
     start = 0.0
     if isinstance(context.robot, EccentricRobot):
         start, least = context.robot.transmission_length, max(0.0, least)
     return Span(start, min(start, least), start + 20 * context.length, context.length, 0.1 * context.length)
-
-
-def _tubes_of(context: Context, kind: int) -> tuple[int, ...]:
-    each = context.robot.n_tubes // len(members(context.robot))
-    return tuple(range(kind * each, (kind + 1) * each))
 
 
 def _transmission(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:

@@ -91,7 +91,8 @@ class ArmModel:
         positions = self.measurements.station_position
         seen = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
         rows, stations = np.nonzero(seen)
-        registration = self._registered(poses, seen)
+        predicted = self._placed(self.first, poses)[0]
+        registration = register(positions[seen], predicted[seen], self.method, base=self.base)
         self.axis = self._sensor_axis(poses, registration)
         parts, row, station = [positions[rows, stations]], [rows], [stations]
         frames = self.measurements.orientation
@@ -107,10 +108,6 @@ class ArmModel:
     def directed(self) -> Mask:
         """(V,) which observations are directions."""
         return np.asarray(self.station < 0)
-
-    def _registered(self, poses: Poses, seen: Mask) -> Registration:
-        measured = self.measurements.station_position[seen]
-        return register(measured, self._placed(self.first, poses)[0][seen], self.method, base=self.base)
 
     def _sensor_axis(self, poses: Poses, registration: Registration) -> Array | None:
         """The direction along the tube in the sensor's frame: as given, or the one of AXES that fits best."""
