@@ -3,7 +3,7 @@ the breakpoints that move with these: see `derivatives`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..block.transcription.buffered import section_function
 from ..block.transcription.linear import Arm, Chain, Response, Slopes, along, chain_of, respond, slopes_at
+from ..block.transcription.reduced import ReducedProblem
 from ..errors import InputError
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.breakpoints import DIMENSIONS
@@ -111,6 +112,8 @@ class ArmChange:
             to its translation in equal parts, so that the chain rule holds for every motion that is possible.
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
             derivatives differ.
+        margin: of the equilibrium.
+        problem: gives the reduced problem that the arm solves; the margin of tubes off the centreline asks for it.
 
     Raises:
         InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
@@ -123,10 +126,13 @@ class ArmChange:
         *,
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
+        margin: float = 1.0,
+        problem: Callable[[], ReducedProblem] | None = None,
     ) -> None:
         check_wrt(wrt, side)
         self.arm, self.assembly, self.carriages = arm, arm.assembly, carriages
         self.wrt, self.side = tuple(wrt), side
+        self.value, self.problem = margin, problem
         self.size = 0
         """Number of columns, by carriages."""
         self._first = {}

@@ -8,14 +8,12 @@ dp = int R du x (p(L) - p) ds, the margin, a Rayleigh quotient, from the change 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.linear import (
-    Arm,
     Slopes,
     cross,
     cumulate,
@@ -25,7 +23,6 @@ from ..block.transcription.linear import (
     rotations_at,
     slopes_at,
 )
-from ..block.transcription.reduced import ReducedProblem
 from ..robots.assembly import ROUND_OFF
 from ..typing import Array
 from .arm_change import ArmChange
@@ -37,26 +34,7 @@ FLAT = 1 - 1e-9
 
 
 class Derivatives(ArmChange):
-    """Derivatives of one equilibrium with respect to Q parameters, computed where they are asked for.
-
-    Args:
-        arm, carriages, wrt, side: as of `ArmChange`.
-        margin: of the equilibrium.
-        problem: gives the reduced problem that the arm solves; the margin of tubes off the centreline asks for it.
-    """
-
-    def __init__(
-        self,
-        arm: Arm,
-        carriages: tuple[tuple[int, ...], ...],
-        *,
-        wrt: Sequence[str] = ("rotations", "translations"),
-        side: int = 1,
-        margin: float = 1.0,
-        problem: Callable[[], ReducedProblem] | None = None,
-    ) -> None:
-        super().__init__(arm, carriages, wrt=wrt, side=side)
-        self.value, self._problem = margin, problem
+    """Derivatives of one equilibrium with respect to Q parameters, computed where they are asked for."""
 
     @cached_property
     def tip_rotations(self) -> Array:
@@ -222,9 +200,9 @@ class Derivatives(ArmChange):
             return self.per_tube(np.zeros(self.size))
         if not self.arm.place:
             return self.quotient(self.value, AtSolution())
-        if self.value >= FLAT or self._problem is None:
+        if self.value >= FLAT or self.problem is None:
             return self.per_tube(np.zeros(self.size))
-        return self.per_tube(offset_change(self, self._problem()))
+        return self.per_tube(offset_change(self, self.problem()))
 
     def quotient(self, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
         """(Q,) of a least Rayleigh quotient, the margin or the certificate; see `quotient_change`."""

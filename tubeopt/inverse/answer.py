@@ -94,6 +94,7 @@ class InverseSolution(Displayed):
 
     robot = Of[Robot]("equilibrium")
     rotations, translations = Of[Array]("equilibrium"), Of[Array]("equilibrium")
+    """(n,) rad and (n,) m, not wrapped."""
     margin = Of[float]("equilibrium")
 
     @cached_property

@@ -21,7 +21,7 @@ from .task import Task
 
 @dataclass(frozen=True)
 class Wall:
-    """What separates start and goal, in words, and whether that is proved."""
+    """What separates start and goal."""
 
     words: str
     proved: bool

@@ -24,18 +24,20 @@ SEARCHES = ("auto", "rrt_connect", "optimal")
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Points (k, m) of the chart whose straight motions hold, and how they were found: "straight", "detour", "search".
-
-    motions: how many motions were checked.   closest: without a way, what came closest to the goal (points).
-    why: without a way, what stands against there being one, in words; `impossible` where that is proved.
-    """
+    """What was found between points of the chart."""
 
     points: Array | None
+    """(k, m) whose straight motions hold."""
     how: str
+    """They were found: "straight", "detour", "search"."""
     motions: int
+    """That were checked."""
     closest: Array | None = None
+    """(k, m) without a way, what came closest to the goal."""
     why: str = ""
+    """Without a way, what stands against there being one, in words."""
     impossible: bool = False
+    """Whether that is proved."""
 
 
 def find_way(

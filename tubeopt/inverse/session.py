@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy
@@ -24,10 +23,10 @@ from .goal import Goal, pose_question, unit_vector
 from .joints import Configuration
 from .least_squares import constrained_least_squares
 from .order import Order, breakpoint_order, crossings
-from .posture import Posture, same_place, seed_posture
+from .posture import Posture, posture_of, same_place, seed_posture
 from .program import programmable, solve_program
 from .settings import DEFAULT_OPTIONS, InverseOptions
-from .solving import inverse_kinematics
+from .solving import answers_of
 from .way import answer_at, joint_way, leap
 
 LAST = "last target"
@@ -70,15 +69,16 @@ class IkSession:
         obstacles: Sequence[Obstacle] = (),
         options: InverseOptions = DEFAULT_OPTIONS,
     ) -> None:
-        self._question: dict[str, Any] = {
-            "min_margin": min_margin,
-            "limits": limits,
-            "weights": weights,
-            "obstacles": tuple(obstacles),
-            "options": options,
-        }
-        self._robot = robot
-        self._goal = pose_question(robot, (np.zeros(3), None), (seed, None), **self._question)
+        self._goal = pose_question(
+            robot,
+            (np.zeros(3), None),
+            (seed, None),
+            min_margin=min_margin,
+            limits=limits,
+            weights=weights,
+            obstacles=obstacles,
+            options=options,
+        )
         self._solution: InverseSolution | None = None
         self._here: Posture | None = None
         self._near: _Slopes | None = None
@@ -129,9 +129,9 @@ class IkSession:
         """
         target = vector("position", position, 3, "x, y, z in m")
         pointing = None if direction is None else unit_vector("direction", direction)
-        if self._here is None:
-            return [self._first(target, pointing)]
         goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._goal.options.time_limit))
+        if self._here is None:
+            return [self._first(goal)]
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
         before = self._here, self._near, self._solution
@@ -192,11 +192,9 @@ class IkSession:
             )
         return seed
 
-    def _first(self, target: Array, direction: Array | None) -> InverseSolution:
-        answer = inverse_kinematics(self._robot, target, direction=direction, **self._question)
-        assert isinstance(answer, InverseSolution)
-        self._here = seed_posture(self._goal.space, answer)
-        self._solution = answer
+    def _first(self, goal: Goal) -> InverseSolution:
+        (answer,) = answers_of(goal, None)
+        self._here, self._solution = posture_of(goal.space, answer.equilibrium), answer
         return answer
 
     def _step(

@@ -7,9 +7,9 @@ one of the search without load, and the load is put on it as the robot would fee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, TypedDict, Unpack, overload
+from typing import Literal, TypedDict, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,24 +17,20 @@ from numpy.typing import ArrayLike
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, choice, instance, vector
+from ..errors import InputError, SolveError, choice, instance
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
-from ..typing import Array
 from .answer import InverseSolution
 from .clock import Clock
-from .goal import Goal, angle, pose_question, unit_vector
+from .goal import Goal, angle, pose_question
 from .joints import Configuration
 from .multistart import Multistart, known_home
 from .outline import Outline
-from .posture import seed_posture
+from .posture import posture_of, seed_posture
 from .settings import DEFAULT_OPTIONS, InverseOptions
 from .way import with_a_way
-
-Search = Callable[[Array, Array | None, InverseSolution | None, float, InverseOptions], InverseSolution]
-"""Answer without load to position, direction, the answer before, least margin, options."""
 
 
 class Asked(TypedDict, total=False):
@@ -124,38 +120,35 @@ def inverse_kinematics(  # noqa: PLR0913
     check_robot(robot)
     instance("options", options, InverseOptions)
     clock = Clock(options.time_limit)
-    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     choice("on_failure", on_failure, ("raise", "closest"))
+    if load is not None and (all_solutions or reachable or on_failure != "raise"):
+        raise InputError("all_solutions, reachable and on_failure 'closest' are for a robot without load")
+    goal = pose_question(
+        robot,
+        (position, direction),
+        (seed, reference),
+        min_margin=min_margin,
+        limits=limits,
+        weights=weights,
+        obstacles=obstacles,
+        options=options,
+    )
+    goal = replace(goal, clock=clock)
     if load is not None:
-        if all_solutions or reachable or on_failure != "raise":
-            raise InputError("all_solutions, reachable and on_failure 'closest' are for a robot without load")
-
-        def without(
-            at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
-        ) -> InverseSolution:
-            start = _without_load(seed) if last is None else last
-            goal = pose_question(robot, (at, along), (start, reference), options=asked, **{**kept, "min_margin": floor})
-            return _answers(goal, start, clock)[0]
-
-        towards = None if direction is None else unit_vector("direction", direction)
-        return _under_load(
-            without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
-        )
-    goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
-    found = _answers(goal, seed, clock, every=all_solutions, on_failure=on_failure, reachable=reachable)
+        return _under_load(goal, _without_load(seed), load, held=reference is not None)
+    found = answers_of(goal, seed, every=all_solutions, on_failure=on_failure, reachable=reachable)
     return found if all_solutions else found[0]
 
 
-def _answers(
+def answers_of(
     goal: Goal,
     seed: Configuration | None,
-    clock: Clock,
     *,
     every: bool = False,
     on_failure: str = "raise",
     reachable: bool = False,
 ) -> list[InverseSolution]:
-    """The answer to a question in the time that a clock leaves, or `every` one."""
+    """The answer to a question, or `every` one."""
     if goal.objective == "nearest" and not goal.named:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
     if goal.direction_weight is not None and goal.direction is None:
@@ -166,7 +159,6 @@ def _answers(
             "robot can choose; use auto or gauss_newton"
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
-    goal = replace(goal, clock=clock)
     search = Multistart(goal, first)
     found = (search.all() if every else search.one()) or [search.failure(on_failure)]
     if reachable:
@@ -175,31 +167,29 @@ def _answers(
     return found
 
 
-def _under_load(
-    search: Search, target: tuple[Array, Array | None], load: Load, min_margin: float, options: InverseOptions
-) -> InverseSolution:
-    """Joint values whose loaded equilibrium has its tip at a target, with margin and clearance under the load.
+def _under_load(goal: Goal, seed: Configuration | None, load: Load, *, held: bool) -> InverseSolution:
+    """Joint values whose loaded equilibrium has its tip at a target, with margin and clearance under the load; near the
+    seed or, where its reference is `held`, that of the goal.
 
     Where the loaded arm falls short of the margin or the clearance, the unloaded one is asked for so much more.
     """
     if not load.has_energy:
         raise InputError("load has a moment or turns with the tip, so no margin: no answer is known to be stable")
-    if options.direction_weight is not None:
+    if goal.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
-    floor, clearance, last, room = min_margin, options.clearance, None, options.solver.aim.room
-    for _ in range(options.solver.aim.shots):
-        asked = replace(options, clearance=clearance)
-        found, e = _aim(search, target, load, (last, floor, asked))
-        answer = _loaded_answer(found, e, target)
-        short = min_margin - e.margin
-        near = options.clearance - Outline(e).clearance(found.scene) if found.scene.bodies else -1.0
+    wanted, last, room = goal, seed, goal.solver.aim.room
+    for _ in range(goal.solver.aim.shots):
+        last, e = _aim(wanted, last, load, held=held)
+        answer = _loaded_answer(last, e, goal)
+        short = goal.min_margin - e.margin
+        near = goal.clearance - Outline(e).clearance(goal.scene) if goal.scene.bodies else -1.0
         if short <= 0 and near <= 0:
             return answer
-        floor += max(short, 0.0) + (room if short > 0 else 0.0)
-        clearance += max(near, 0.0) + (room * float(e.arc_length[-1]) if near > 0 else 0.0)
+        floor = wanted.min_margin + max(short, 0.0) + (room if short > 0 else 0.0)
+        clearance = wanted.clearance + max(near, 0.0) + (room * float(e.arc_length[-1]) if near > 0 else 0.0)
         if floor >= 1:
             break
-        last = found
+        wanted = replace(wanted, min_margin=floor, options=replace(wanted.options, clearance=clearance))
     raise SolveError(
         f"under the load the margin is {e.margin:.3g} and the clearance {1e3 * max(near, 0.0):.3g} mm too small at the "
         "best answer that was found",
@@ -215,22 +205,19 @@ def _without_load(seed: Configuration | None) -> Configuration | None:
     return seed
 
 
-def _aim(
-    search: Search,
-    target: tuple[Array, Array | None],
-    load: Load,
-    question: tuple[InverseSolution | None, float, InverseOptions],
-) -> tuple[InverseSolution, Equilibrium]:
+def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> tuple[InverseSolution, Equilibrium]:
     """An answer without load whose loaded equilibrium is on target."""
-    (position, direction), (last, floor, options) = target, question
-    at, along, missed, solver = position, direction, np.inf, options.solver.aim
+    at, missed, solver = goal, np.inf, goal.solver.aim
     for _ in range(solver.shots):
-        last = search(at, along, last, floor, options)
+        if isinstance(last, InverseSolution) and not held:
+            here = goal.space.join(last.rotations, last.translations)
+            at = replace(at, named=True, objective=at.objective or "nearest", reference=here)
+        (last,) = answers_of(at, last)
         e = forward_kinematics(
             last.equilibrium.robot, last.rotations, last.translations, load=load, guess=last.equilibrium
         )
-        gap = position - e.tip_position
-        turn = 0.0 if direction is None else angle(e.tip_rotation[:, 2], direction)
+        gap = goal.position - e.tip_position
+        turn = 0.0 if goal.direction is None else angle(e.tip_rotation[:, 2], goal.direction)
         before, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
         if max(float(np.linalg.norm(gap)), turn) <= solver.tolerance:
             return last, e
@@ -238,24 +225,24 @@ def _aim(
             if missed <= solver.stalled:
                 return last, e
             break
-        at = at + gap
-        if direction is not None and along is not None:
-            along = along + direction - e.tip_rotation[:, 2]
-            along = along / np.linalg.norm(along)
+        at = replace(at, position=at.position + gap)
+        if goal.direction is not None and at.direction is not None:
+            along = at.direction + goal.direction - e.tip_rotation[:, 2]
+            at = replace(at, direction=along / np.linalg.norm(along))
     raise SolveError(
         f"the loaded robot misses the target by {1e3 * np.linalg.norm(gap):.3g} mm, and aiming does not help"
     )
 
 
-def _loaded_answer(found: InverseSolution, e: Equilibrium, target: tuple[Array, Array | None]) -> InverseSolution:
-    position, direction = target
+def _loaded_answer(found: InverseSolution, e: Equilibrium, goal: Goal) -> InverseSolution:
+    at = posture_of(goal.space, e)
     return replace(
         found,
-        target_position=position,
-        target_direction=direction,
+        target_position=goal.position,
+        target_direction=goal.direction,
         equilibrium=e,
-        position_error=float(np.linalg.norm(e.tip_position - position)),
-        direction_error=float("nan") if direction is None else angle(e.tip_rotation[:, 2], direction),
+        position_error=goal.position_error(at),
+        direction_error=goal.direction_error(at),
         cold_start_agrees=None,
         straight_from_seed=None,
         # The way of the unloaded robot: what the loaded one does on it nobody asked.

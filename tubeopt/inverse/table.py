@@ -59,6 +59,11 @@ class StartTable:
     whole: bool
     """Whether time did not run out before all were tried."""
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """What it says of every configuration."""
+        return self.q, self.tip, self.direction, self.margin
+
 
 def build_table(
     space: JointSpace, size: int, clock: Clock | None = None, begun: StartTable | None = None
@@ -70,7 +75,7 @@ def build_table(
     n, m = space.robot.n_tubes, len(space.lower)
     if begun is None:
         begun = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, whole=False)
-    parts, tried = [(begun.q, begun.tip, begun.direction, begun.margin)], begun.tried
+    parts, tried = [begun.arrays], begun.tried
     count = 8  # configurations between two looks at the clock, more where these are quick
     while tried < size and not clock.over:
         began, some = clock.seconds, q[tried : tried + count]
@@ -151,7 +156,7 @@ def _read(path: Path, joints: int, size: int) -> StartTable | None:
         return None
     count = len(table.margin)
     shapes = [(count, joints), (count, 3), (count, 3), (count,)]
-    fitting = [each.shape for each in (table.q, table.tip, table.direction, table.margin)] == shapes
+    fitting = [each.shape for each in table.arrays] == shapes
     return table if fitting and (count or not table.whole) else None
 
 
@@ -232,14 +237,10 @@ def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
     flipped[:, : space.robot.n_tubes] *= -1
     flipped = space.wrap(flipped, space.middle())
     inside = ((flipped >= space.lower) & (flipped <= space.upper)).all(1)
-    return StartTable(
-        np.concatenate([table.q, flipped[inside]]),
-        np.concatenate([table.tip, table.tip[inside] * mirror]),
-        np.concatenate([table.direction, table.direction[inside] * mirror]),
-        np.concatenate([table.margin, table.margin[inside]]),
-        table.tried,
-        table.whole,
-    )
+    images = flipped, table.tip * mirror, table.direction * mirror, table.margin
+    both = (np.concatenate([own, image[inside]]) for own, image in zip(table.arrays, images, strict=True))
+    q, tip, direction, margin = both
+    return StartTable(q, tip, direction, margin, table.tried, table.whole)
 
 
 def _turned(vectors: Array, angle: Array) -> Array:

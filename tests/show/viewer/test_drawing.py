@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -146,6 +147,10 @@ def test_ticks_are_round() -> None:
 def test_words_are_escaped() -> None:
     session = open_session(replace(THESIS, name="<script>alert(1)</script>"))
     assert "<script" not in words.readout(session, None) + words.log_words(note(session, "<b>").log)
+    for k in range(words.SHOWN_EVENTS + 1):
+        session = note(session, f"the {k + 1}th")
+    first, *_, last = re.findall(r"value=.(\d+).[^>]*>(.*?)</li>", words.log_words(session.log))
+    assert (first, last) == (("13", "the 13th"), ("1", "and earlier ones"))
     assert "&lt;b&gt;<br>two" in words.message_words("<b>\ntwo", bad=True)
     assert "cannot snap at any rotation" in words.certificate_words(0.2)
     assert "not proved" in words.certificate_words(-0.2)

@@ -195,9 +195,9 @@ def test_the_way_on_which_the_tip_was_led_is_recorded() -> None:
     """In joint values it is no straight line, so that both ends would not tell how the robot got there."""
     session = record(open_session(THESIS), True)
     start, target = session.equilibrium.tip_position, np.array([0.05, -0.06, 0.2])
-    led = pull(session, target)
-    assert led.reached
-    recording = led.session.recording
+    led, words = pull(session, target)
+    assert not words
+    recording = led.recording
     assert recording is not None
     assert len(recording) > 4
     for row in recording[1:]:
@@ -212,10 +212,9 @@ def test_the_way_on_which_the_tip_was_led_is_recorded() -> None:
 def test_the_tip_follows_the_hand() -> None:
     session = turned(open_session(THESIS), 60)
     target = session.equilibrium.tip_position + np.array([0.01, 0.01, 0.005])
-    led = pull(session, target)
-    assert led.reached
-    assert led.held == ()
-    here = led.session.equilibrium
+    led, words = pull(session, target)
+    assert not words
+    here = led.equilibrium
     solved = forward_kinematics(THESIS, here.rotations, here.translations, guess=here)
     assert solved.tip_position == pytest.approx(target, abs=1e-6)
 
@@ -225,24 +224,25 @@ def test_the_tip_stops_at_the_margin_and_says_so() -> None:
     fixed = replace(THESIS.limits, translations=((0.0, 0.0),) * 3)
     session = turned(open_session(replace(THESIS, joint_limits=fixed)), 150)
     goal = find_equilibria(THESIS, np.radians([230, 0, 0]))[0].tip_position
-    led = pull(session, goal, min_margin=0.9)
-    assert led.session.equilibrium.margin >= 0.9 - 1e-6
-    assert not led.session.last
-    if not led.reached:
-        assert any("margin at its bound (0.9)" in word for word in led.held)
+    led, words = pull(session, goal, min_margin=0.9)
+    assert led.equilibrium.margin >= 0.9 - 1e-6
+    assert not led.last
+    assert not words or "short of the target: margin at its bound (0.9)" in words
 
 
 def test_the_tip_stops_out_of_reach_and_at_obstacles() -> None:
     session = open_session(THESIS)
     beside = Sphere((0.06, 0.0, 0.1), 0.02)  # at times no part of the arm is near it
-    assert pull(session, [0.02, -0.08, 0.165], obstacles=[beside]).reached
-    far = pull(session, [0.0, 0.0, 1.0])
-    assert far.error > 0.3
-    assert any("at its end" in word or "touching" in word for word in far.held)
+    assert not pull(session, [0.02, -0.08, 0.165], obstacles=[beside])[1]
+    far, words = pull(session, [0.0, 0.0, 1.0])
+    error = np.linalg.norm(far.equilibrium.tip_position - [0.0, 0.0, 1.0])
+    assert error > 0.3
+    assert words.startswith(f"the tip stops {error * 1e3:.2f} mm short of the target: ")
+    assert "at its end" in words or "touching" in words
     ball = Sphere((0.0, -0.13, 0.165), 0.03)
-    stopped = pull(session, [0.0, -0.13, 0.165], obstacles=[ball])
-    assert not stopped.reached
-    clear = ball.signed_distance(stopped.session.equilibrium.tip_position)
+    stopped, words = pull(session, [0.0, -0.13, 0.165], obstacles=[ball])
+    assert words
+    clear = ball.signed_distance(stopped.equilibrium.tip_position)
     assert clear > 0
 
 

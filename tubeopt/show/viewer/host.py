@@ -20,17 +20,19 @@ LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What a server does beside viser: what goes into the head of its page, and a socket at a path, whose messages are
-    attended to."""
+class Added:
+    """What a server has that viser has not."""
 
     head: str
+    """HTML, at the end of the head of its page."""
     path: str
+    """Of a socket."""
     attend: Callable[[Any], Awaitable[None]]
+    """Does what the messages of the socket say."""
 
 
 @contextmanager
-def quiet_server(host: str, port: int, title: str = "tubeopt", beside: Beside | None = None) -> Iterator[Any]:
+def quiet_server(host: str, port: int, title: str = "tubeopt", added: Added | None = None) -> Iterator[Any]:
     """A viser server that says nothing on the terminal, hands itself to no relay, and answers to its own page alone.
 
     Raises:
@@ -45,7 +47,7 @@ def quiet_server(host: str, port: int, title: str = "tubeopt", beside: Beside | 
     console = rich.get_console()
     loud, console.quiet = console.quiet, True
     try:
-        with _own_page_alone(host, title, beside):
+        with _own_page_alone(host, title, added):
             server = viser.ViserServer(host=host, port=port, verbose=False)
         # viser's relay would put the page on the public internet at the press of a key.
         server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
@@ -79,7 +81,7 @@ def _bind(host: str, port: int) -> None:
 
 
 @contextmanager
-def _own_page_alone(host: str, title: str, beside: Beside | None) -> Iterator[None]:
+def _own_page_alone(host: str, title: str, added: Added | None) -> Iterator[None]:
     """Have the server that is made meanwhile refuse requests that other pages in the same browser make.
 
     viser checks neither the host that a browser believes to talk to nor the page that opens a websocket: any site that
@@ -98,13 +100,13 @@ def _own_page_alone(host: str, title: str, beside: Beside | None) -> Iterator[No
             if request.path.split("?")[0] in ("/", "/index.html"):
                 with suppress(KeyError):  # not every client sends it
                     del request.headers["Accept-Encoding"]
-                return titled(process_request(connection, request), title, "" if beside is None else beside.head)
+                return titled(process_request(connection, request), title, "" if added is None else added.head)
             return process_request(connection, request)
 
         async def handle(connection: Any) -> None:
-            if beside is not None and connection.request.path == beside.path:
+            if added is not None and connection.request.path == added.path:
                 with suppress(ConnectionClosed):
-                    await beside.attend(connection)
+                    await added.attend(connection)
             else:
                 await handler(connection)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from .export import page_title
 from .hand import PATH, Hands
-from .host import LOCAL, Beside, address_of, quiet_server
+from .host import LOCAL, Added, address_of, quiet_server
 from .scene import look_from
 from .tab import Tab
 from .view import View
@@ -44,8 +44,8 @@ def serve(
     tabs: dict[int, Tab] = {}
     lock = threading.Lock()
     hands = Hands()
-    beside = Beside(head(), PATH, hands.attend)
-    with _signals(over), quiet_server(host, port, page_title(first), beside) as server:
+    added = Added(head(), PATH, hands.attend)
+    with _signals(over), quiet_server(host, port, page_title(first), added) as server:
         look_from(server.initial_camera, first.equilibrium)
         # Red, green, blue: x, y, z of the plate, 5 cm long.
         server.scene.world_axes.visible = True

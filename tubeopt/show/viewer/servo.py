@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,31 +28,16 @@ QUICK = InverseOptions(solver=InverseSolver(descent=Descent(steps=20)))
 """A step towards the target follows the hand, and there will be another one."""
 
 
-@dataclass(frozen=True, eq=False)
-class Pull:
-    """Where the robot was led: the session, what is left to the target (m), and in words what holds it there."""
-
-    session: Session
-    error: float
-    held: tuple[str, ...]
-
-    @property
-    def reached(self) -> bool:
-        """Whether the tip is on target."""
-        return self.error <= CLOSE_ENOUGH
-
-    @property
-    def told(self) -> tuple[Session, str]:
-        """The session, and in words where the tip stops and why, "" on target."""
-        short = f"the tip stops {self.error * TO_MM:.2f} mm short of the target: {', '.join(self.held)}"
-        return self.session, "" if self.reached else short
-
-
-def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()) -> Pull:
+def pull(
+    session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()
+) -> tuple[Session, str]:
     """Lead the tip towards `target` (3,) m along its branch, by Gauss-Newton steps that keep all limits.
 
     Every step is a stable equilibrium on the branch of the one before, with a margin of at least `min_margin` (or no
     less than at the start): the robot does not snap. It stops where the tip comes no nearer.
+
+    Returns:
+        The session, and in words where the tip stops and why, "" on target.
 
     Raises:
         InputError: a target that is not three finite numbers, a margin that is not from 0 to 1; a load.
@@ -74,8 +59,9 @@ def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obsta
             session = moved_to(session, here.equilibrium)
             break
     error = float(np.linalg.norm(goal.position - here.tip))
-    held = () if error <= CLOSE_ENOUGH else tuple(_held(goal, here))
-    return Pull(session, error, held)
+    if error <= CLOSE_ENOUGH:
+        return session, ""
+    return session, f"the tip stops {error * TO_MM:.2f} mm short of the target: {', '.join(_held(goal, here))}"
 
 
 def _parts(goal: Goal, tip: Array) -> list[Array]:

@@ -40,7 +40,6 @@ SAME_TIP = np.radians(0.1)
 class Event:
     """Something that happened: a sentence, and the snap where it was one."""
 
-    number: int
     text: str
     snap: Snap | None = None
 
@@ -226,15 +225,13 @@ def moved_to(
     recording = session.recording
     if recording is not None:
         recording = (*recording, np.concatenate([there.rotations, there.translations]))
-    log = session.log
-    for snap in snaps:
-        log = (*log, Event(len(log) + 1, snap_text(snap), snap))
+    log = (*session.log, *(Event(snap_text(snap), snap) for snap in snaps))
     return replace(session, equilibrium=there, log=log, last=tuple(snaps), trail=trail, recording=recording)
 
 
 def note(session: Session, text: str) -> Session:
     """The session with a sentence in its log."""
-    return replace(session, log=(*session.log, Event(len(session.log) + 1, text)))
+    return replace(session, log=(*session.log, Event(text)))
 
 
 def clear_trail(session: Session) -> Session:

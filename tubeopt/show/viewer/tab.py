@@ -96,7 +96,7 @@ class Tab(Wishes):
 
     def lead(self, target: np.ndarray, *, done: bool) -> None:
         def led(session: Session) -> tuple[Session, str]:
-            return pull(session, target, min_margin=self.panel.least_margin, obstacles=self._obstacles).told
+            return pull(session, target, min_margin=self.panel.least_margin, obstacles=self._obstacles)
 
         self.change(led, held=None if done else "lead")
 

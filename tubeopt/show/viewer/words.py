@@ -76,9 +76,9 @@ def certificate_words(certificate: float | None) -> str:
 def log_words(log: Sequence[Event]) -> str:
     """What happened, the latest first."""
     rows = [
-        f'<li data-testid="event" value="{event.number}" style="{"color:#c81e1e" if event.snap else ""}">'
+        f'<li data-testid="event" value="{number}" style="{"color:#c81e1e" if event.snap else ""}">'
         f"{escape(event.text)}</li>"
-        for event in reversed(log[-SHOWN_EVENTS:])
+        for number, event in reversed([*enumerate(log, start=1)][-SHOWN_EVENTS:])
     ]
     more = len(log) - len(rows)
     rows += [f"<li value='{more}'>and earlier ones</li>"] if more > 0 else []
