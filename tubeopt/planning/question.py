@@ -115,7 +115,9 @@ class PlanTask(Task):
     reserve: float = 0.0
     """Part of `clearance` for that, m."""
     rates: RateLimits = DEFAULT_RATES
+    """How fast the actuators are."""
     options: PlanOptions = DEFAULT_PLAN
+    """What was asked for beyond that."""
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
