@@ -33,7 +33,7 @@ from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.robots.load import between
 from tubeopt.robots.tubes import mass_per_length
 from tubeopt.solvers.compiled.binding import kernel_of
-from tubeopt.solvers.loaded import loaded_margin
+from tubeopt.solvers.newton import loaded_margin
 from tubeopt.typing import Array
 
 MM = 1e-3

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Annotated
+from typing import Annotated, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tubeopt import InputError
-from tubeopt.files.checked import check
-from tubeopt.files.fields import entry_of, to_data
+from tubeopt.files.checked import Entry as PlainEntry
+from tubeopt.files.checked import Number, check
+from tubeopt.files.fields import Part, asking, entry_of, to_data, values
 from tubeopt.files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Absent, Named, OneOf, Range, check_fields, key, unit
 from tubeopt.files.yaml_file import load_yaml, save_yaml
 
@@ -174,3 +176,53 @@ def test_a_number_or_several(data: dict[str, object], made: Pace) -> None:
 def test_what_is_wrong_with_one_of_several_is_said() -> None:
     with pytest.raises(InputError, match=r"speed_mm_per_s\[1\] is -2; it must be greater than 0"):
         check(entry_of(Pace), {"speed_mm_per_s": [5, -2]}, "")
+
+
+@dataclass(frozen=True)
+class Tries:
+    count: Annotated[int, Range(least=2, most=9), "of them"] = 3
+    offset: Annotated[float, Range(least=-2.0), "from the first"] = 0.0
+    loud: Annotated[bool, "whether they are told"] = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"count": 2.5}, "count is 2.5; it must be a whole number"),
+        ({"count": 1}, "count is 1; it must be at least 2"),
+        ({"count": 10}, "count is 10; it must be at most 9"),
+        ({"offset": -3.0}, "offset is -3; it must be at least -2"),
+        ({"loud": 1}, "loud is 1; it must be a bool"),
+    ],
+)
+def test_whole_numbers_and_flags_are_checked(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        Tries(**change)
+
+
+@asking(Pace)
+class PaceEntry(Part):
+    places_mm: list[Number]
+
+
+@asking(Tries, "count")
+class Asked(PlainEntry):
+    wait_degC: Number
+
+
+def test_a_part_makes_the_dataclass_that_it_asks_for_beside_keys_of_its_own() -> None:
+    entry = check(PaceEntry, {"places_mm": [1, 2.5], "speed_mm_per_s": 5}, "")
+    assert entry.build() == Pace(0.005)
+    assert entry.si("places_mm") == (0.001, 0.0025)
+    assert entry.si("rest_s") is None
+
+
+def test_an_entry_asks_for_some_fields_alone() -> None:
+    entry = check(Asked, {"wait_degC": 20, "count": 4}, "")
+    assert values(Tries, entry) == {"count": 4}
+    assert entry.in_si("wait_degC", "count") == {"wait": 293.15, "count": 4}
+    with pytest.raises(InputError, match="offset is not a known key"):
+        check(Asked, {"wait_degC": 20, "offset": 1}, "")

@@ -27,7 +27,7 @@ from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
 from tubeopt.shaping.heating.ideal import solve_ideal
-from tubeopt.shaping.heating.law import Fleet, begin, decide, run_loop, wilson
+from tubeopt.shaping.heating.law import begin, decide, run_loop, wilson
 from tubeopt.shaping.heating.leading import RESET, Response, fleet_of, nominal_law, regulator
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.replanning import Leader, planner_for
@@ -70,12 +70,10 @@ def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_no
 
 def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None:
     law, sensor = led().law, Thermocouple()
-    fleet, _ = fleet_of(plan(), sensor, Uncertainty.of_a_workshop(), 3, 5)
-    history = run_loop(fleet, law, sensor)
+    fleet, bias, _ = fleet_of(plan(), sensor, Uncertainty.of_a_workshop(), 3, 5)
+    history = run_loop(fleet, law, sensor, bias=bias)
     for b in range(1, 4):
-        member = replace(
-            fleet.model, properties=fleet.model.properties[b : b + 1], volumes=fleet.model.volumes[b : b + 1]
-        )
+        member = replace(fleet, properties=fleet.properties[b : b + 1], volumes=fleet.volumes[b : b + 1])
         last = len(history.time) - 1
         exact = integrate(member, law.slot, history.count[:last, b] / 255)
         curved = joined(member, exact.tube[:, 0]) - ZERO_CELSIUS
@@ -136,7 +134,7 @@ def test_gains_are_those_of_least_cost() -> None:
 
 
 def test_a_dead_sensor_ends_the_heating() -> None:
-    alone = Fleet(thermal_model(TUBE, thesis_rig(), ENSEMBLE), np.zeros(1))
+    alone = thermal_model(TUBE, thesis_rig(), ENSEMBLE)
     history = run_loop(alone, led().law, Thermocouple(), dies=20.0)
     after = history.time >= 20.0
     assert not history.count[after].any()

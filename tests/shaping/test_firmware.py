@@ -75,13 +75,13 @@ def law_for(rig: SimulatedRig) -> HeatingLaw:
 
 @needs_a_compiler
 def test_the_firmware_leads_as_the_law_does(heater: Path) -> None:
-    fleet, _ = fleet_of(plan(), Thermocouple(), Uncertainty.of_a_workshop(), 2, 7)
+    fleet, bias, _ = fleet_of(plan(), Thermocouple(), Uncertainty.of_a_workshop(), 2, 7)
     for b in range(3):
         rigs = [
             SimulatedRig(
-                member(fleet.model, b),
+                member(fleet, b),
                 Thermocouple(),
-                bias=float(fleet.bias[b]),
+                bias=float(bias[b]),
                 hot=float(led().law.reference.max()),
                 seed=b,
             )

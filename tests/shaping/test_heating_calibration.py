@@ -10,9 +10,8 @@ import pytest
 
 from tubeopt import InputError, Rig
 from tubeopt.shaping.heating.calibration import FACTORS, HeatingLog, calibrate, predict
-from tubeopt.shaping.heating.settings import DEFAULT_RIG_SOLVER
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.shaping.heating.trials import Trial, calibrate_from_trials
+from tubeopt.shaping.heating.trials import Trial, TrialSolver, calibrate_from_trials
 
 from .heating_reference import TUBE, integrate, thesis_rig
 
@@ -115,7 +114,7 @@ def test_trials_narrow_the_loss_down() -> None:
     assert narrow.high - narrow.low < 0.6 * (wide.high - wide.low)
     assert narrow.low < narrow.factor < narrow.high
     assert narrow.rig.loss_factor == pytest.approx(narrow.factor)
-    (under, good, over), spread = narrow.temperatures, DEFAULT_RIG_SOLVER.trial_spread
+    (under, good, over), spread = narrow.temperatures, TrialSolver().spread
     assert under < 500 + 2 * spread
     assert 500 - spread < good < 550 + spread
     assert over > 550 - 2 * spread

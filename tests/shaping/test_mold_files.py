@@ -18,7 +18,7 @@ from tubeopt.shaping.mold.drawing import draw_plate
 from tubeopt.shaping.mold.files import dxf_deviation, manifold, write_dxf, write_solid, write_stl, wrong_volume
 from tubeopt.shaping.mold.gcode import groove_gcode, write_gcode
 from tubeopt.shaping.mold.gcode_reader import read_gcode, toolpath_deviation
-from tubeopt.shaping.mold.groove import Piece
+from tubeopt.shaping.mold.groove import Arc
 from tubeopt.show.plots.mold import plot_mold, plot_setup_sheet
 
 ezdxf = pytest.importorskip("ezdxf")
@@ -30,7 +30,7 @@ TUBES = (Tube(1.6e-3, 1.1e-3, 20e-3, 80e-3, 25.0), Tube(2.1e-3, 1.8e-3, 0.3, 120
 BACK = Springback(0.07)
 
 
-def drawn(mold: Mold) -> list[Piece]:
+def drawn(mold: Mold) -> list[Arc]:
     return [piece for groove in mold.grooves for piece in groove.centreline.pieces]
 
 

@@ -77,7 +77,7 @@ def check_same(one: Equilibrium, other: Equilibrium) -> None:
     assert one.statistics.elements == other.statistics.elements
 
 
-def _with_kernel(robot: Robot, kernel: building.Library) -> tuple[building.Library, Array, int]:
+def _with_kernel(robot: Robot, kernel: building.Kernel) -> tuple[building.Kernel, Array, int]:
     tubes = binding._tubes(robot)
     return kernel, tubes, binding.address(tubes)
 

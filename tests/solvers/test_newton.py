@@ -15,6 +15,7 @@ from tubeopt.block.transcription.second_variation import margin
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers import newton as module
 from tubeopt.solvers.newton import descend, leave_saddle, newton
+from tubeopt.solvers.settings import Newton
 
 
 def problem_of(robot: ConcentricRobot, translations: Any = None) -> ReducedProblem:
@@ -70,7 +71,8 @@ def test_too_few_iterations_are_not_called_converged() -> None:
     result = newton(problem, np.array([0.0, 1.0, 2.0]), np.zeros(problem.size), iterations=2)
     assert (result.converged, result.iterations) == (False, 2)
     assert residual(problem, result.state) > 1e-10
-    result = descend(problem, np.array([0.0, 1.0, 2.0]), np.zeros(problem.size), iterations=2)
+    few = Newton(descent_iterations=2)
+    result = descend(problem, np.array([0.0, 1.0, 2.0]), np.zeros(problem.size), settings=few)
     assert (result.converged, result.iterations) == (False, 2)
 
 
@@ -108,7 +110,8 @@ def test_energy_falls_at_every_step(family: str) -> None:
             assert margin(problem, end.state) > 0
             energies = [evaluate(problem, 2 * rotations, z).energy]
             energies += [
-                descend(problem, 2 * rotations, z, iterations=k).state.energy for k in range(1, end.iterations)
+                descend(problem, 2 * rotations, z, settings=Newton(descent_iterations=k)).state.energy
+                for k in range(1, end.iterations)
             ]
             assert (np.diff([*energies, end.state.energy]) <= 1e-12 * energies[0]).all()
 

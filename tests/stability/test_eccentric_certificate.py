@@ -24,7 +24,7 @@ from tubeopt import (
     snap_free_certificate,
     worst_certificate,
 )
-from tubeopt.block.transcription.offset_margin import softenings
+from tubeopt.block.transcription.second_variation import softenings
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.robots.assembly import Assembly
 from tubeopt.robots.robot import Robot

@@ -23,7 +23,7 @@ from .program import as_program
 from .transcription import burdened, functions
 from .transcription.collocated import Grid
 from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout
-from .transcription.model import UNKNOWNS, Model, numbers_of, placed, sizes
+from .transcription.model import Model, numbers_of, placed, unknowns_of
 
 POINT = 1e-12
 """A piece shorter than this (m) is a point."""
@@ -113,37 +113,33 @@ class ComposedBlock(Generic[N]):
     def _add_unknowns(self) -> None:
         """Unknowns in columns, and the arm that they make."""
         reach, push = self.reach, self.fittings["push"]
-        scale = {"torsion": 1 / reach, "position": reach}
-        if push is not None:
-            scale |= dict.fromkeys(burdened.UNKNOWNS, push.typical / reach)
-        shapes = self.shapes()
-        names = (*UNKNOWNS, *burdened.UNKNOWNS)[: len(shapes)]
+        bending = 1.0 if push is None else push.typical / reach
+        scale = {"torsion": 1 / reach, "position": reach, "bending moment": bending, "bending moment inside": bending}
+        self.shapes = unknowns_of(self._grid, self.layout.n_pieces)
         # What every unknown of the arm typically is.
-        self.typical = [scale.get(name, 1.0) for name in names]
+        self.typical = [scale.get(name, 1.0) for name in self.shapes]
         self.columns = [
             self.program.variable(self.label + name, rows * columns, scale=typical)
-            for name, (rows, columns), typical in zip(names, shapes, self.typical, strict=True)
+            for (name, (rows, columns)), typical in zip(self.shapes.items(), self.typical, strict=True)
         ]
         self.numbers = None
         if self._moving:
             self.numbers = self.program.parameter(self.label + "layout", self.layout.numbers())
-        unknowns = tuple(ca.reshape(column, *shape) for column, shape in zip(self.columns, shapes, strict=True))
+        unknowns = self.matrices(self.columns)
         values = {**self._given.values, **self.fittings}
         self.model = burdened.arm_of(self._grid, numbers_of(self.layout, self.numbers), unknowns, values)
         begin = self._start_model(self._given.start)
         self._set_guess(begin, shape_at_start(self.near, begin))
 
-    def shapes(self) -> tuple[tuple[int, int], ...]:
-        """Of all unknowns of the arm."""
-        pieces, degree = self.layout.n_pieces, self._grid.degree
-        under_load = burdened.sizes(pieces, degree) if self._grid.loaded else ()
-        return (*sizes(self.robot.n_tubes, pieces, degree), *under_load)
+    def matrices(self, columns: Sequence[Any]) -> tuple[Any, ...]:
+        """The unknowns of the arm as matrices."""
+        return tuple(ca.reshape(each, *shape) for each, shape in zip(columns, self.shapes.values(), strict=True))
 
     def _start_model(self, numbers: Mapping[str, Array]) -> Model:
         """The arm at joint values and dimensions in numbers, its unknowns nought."""
         self.begin_numbers = dict(numbers)
         values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self.fittings}
-        zero = tuple(ca.DM.zeros(*shape) for shape in self.shapes())
+        zero = tuple(ca.DM.zeros(*shape) for shape in self.shapes.values())
         return burdened.arm_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
 
     def _set_guess(self, model: Model, shape: Shape) -> None:

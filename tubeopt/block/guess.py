@@ -63,17 +63,12 @@ def _bending_of(near: Near, start: Array, inside: Array) -> tuple[Array, Array]:
     if near.load is None:
         return np.zeros((2, len(start))), np.zeros((2, len(inside)))
     assembly = near.robot.assembly(near.translations)
-    if assembly.general:
-        here = assembly.cross_sections(near.points.point, near.points.point)
-        kb, moment = here.stiffness, here.moment
-        theta = near.points.point_rotation - assembly.wound(near.points.point) + here.phase
-    else:
-        section = np.searchsorted(assembly.start, near.points.point, side="right") - 1
-        kb, theta = assembly.bending_stiffness * assembly.present[section], near.points.point_rotation
-        moment = kb * assembly.curvature * assembly.curved[section]
-    unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, moment)[0]
-    known = (near.points.point_curvature - unloaded) * kb.sum(1)[:, None]
-    return tuple(np.array([np.interp(s, near.points.point, row) for row in known.T]) for s in (start, inside))  # type: ignore[return-value]
+    known, at = near.points, near.points.point
+    here = assembly.cross_sections(at, at)
+    theta, kb = known.point_rotation - here.wound + here.phase, here.stiffness
+    unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, here.moment)[0]
+    bending = (known.point_curvature - unloaded) * kb.sum(1)[:, None]
+    return tuple(np.array([np.interp(s, at, row) for row in bending.T]) for s in (start, inside))  # type: ignore[return-value]
 
 
 def columns_of(inside: Array, pieces: int) -> Array:

@@ -28,7 +28,7 @@ def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in inputs}
     equations, scale, words = _equations(block)
     count = seeds["rotations"].shape[1]
-    sizes = [rows * columns for rows, columns in block.shapes()]
+    sizes = [rows * columns for rows, columns in block.shapes.values()]
     unit = np.concatenate([np.full(size, typical) for size, typical in zip(sizes, block.typical, strict=True)])
     per = np.concatenate([np.full(_columns(block, name).shape[1], 1 / _typical(block, name)) for name in names])
     total = np.outer(unit, per)
@@ -81,15 +81,14 @@ def _parameters(block: ComposedBlock[Any]) -> list[Any]:
 
 def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
     """(unknowns, parameters...) -> (equations, tip position), with sizes and words of the equations."""
-    shapes = block.shapes()
-    rows = [size[0] * size[1] for size in shapes]
+    rows = [size[0] * size[1] for size in block.shapes.values()]
     x = ca.MX.sym("x", sum(rows))
     parts = ca.vertsplit(x, np.cumsum([0, *rows]).tolist())
     n = block.robot.n_tubes
     names = [*JOINTS, *block.dimensions]
     symbols = {name: ca.MX.sym(name, n if name in JOINTS else block.dimensions[name].numel()) for name in names}
     numbers = ca.MX.sym("layout", len(block.layout.numbers()))
-    unknowns = tuple(ca.reshape(part, *shape) for part, shape in zip(parts, shapes, strict=True))
+    unknowns = block.matrices(parts)
     model = arm_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block.fittings})
     table = model.equations(symbols["rotations"], block.reach)
     scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])

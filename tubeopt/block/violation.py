@@ -12,12 +12,13 @@ from ..typing import Array
 
 @dataclass(frozen=True)
 class Violation:
-    """A constraint that does not hold: its name, and by how much, in its own units (`amount`) and over its scale
-    (`relative`)."""
+    """A constraint that does not hold."""
 
     name: str
     amount: float
+    """By how much, in its own units."""
     relative: float
+    """The same over its scale."""
 
     def __str__(self) -> str:
         return f"{self.name}: violated by {self.amount:.1e}"

@@ -20,7 +20,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.constants import piece_constants
 from ..solvers.compiled.library import MOST_CUTS
 from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
-from ..solvers.compiled.text import HERE, numbers, with_included
+from ..solvers.compiled.text import HERE, defined, numbers, with_included
 from ..typing import Array
 from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
 
@@ -51,13 +51,13 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
         "LOADED_WAVES": LOADED_WAVES,
         "BEND_PER_PIECE": BEND_PER_PIECE,
     }
-    kernel = SEEN.sub(r"static \1", loaded_text(n, generator, "loaded.c", pieces))
+    kernel = SEEN.sub(r"static \1", loaded_text(n, generator, pieces))
     lengthwise = [piece_constants(), with_included(HERE / "pieces.c")] if home.general else []
     parts = [
         f"/* {name} under load: made by tubeopt {__version__}; see the header. */\n",
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel,
-        *(f"#define {key} {value!r}\n" for key, value in defines.items()),
+        defined(defines),
         *lengthwise,
         with_included(HERE / "layout.c"),
         pieces_text(robot),

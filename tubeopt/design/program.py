@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -62,6 +61,17 @@ class Added:
     """Of each workspace box, m."""
 
 
+class Lately:
+    """The state that was asked for last, since several ask for the same one after another; left behind where a program
+    goes to another process. Older ones are not kept: their poses began elsewhere."""
+
+    def __init__(self) -> None:
+        self.state: State | None = None
+
+    def __reduce__(self) -> tuple[type[Lately], tuple[()]]:
+        return Lately, ()
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """A task with what exchange has added, laid out as unknowns and rows."""
@@ -86,6 +96,7 @@ class Program:
     elastic: bool = False
     """Whether every group of rows has a slack, of which the sum is minimised in place of the objective."""
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
+    lately: Lately = field(default_factory=Lately, init=False, repr=False)
 
     @property
     def task_poses(self) -> tuple[int, ...]:
@@ -318,13 +329,11 @@ def objective_size(program: Program, state: State) -> float:
 
 
 def state_at(program: Program, x: Array) -> State:
-    """The state at x, SI; poses begin near the last ones solved. Several ask for the same one after another."""
-    return _state(program, x.tobytes())
-
-
-@lru_cache(maxsize=4)
-def _state(program: Program, x: bytes) -> State:
-    return State(program.layout, np.frombuffer(x).copy(), program.guesses)
+    """The state at x, SI; poses begin near the last ones solved."""
+    known = program.lately.state
+    if known is None or not np.array_equal(known.x, x):
+        known = program.lately.state = State(program.layout, x.copy(), program.guesses)
+    return known
 
 
 def robot_at(program: Program, x: Array) -> ConcentricRobot:

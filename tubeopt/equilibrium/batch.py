@@ -182,7 +182,7 @@ def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | N
     alpha = _table("rotations", rotations)
     if alpha.ndim != 2 or alpha.shape[1] != n:
         raise InputError(f"rotations has the shape {alpha.shape}; it must be (N, {n}), one column per tube")
-    check_turn("rotations", alpha)
+    check_turn(alpha)
     shift = _table("translations", robot.home_translations if translations is None else translations)
     if shift.shape == (n,):
         shift = np.tile(shift, (len(alpha), 1))

@@ -32,7 +32,7 @@ import numpy as np
 from ..block.transcription.buffered import section_function
 from ..display import Displayed
 from ..errors import InputError
-from ..robots.assembly import Assembly, where
+from ..robots.assembly import Assembly
 from ..robots.concentric import ConcentricRobot
 from ..robots.fit import drawn_clearance
 from ..robots.friction import per_pair
@@ -171,17 +171,12 @@ def _mismatch(assembly: Assembly, e: Equilibrium, outer: int, at: Array) -> tupl
     lengths up to where the outer one ends; and the bending stiffness (2,) of both at the last, N m^2."""
     inside = np.minimum(at, at[-1] - SHORTEST)
     angle = np.column_stack([np.interp(inside, e.arc_length, row) for row in e.rotation])
-    if assembly.general:
-        there = assembly.cross_sections(inside, inside)
-        stiffness, moment = there.stiffness, there.moment
-        angle += there.phase - there.wound
-    else:
-        present, curved = where(assembly.transition, assembly.end, assembly.curvature, inside[:, None])
-        stiffness = present * assembly.bending_stiffness
-        moment = curved * assembly.bending_stiffness * assembly.curvature
+    there = assembly.cross_sections(inside, inside)
+    stiffness = there.stiffness
+    angle += there.phase - there.wound
 
     def bent(some: slice) -> Array:
-        own = angle[:, some], stiffness[:, some], moment[:, some]
+        own = angle[:, some], stiffness[:, some], there.moment[:, some]
         return section_function("curvature", len(at), own[0].shape[1], False)(*own)[0].copy()
 
     last = stiffness[-1]

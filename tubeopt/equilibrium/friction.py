@@ -16,10 +16,10 @@ from ..block.transcription import arm as arms
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import Contact, evaluate_contact, make_contact, rubbing_profile, unknowns_of
 from ..block.transcription.green import sections_at
-from ..block.transcription.piece import EXTRA_POINTS
 from ..block.transcription.reduced import to_unknowns
 from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau
+from ..block.transcription.whole_arm import EXTRA_POINTS
 from ..errors import InputError, SolveError
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction
@@ -231,24 +231,16 @@ def _smooth_error(held: Held) -> float:
 
 
 @lru_cache(maxsize=8)
-def _between(contact: Contact) -> tuple[tuple[float, ...], tuple[Array, Array], Array | float, Array]:
+def _between(contact: Contact) -> tuple[tuple[float, ...], tuple[Array, Array], Array, Array]:
     """Finer points on a piece, stiffness and moment of the tubes there, what turns them against theta, and by how much
     a moment (N) on a piece turns the arm beyond, (E, n) rad per N."""
     problem = contact.problem
     mesh, t = problem.mesh, problem.mesh.tableau
     finer = tableau("gauss", t.degree + EXTRA_POINTS).nodes
-    phase: Array | float = 0.0
-    if problem.here is None:
-        tables = (problem.piece_stiffness, problem.piece_moment)
-        stiffness, moment = (np.repeat(part[mesh.collocated], len(finer), axis=0) for part in tables)
-        kt = problem.assembly.torsional_stiffness
-    else:
-        there = sections_at(problem.assembly, mesh, finer)
-        kept = np.repeat(mesh.collocated, len(finer))
-        stiffness, moment, phase = there.stiffness[kept], there.moment[kept], there.phase[kept]
-        kt = there.torsional_stiffness.min(0)
+    there, kept = sections_at(problem.assembly, mesh, finer), np.repeat(mesh.collocated, len(finer))
+    stiffness, moment, phase = there.stiffness[kept], there.moment[kept], there.phase[kept]
     lever = problem.assembly.transmission + (mesh.start + mesh.length)[mesh.collocated, None]
-    turn = mesh.length[mesh.collocated, None] * lever / kt
+    turn = mesh.length[mesh.collocated, None] * lever / there.torsional_stiffness.min(0)
     return tuple(finer.tolist()), (stiffness, moment), phase, turn
 
 
@@ -263,8 +255,7 @@ def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
     """Of every pair its rows along the arm (K,), and what an end of slip between neighbours can be off, (K - 1,) rad:
     half a spacing of full torque where the rotation is a parabola of it."""
     problem, out = contact.problem, []
-    here, n = problem.here, problem.assembly.n_tubes
-    soft = 1 / problem.assembly.torsional_stiffness if here is None else here.rate.reshape(-1, n).max(0)
+    soft = problem.here.rate.max((0, 1))
     for pair in np.unique(contact.pair):
         rows = np.flatnonzero((contact.pair == pair) & (contact.point >= 0))
         spacing = problem.weight[contact.point[rows]]

@@ -88,7 +88,6 @@ class Linearised:
 
     def __init__(self, solution: Solution, equilibrium: Equilibrium) -> None:
         problem = solution.problem
-        assert problem.here is not None
         assert problem.assembly.lengthwise is not None
         self.problem, self.solution = problem, solution
         self.here, self.table = problem.here, problem.assembly.lengthwise

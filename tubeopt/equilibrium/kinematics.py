@@ -108,7 +108,7 @@ def forward_kinematics(  # noqa: PLR0913
     began = time.perf_counter()
     check_robot(robot)
     alpha, place = joint_values(robot, rotations, translations)
-    check_turn("rotations", alpha)
+    check_turn(alpha)
     shift = tuple(place.tolist())
     check_reach(robot.tubes, shift)
     by = method_of(method)

@@ -9,7 +9,8 @@ import numpy as np
 from ..block.transcription.arm import CollocationPoints
 from ..block.transcription.loaded import base_wrench, compliance, tip_position, tip_slopes
 from ..block.transcription.loaded_arm import loaded_arm
-from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_residual
+from ..solvers.compiled.loaded import LoadedAnswer
+from ..solvers.newton import loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
 from .load_continuation import LoadedPoint, Member, carry
 from .load_problem import EXTRA_POINTS

@@ -13,8 +13,7 @@ from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate, u
 from ..errors import SolveError
 from ..robots.load import Load, between
 from ..robots.robot import Robot
-from ..solvers.loaded import loaded_margin, loaded_newton
-from ..solvers.newton import NewtonResult
+from ..solvers.newton import NewtonResult, loaded_margin, loaded_newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .continuation import JointPath, largest_twist

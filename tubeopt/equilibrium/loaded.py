@@ -14,9 +14,8 @@ from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
-from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
+from ..solvers.compiled.loaded import LoadedAnswer, solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.ipopt import solve_loaded_ipopt
-from ..solvers.loaded import LoadedAnswer
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask

@@ -1,6 +1,6 @@
 """How the margin of tubes off the centreline changes with the parameters that an equilibrium is differentiated by.
 
-With the eigenvalue kappa = 1 - mu, its y, v of `block.transcription.offset_margin`, and the left vector zeta, the
+With the eigenvalue kappa = 1 - mu, its y, v of `block.transcription.second_variation`, and the left vector zeta, the
 equation
 
     zeta' { kappa (y - P [w g' y]) + [Gamma + P (g - 1) W / kt] M' y } = 0
@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..block.transcription.buffered import section_function
-from ..block.transcription.offset_margin import Mode, worst_mode
 from ..block.transcription.reduced import ReducedProblem
+from ..block.transcription.second_variation import Mode, worst_mode
 from ..typing import Array
 from .arm_change import ArmChange
 

@@ -24,14 +24,15 @@ def arm_of(solution: Solution) -> Arm:
     problem, t = solution.problem, solution.problem.mesh.tableau
     mesh, torsion = problem.mesh, solution.arm
     shape = evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
+    stiffness, moment = problem.on_pieces
     inner = arms.rotations_at(problem, torsion, tuple(t.nodes.tolist()))
     return Arm(
         tableau=t,
         assembly=problem.assembly,
         start=mesh.start,
         length=mesh.length,
-        stiffness=problem.piece_stiffness,
-        moment=problem.piece_moment,
+        stiffness=stiffness,
+        moment=moment,
         theta=torsion.rotation,
         twist=torsion.twist,
         inner=inner,
@@ -65,8 +66,8 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
     start = equilibrium.arc_length[:-1:steps]
     length = equilibrium.arc_length[steps::steps] - start
     section = np.searchsorted(assembly.start, start + length / 2) - 1
-    stiffness = assembly.bending_stiffness * assembly.present[section]
-    moment = (assembly.bending_stiffness * assembly.curvature) * assembly.curved[section]
+    here = assembly.of_sections(section)
+    stiffness, moment = here.stiffness, here.moment
     index = shape_points(len(start))
     theta, slope = equilibrium.rotation.T[index], equilibrium.torsion.T[index[:, 1:-1]]
     inner = _hermite(how.family, how.degree) @ np.concatenate([theta, length[:, None, None] * slope], axis=1)

@@ -23,8 +23,8 @@ import casadi as ca
 import numpy as np
 
 from ..block.transcription.collocated import Grid, symbols, torsion_of
-from ..block.transcription.fields import marched_fields
 from ..block.transcription.functions import determinant_function
+from ..block.transcription.march import marched_fields
 from ..block.transcription.model import TorsionModel
 from ..block.transcription.panel import slid
 from ..block.transcription.program import Structure, add_torsion

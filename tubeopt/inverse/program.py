@@ -127,7 +127,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     n, mesh = space.robot.n_tubes, problem.mesh
     numbers = torsion_numbers(problem)
     shift = (space.spread @ at.q)[n:]
-    if problem.here is not None:
+    if problem.assembly.general:
         cuts = np.append(mesh.start, problem.assembly.total_length)
         numbers |= {
             "ease": ease_at_plate(problem),

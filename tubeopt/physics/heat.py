@@ -77,11 +77,6 @@ class Resolution:
         """c, cells in the mold, the last ones."""
         return self.lead + self.curved
 
-    def refined(self, factor: int, shells: int | None = None) -> Resolution:
-        """Every cell split into `factor`; the number of shells multiplied too, or as given."""
-        grip, clearance, lead, curved = (factor * n for n in self.counts)
-        return Resolution(grip, clearance, lead, curved, shells or factor * self.shells)
-
 
 @lru_cache(maxsize=16)
 def zones(resolution: Resolution) -> NDArray[np.intp]:

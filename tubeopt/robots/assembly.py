@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from ..errors import InputError
-from ..typing import Array, Mask
+from ..typing import Array, Index, Mask
 from .lengthwise import CrossSections, Lengthwise, lengthwise
 from .tubes import Tube
 
@@ -25,31 +25,36 @@ class Assembly:
     Inside a section the same pieces of tubes are present and the same ones are curved. Tube i runs at the fixed offset
     `offset[i]` from the centreline in direction `offset_angle[i]` (0 for concentric tubes).
 
-    Attributes:
-        bending_stiffness, torsional_stiffness: (n,) EI and GJ, N m^2.
-        curvature: (n,) precurvature of the curved parts, 1/m. Where a tube is made of pieces these three have no
-            number, and refuse every use with an InputError: `lengthwise` tells them.
-        offset, offset_angle: (n,) m, rad.
-        transmission: (n,) |beta_i|, the length from where tube i is held to the plate, m.
-        transition, end: (n,) arc length where each tube begins to curve, and where it ends, m; < 0 behind the plate.
-        start, length: (m,) arc length where each section begins, and its length, m.
-        present, curved: (m, n) whether tube i is there, and whether it is curved there.
-        lengthwise: precurvature and stiffness along the tubes, where one of them is made of pieces; else None.
+    Where a tube is made of pieces, stiffnesses and curvature have no number, and refuse every use with an InputError:
+    `lengthwise` tells them.
     """
 
     bending_stiffness: Array
+    """(n,) EI, N m^2."""
     torsional_stiffness: Array
+    """(n,) GJ, N m^2."""
     curvature: Array
+    """(n,) precurvature of the curved parts, 1/m."""
     offset: Array
+    """(n,) m."""
     offset_angle: Array
+    """(n,) rad."""
     transmission: Array
+    """(n,) |beta_i|, the length from where tube i is held to the plate, m."""
     transition: Array
+    """(n,) arc length where each tube begins to curve, m; < 0 behind the plate."""
     end: Array
+    """(n,) where it ends."""
     start: Array
+    """(m,) arc length where each section begins, m."""
     length: Array
+    """(m,) m."""
     present: Mask
+    """(m, n) whether tube i is there."""
     curved: Mask
+    """(m, n) whether it is curved there."""
     lengthwise: Lengthwise | None = None
+    """Precurvature and stiffness along the tubes, where one of them is made of pieces; else None."""
 
     @property
     def general(self) -> bool:
@@ -57,11 +62,18 @@ class Assembly:
         return self.lengthwise is not None
 
     def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
-        """The tubes at arc lengths (X,), m, where one is made of pieces; `inside` (X,) lie in the same sections, away
-        from their ends, which tells what is meant where a breakpoint lies."""
-        assert self.lengthwise is not None
+        """The tubes at arc lengths (X,), m; `inside` (X,) lie in the same sections, away from their ends, which tells
+        what is meant where a breakpoint lies."""
+        if self.lengthwise is None:
+            return self.of_sections(np.searchsorted(self.start, inside, side="right") - 1)
         place, near = (s[:, None] + self.transmission for s in (arc_length, inside))
         return self.lengthwise.at(place, near, inside[:, None] < self.end)
+
+    def of_sections(self, section: Index) -> CrossSections:
+        """The tubes in sections (X,), where none is made of pieces."""
+        kb = self.bending_stiffness * self.present[section]
+        moment, none = kb * self.curvature * self.curved[section], np.zeros_like(kb)
+        return CrossSections(kb, moment, none, np.broadcast_to(self.torsional_stiffness, kb.shape), none, none)
 
     def wound(self, arc_length: Array) -> Array:
         """(X, n) natural turn of the tubes up to arc lengths (X,) from where they are held, rad; 0 without pieces."""

@@ -13,23 +13,14 @@ from .assembly import Assembly, assemble
 from .calibration import Calibration
 from .friction import Friction, check_friction, per_pair
 from .limits import JointLimits
-from .robot import BaseRobot, Robot, keeps_hash
+from .robot import Robot, keeps_hash
 from .tubes import Tube
 
 
 @keeps_hash
 @dataclass(frozen=True)
-class ConcentricRobot(BaseRobot):
+class ConcentricRobot(Robot):
     """A concentric tube robot.
-
-    Args:
-        tubes: inner to outer; each fits into the next, and none is shorter than the next.
-        name: what to call it in tables and pictures.
-        joint_limits: what the actuators allow, in their readings; None is what the lengths allow (see `limits`).
-        calibration: how readings of the drives become joint values; None where they read true.
-        friction: between neighbouring tubes, for those who ask for motion with it; None where none is known.
-        clearance: (n - 1,) m, radial, of every tube in the next one, for those who ask how far it lets the arm tilt;
-            None: it does not count.
 
     Raises:
         InputError: no tube, tubes that do not nest, an inner tube shorter than an outer one, limits, a
@@ -37,11 +28,18 @@ class ConcentricRobot(BaseRobot):
     """
 
     tubes: tuple[Tube, ...]
+    """Inner to outer; each fits into the next, and none is shorter than the next."""
     name: str = ""
+    """What to call it in tables and pictures."""
     joint_limits: JointLimits | None = None
+    """What the actuators allow, in their readings; None is what the lengths allow (see `limits`)."""
     calibration: Calibration | None = None
+    """How readings of the drives become joint values; None where they read true."""
     friction: Friction | None = None
+    """Between neighbouring tubes, for those who ask for motion with it; None where none is known."""
     clearance: tuple[float, ...] | None = None
+    """(n - 1,) m, radial, of every tube in the next one, for those who ask how far it lets the arm tilt; None: it does
+    not count."""
 
     def __post_init__(self) -> None:
         tubes = tuple(self.tubes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,7 +17,7 @@ from ..typing import Array
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration
 from .limits import JointLimits
-from .robot import BaseRobot, keeps_hash
+from .robot import Robot, keeps_hash
 from .tubes import Tube, must_be_plain
 
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
@@ -28,15 +29,15 @@ def sheath_inner_diameter(outer_diameter: float) -> float:
     return (2 / math.sqrt(3) + 1) * outer_diameter
 
 
-class SheathedRobot(BaseRobot):
+class SheathedRobot(Robot):
     """k telescoping segments of three equal tubes each, in a sheath at 0, 120 and -120 deg around the centreline."""
 
     offset: float | None
 
     @property
+    @abstractmethod
     def held(self) -> tuple[Tube, ...]:
         """The tube of every segment, inner to outer, straight from where it is held."""
-        raise NotImplementedError
 
     @property
     def distance(self) -> float:
@@ -44,7 +45,7 @@ class SheathedRobot(BaseRobot):
         return float(self.offset or 0.0)
 
     @cached_property
-    def tubes(self) -> tuple[Tube, ...]:
+    def tubes(self) -> tuple[Tube, ...]:  # type: ignore[override]  # nobody writes to a frozen robot
         """The 3 k tubes: three of the innermost segment, then three of the next."""
         return tuple(tube for tube in self.held for _ in range(3))
 
@@ -108,28 +109,25 @@ class EccentricRobot(SheathedRobot):
 
     The sheath keeps the tubes in place and has no bending stiffness. The tubes move in and out together.
 
-    Args:
-        tube: each of the three.
-        offset: distance d of the tubes from the centreline, m; None is OD / sqrt(3), where they touch; 0 is the
-            equivalent concentric robot, which no hand can build.
-        transmission_length: straight tube between where a tube is held and its straight_length, behind the plate, m.
-        name: what to call it in tables and pictures.
-        joint_limits: what the actuators allow, in their readings; None is what the lengths allow.
-        calibration: how readings of the drives become joint values; None where they read true.
-
     Raises:
         InputError: an offset or length that is negative or not finite, an offset at which the tubes would overlap or at
             which the precurvature is tighter than the robot is thick, limits for another number of tubes.
     """
 
     tube: Tube
+    """Each of the three."""
     offset: Annotated[
         float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the tubes touch"
     ] = None
+    """m; None is OD / sqrt(3); 0 is the equivalent concentric robot, which no hand can build."""
     transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight tube behind the plate"] = 0.0
+    """m, between where a tube is held and its straight_length."""
     name: str = ""
+    """What to call it in tables and pictures."""
     joint_limits: JointLimits | None = None
+    """What the actuators allow, in their readings; None is what the lengths allow."""
     calibration: Calibration | None = None
+    """How readings of the drives become joint values; None where they read true."""
 
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
@@ -165,23 +163,23 @@ class SegmentedEccentricRobot(SheathedRobot):
     The three tubes of a segment are equal and move in and out together. Where the tubes of an inner segment pass
     through an outer one they are straight but stiff: curved parts never overlap.
 
-    Args:
-        segments: the tube of each segment, inner (which reaches furthest) to outer.
-        offset: distance of the three places from the centreline, m; None is OD / sqrt(3) of the outermost tube.
-        name, joint_limits, calibration: as for one segment; for the 3 k tubes, ordered as `tubes`.
-
     Raises:
         InputError: no segment, tubes that do not nest, an inner tube too short to reach beyond the next segment, an
             offset at which tubes would overlap or at which a precurvature is tighter than the robot is thick.
     """
 
     segments: tuple[Tube, ...]
+    """The tube of each segment, inner (which reaches furthest) to outer."""
     offset: Annotated[
         float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the outermost tubes touch"
     ] = None
+    """Of the three places, m; None is OD / sqrt(3) of the outermost tube."""
     name: str = ""
+    """What to call it in tables and pictures."""
     joint_limits: JointLimits | None = None
+    """Of the 3 k tubes, ordered as `tubes`; as for one segment."""
     calibration: Calibration | None = None
+    """The same."""
 
     def __post_init__(self) -> None:
         segments = tuple(self.segments)

@@ -61,11 +61,11 @@ def default_limits(tubes: Sequence[Tube]) -> JointLimits:
     )
 
 
-def check_turn(name: str, rotations: Array) -> None:
+def check_turn(rotations: Array) -> None:
     """Raise InputError naming a rotation beyond MOST_TURN."""
     most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
     if abs(most) > MOST_TURN:
-        raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
+        raise InputError(f"rotations has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
 
 
 def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:

@@ -41,29 +41,27 @@ class PointForce:
 class Load(Displayed):
     """External forces and moments on a robot; world axes are those of the plate.
 
-    Args:
-        force: (3,) at the tip, N.
-        moment: (3,) at the tip, N m; its part along the tip turns the tube that ends last.
-        frame: of `force` and `moment`: "world" keeps their direction when the tip turns (dead loads), "tip" turns them
-            with the Bishop frame of the tip, the `tip_rotation` of an equilibrium (following loads).
-        distributed: N/m in world axes: (3,) all along the arm; a function of arc length (m from the plate) -> (3,); or
-            stretches (start, end, (3,)) with a constant load on each.
-        points: forces along the arm, (arc length, (3,)) each, N in world axes.
-        gravity: (3,) acceleration, m/s^2, that acts on the mass of the tubes in front of the plate.
-
     Raises:
         InputError: a vector that is not three finite numbers, an unknown frame, a stretch or point behind the plate.
     """
 
     force: Annotated[Vector, key("tip_force_mN"), "force on the tip in axes of the plate"] = (0.0, 0.0, 0.0)
+    """N."""
     moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in axes of the plate"] = (0.0, 0.0, 0.0)
+    """N m; its part along the tip turns the tube that ends last."""
     _: KW_ONLY
     frame: Annotated[
         str, OneOf(FRAMES), "of tip force and moment: world keeps their direction, tip turns them with the tip"
     ] = "world"
+    """Dead loads are those of the "world"; following ones turn with the Bishop frame of the tip, the `tip_rotation` of
+    an equilibrium."""
     distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
+    """N/m in world axes: (3,) all along the arm; a function of arc length (m from the plate) -> (3,); or stretches
+    (start, end, (3,)) with a constant load on each."""
     points: Annotated[tuple[PointForce, ...], "forces along the arm, in world axes"] = ()
+    """(arc length, (3,)) each, m and N."""
     gravity: Annotated[Vector | None, unit("m_per_s2"), "gravity, which acts on the mass of the tubes"] = None
+    """m/s^2; the tubes are those in front of the plate."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

@@ -15,10 +15,12 @@ from .robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """T waypoints: rotations (T, n) rad, translations (T, n) m."""
+    """T waypoints."""
 
     rotations: Array
+    """(T, n) rad."""
     translations: Array
+    """(T, n) m."""
 
 
 def joint_columns(n_tubes: int) -> tuple[list[str], list[str]]:

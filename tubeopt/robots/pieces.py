@@ -49,23 +49,22 @@ class Slots(Displayed):
 class Piece(Displayed):
     """A stretch of a tube with a precurvature and stiffnesses of its own.
 
-    Args:
-        length: m, > 0.
-        precurvature: u* (1/m) in the tube's own frame, that turns with the tube: a number (about x), three numbers
-            (x, y, z; z is the natural twist), or a function of the piece's own arc length (m) that returns either.
-            A function must be smooth: it is turned into polynomials at once, and jumps lie where two pieces meet.
-        bending_stiffness, torsional_stiffness: N m^2, a number or such a function; None is that of the tube.
-        slots: where there are some, of which the stiffnesses tell already: for the strain alone.
-
     Raises:
         InputError: a value is not finite or out of its range, or a function is not smooth.
     """
 
     length: float
+    """m, > 0."""
     precurvature: Any
+    """u* (1/m) in the tube's own frame, that turns with the tube: a number (about x), three numbers (x, y, z; z is the
+    natural twist), or a function of the piece's own arc length (m) that returns either. A function must be smooth: it
+    is turned into polynomials at once, and jumps lie where two pieces meet."""
     bending_stiffness: Any = None
+    """N m^2, a number or such a function; None is that of the tube."""
     torsional_stiffness: Any = None
+    """The same."""
     slots: Slots | None = None
+    """Where there are some, of which the stiffnesses tell already: for the strain alone."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

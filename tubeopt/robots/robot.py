@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import reprlib
+from abc import ABC, abstractmethod
 from functools import lru_cache
 from os import PathLike
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -20,58 +21,39 @@ from .tubes import Tube
 Kept = TypeVar("Kept")
 
 
-class Robot(Protocol):
-    """Tubes, how they are held, and the sections that they form; frozen, so that what is built for it can be cached."""
+class Robot(Displayed, ABC):
+    """Tubes, how they are held, and the sections that they form. A kind of robot is a frozen dataclass, so that what is
+    built for one can be cached."""
+
+    name: str
+    """What to call it in tables and pictures."""
+    tubes: tuple[Tube, ...]
+    """One per joint rotation, n in all."""
+    joint_limits: JointLimits | None
+    """Limits as given, None where the lengths imply them."""
+    calibration: Calibration | None
+    """How readings of the drives become joint values, None where they read true."""
 
     @property
-    def name(self) -> str:
-        """What to call it in tables and pictures."""
-
-    @property
-    def tubes(self) -> tuple[Tube, ...]:
-        """One tube per joint rotation."""
-
-    @property
-    def n_tubes(self) -> int:
-        """Number of tubes n, and of rotations and translations."""
-
-    @property
+    @abstractmethod
     def home_translations(self) -> Array:
         """(n,) translations at home, m."""
 
     @property
+    @abstractmethod
     def moving_together(self) -> tuple[tuple[int, ...], ...]:
         """Tubes, from 0, that one carriage translates: a partition."""
 
     @property
+    @abstractmethod
     def nested_pairs(self) -> tuple[tuple[int, int], ...]:
         """Tubes, from 0, that run inside another one: (inner, the next around it)."""
 
-    @property
-    def limits(self) -> JointLimits:
-        """Range of every joint."""
-
-    @property
-    def joint_limits(self) -> JointLimits | None:
-        """Limits as given, None where the lengths imply them."""
-
-    @property
-    def calibration(self) -> Calibration | None:
-        """How readings of the drives become joint values, None where they read true."""
-
+    @abstractmethod
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (n,), m; raises InputError where they are not admissible."""
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the robot as YAML that `load_robot` reads back."""
-
-    def __hash__(self) -> int: ...
-
-
-class BaseRobot(Displayed):
-    """What robots of all kinds have alike; a kind is a dataclass with its tubes, limits and calibration."""
-
-    def check_drives(self: Robot, *, yields: bool = False) -> None:
+    def check_drives(self, *, yields: bool = False) -> None:
         """Raise InputError where limits or calibration are for another number of tubes, or for carriages that yield
         and do not."""
         limits = self.joint_limits
@@ -80,16 +62,16 @@ class BaseRobot(Displayed):
         check_calibration(self.calibration, len(self.tubes), yields=yields)
 
     @property
-    def n_tubes(self: Robot) -> int:
-        """Number of tubes n."""
+    def n_tubes(self) -> int:
+        """Number of tubes n, and of rotations and translations."""
         return len(self.tubes)
 
     @property
-    def limits(self: Robot) -> JointLimits:
+    def limits(self) -> JointLimits:
         """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
         return limits_of(self.joint_limits, self.calibration, self.tubes)
 
-    def save(self: Robot, path: str | PathLike[str]) -> None:
+    def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
         late("tubeopt.robots.file.save_robot")(self, path)
 

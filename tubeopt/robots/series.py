@@ -38,15 +38,12 @@ _FIT = np.linalg.inv(chebyshev.chebvander(_NODES, POINTS - 1))
 
 @dataclass(frozen=True)
 class Series:
-    """A polynomial on each of several panels.
-
-    Attributes:
-        breaks: (k + 1) arc lengths at which the panels meet, from 0, m.
-        coefficients: per panel, of the Chebyshev polynomials in x = -1 .. 1 along it.
-    """
+    """A polynomial on each of several panels."""
 
     breaks: tuple[float, ...]
+    """(k + 1) arc lengths at which the panels meet, from 0, m."""
     coefficients: tuple[tuple[float, ...], ...]
+    """Per panel, of the Chebyshev polynomials in x = -1 .. 1 along it."""
 
     def __post_init__(self) -> None:
         breaks = tuple(float(s) for s in self.breaks)
@@ -64,7 +61,8 @@ class Series:
 
     @cached_property
     def _arrays(self) -> tuple[Array, Array]:
-        return np.array(self.breaks), padded(self.coefficients)
+        width = max(map(len, self.coefficients))
+        return np.array(self.breaks), np.array([[*panel, *[0.0] * (width - len(panel))] for panel in self.coefficients])
 
     def __hash__(self) -> int:
         return self._hash
@@ -107,14 +105,6 @@ class Series:
 
 Quantity = float | Series
 """A quantity that is constant along its stretch, or a series of it."""
-
-
-def padded(coefficients: Sequence[Sequence[float]], width: int = 1) -> Array:
-    """(k, largest) coefficients of all panels, with zeros to the same number, at least `width`."""
-    out = np.zeros((len(coefficients), max(width, *(len(panel) for panel in coefficients))))
-    for row, panel in zip(out, coefficients, strict=True):
-        row[: len(panel)] = panel
-    return out
 
 
 def vary(quantities: Iterable[Any]) -> bool:
@@ -184,11 +174,17 @@ def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
         if first == low and last == high:
             out.append(own)
             continue
-        nodes = np.cos(np.pi * (np.arange(len(own)) + 0.5) / len(own))
-        s = (low + high) / 2 + nodes * (high - low) / 2
-        values = chebyshev.chebval((2 * s - first - last) / (last - first), own)
-        out.append(np.linalg.solve(chebyshev.chebvander(nodes, len(own) - 1), values))
+        ends = (2 * np.array([low, high]) - first - last) / (last - first)
+        out.append(part_of(own, ends))
     return out
+
+
+def part_of(coefficients: Array, ends: Array) -> Array:
+    """Coefficients (D, ...) of the polynomials that a series has between two places (2,) of -1 .. 1."""
+    middle, half = ends.mean(), (ends[1] - ends[0]) / 2
+    return np.asarray(
+        chebyshev.chebinterpolate(lambda x: chebyshev.chebval(middle + half * x, coefficients).T, len(coefficients) - 1)
+    )
 
 
 def zeros(coefficients: Array, imaginary: float, least: float | None = None) -> Array:
@@ -225,14 +221,12 @@ def spline(arc_length: Array, values: Array) -> Series:
 
 def _of_polynomials(polynomials: Any) -> Series:
     """Exactly the same polynomials in Chebyshev's."""
-    breaks, degree = np.asarray(polynomials.x), polynomials.c.shape[0] - 1
-    nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
-    fit = np.linalg.inv(chebyshev.chebvander(nodes, degree))
-    table = []
-    for k, (low, high) in enumerate(pairwise(breaks)):
-        offset = (nodes + 1) / 2 * (high - low)
-        table.append(tuple((fit @ np.polyval(polynomials.c[:, k], offset)).tolist()))
-    return Series(tuple(breaks.tolist()), tuple(table))
+
+    def values(x: Array) -> Any:
+        return np.polyval(polynomials.c, (x[:, None] + 1) / 2 * np.diff(polynomials.x))
+
+    table = chebyshev.chebinterpolate(values, len(polynomials.c) - 1).T
+    return Series(tuple(polynomials.x.tolist()), tuple(map(tuple, table.tolist())))
 
 
 def expand(function: Callable[[float], ArrayLike], length: float, name: str, size: int) -> tuple[Quantity, ...]:

@@ -51,6 +51,7 @@ class Tube(Displayed):
         float, unit("per_m"), Usual(0.1, 2000.0), "precurvature; 0 for a straight tube, negative to the other side"
     ]
     material: Material = NITINOL
+    """Of which stiffnesses and mass follow, where they are not given."""
     # None only on the way in: a tube that exists has its stiffnesses.
     bending_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "as measured; by default E I"] = field(
         default=None,  # type: ignore[assignment]
@@ -64,6 +65,7 @@ class Tube(Displayed):
         default=None, kw_only=True
     )
     pieces: tuple[Piece, ...] = field(default=(), kw_only=True)
+    """Behind the straight part, from there to the tip; none of a tube of one radius."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

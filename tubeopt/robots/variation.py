@@ -15,7 +15,7 @@ from numpy.polynomial import chebyshev
 
 from ..typing import Array
 from .lengthwise import Lengthwise, lengthwise
-from .series import Quantity, values, vary
+from .series import Quantity, part_of, values, vary
 from .tubes import Tube, stretches
 
 MOST_CELLS = 8
@@ -124,10 +124,9 @@ def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
 
 def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> list[Array]:
     """Bounds of quantities (5, D) on parts of what lies between two places (2,) of -1 to 1 on a panel of a length."""
-    nodes = np.cos(np.pi * (np.arange(coefficients.shape[1]) + 0.5) / coefficients.shape[1])
     middle, half = ends.mean(), (ends[1] - ends[0]) / 2
-    values = chebyshev.chebval(middle + half * nodes, coefficients.T)
-    own = np.linalg.solve(chebyshev.chebvander(nodes, len(nodes) - 1), values.T).T
+    own = part_of(coefficients.T, ends).T
+    values = chebyshev.chebval(chebyshev.chebpts1(coefficients.shape[1]), own.T)
     still = (coefficients[:, 1:] == 0).all(1)
     own[still] = coefficients[still]
     bound = _bound(own, length * half / 2)

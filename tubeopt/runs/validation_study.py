@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
+from ..files.fields import asking, values
 from ..typing import Progress
 from ..validation import (
     BasePose,
@@ -34,6 +35,7 @@ MeasurementsPath = Annotated[
 """Measurements of the study's robot, given as the path of their file."""
 
 
+@asking(FitOptions)
 class ValidationStudy(Study):
     """How far measured tips are from the model's, and which parameters bring them closest."""
 
@@ -42,9 +44,6 @@ class ValidationStudy(Study):
     kind: Literal["validation"]
     robot: RobotPath
     measurements: MeasurementsPath
-    registration: Literal["rigid", "base-axis", "none"] = Field(
-        "rigid", description="how the device's frame is brought to the plate's: rigid, base-axis or none"
-    )
     base_position_mm: Triple | None = Field(
         None, description="for base-axis: the plate's centre as the device sees it", examples=["X,Y,Z"]
     )
@@ -61,20 +60,16 @@ class ValidationStudy(Study):
         None, description="folds of the cross-validation; 0 for none; by default 5, or 10 with compare"
     )
     confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence of the intervals")
-    loss: Literal["linear", "huber", "soft_l1"] = Field(
-        "linear", description="how a large error counts: linear, huber or soft_l1"
-    )
-    priors: bool = Field(False, description="draw the parameters to their values in the drawing")
     noise_mm: Positive | None = Field(None, description="noise of a measured coordinate; by default estimated")
     axis_noise_deg: Positive | None = Field(None, description="noise of a measured direction; by default estimated")
 
     @model_validator(mode="after")
     def _consistent(self) -> ValidationStudy:
-        if self.registration != "base-axis" and (self.base_position_mm or self.base_axis):
+        if self.si("registration") != "base-axis" and (self.base_position_mm or self.base_axis):
             raise ValueError("base_position_mm and base_axis are for registration base-axis only")
         self._base()
         if self.fit and not self.compare:
-            choose_parameters(self.robot, self.measurements, self.fit, self.registration)
+            choose_parameters(self.robot, self.measurements, self.fit, self.si("registration"))
         return self
 
     def _base(self) -> BasePose:
@@ -86,7 +81,8 @@ class ValidationStudy(Study):
             base=self._base(),
             folds=folds,
             noise=tuple(self.in_si("noise_mm", "axis_noise_deg").values()),
-            **self.in_si("registration", "confidence", "loss", "priors"),
+            confidence=self.si("confidence"),
+            **values(FitOptions, self),
         )
 
     def run(self, progress: Progress | None = None) -> Validation | Fit | Comparison:
@@ -99,7 +95,7 @@ class ValidationStudy(Study):
             return compare_effects(self.robot, self.measurements, self.fit, self._options(), progress=progress)
         if self.fit:
             return fit(self.robot, self.measurements, self.fit, self._options(), progress=progress)
-        return validate(self.robot, self.measurements, registration=self.registration, base=self._base())
+        return validate(self.robot, self.measurements, registration=self.si("registration"), base=self._base())
 
 
 class MeasureStudy(Study):

@@ -29,15 +29,10 @@ HAPPENS = {
 }
 
 LIMIT: tuple[Quantity[LoadLimit], ...] = (
-    Quantity(
-        "factor",
-        "times the load at which the equilibrium is lost",
-        label="lost at",
-        words="{factor:.9g} times the load",
-    ),
-    Quantity(
-        "kind", "fold: it vanishes; bifurcation: it turns unstable", label="there", words=lambda a: HAPPENS[a.kind]
-    ),
+    Quantity("factor", "times the load at which the equilibrium is lost", label="lost at",
+             words="{factor:.9g} times the load"),
+    Quantity("kind", "fold: it vanishes; bifurcation: it turns unstable", label="there",
+             words=lambda a: HAPPENS[a.kind]),
     line("tip before", lambda a: millimetres(a.before.tip_position, ".4f")),
     line("tip after", lambda a: None if a.after is None else millimetres(a.after.tip_position, ".4f")),
     Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
@@ -45,7 +40,7 @@ LIMIT: tuple[Quantity[LoadLimit], ...] = (
     line("margin after", lambda a: None if a.after is None else margin_in_words(a.after.margin)),
     Quantity("before", "the equilibrium at the limit", of=STATE),
     Quantity("after", "the equilibrium in which the robot lands; null where none is found", of=STATE),
-)
+)  # fmt: skip
 
 BEARING: tuple[Quantity[Bearing], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),

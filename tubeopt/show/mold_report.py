@@ -185,13 +185,10 @@ CALIBRATION: tuple[Quantity[Calibration], ...] = (
     Quantity("model", "model", words="{model}"),
     Quantity("fraction_percent", "lost at small curvature", lambda c: c.springback.fraction,
              words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}"),
-    Quantity(
-        "slope_mm",
-        "growth of the lost part with the mold's curvature",
-        lambda c: c.springback.slope,
-        label="and per 1/m of curvature",
-        words=lambda c: f"{c.springback.slope * 100:.3g} %{_within(c.slope_interval)}" if c.model == "linear" else None,
-    ),
+    Quantity("slope_mm", "growth of the lost part with the mold's curvature", lambda c: c.springback.slope,
+             label="and per 1/m of curvature",
+             words=lambda c: f"{c.springback.slope * 100:.3g} %{_within(c.slope_interval)}" if c.model == "linear"
+             else None),
     Quantity("shrinkage_percent", "part of the bend's length that is lost on cooling",
              lambda c: c.springback.shrinkage),
     Quantity("radius_range_mm", "least and greatest mold radius of the trials", _radii, digits=9, optional=True),

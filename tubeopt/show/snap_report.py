@@ -55,16 +55,10 @@ EQUILIBRIA: tuple[Quantity[Equilibria], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
     *readings(lambda a: a.equilibria[0]),
-    Quantity(
-        "equilibria",
-        "all equilibria there, the lowest energy first",
-        of=(
-            *STATE,
-            Quantity("residual_rad", "violation of the equations"),
-            Quantity("tip_error_mm", "estimated error of the tip"),
-        ),
-    ),
-)
+    Quantity("equilibria", "all equilibria there, the lowest energy first",
+             of=(*STATE, Quantity("residual_rad", "violation of the equations"),
+                 Quantity("tip_error_mm", "estimated error of the tip"))),
+)  # fmt: skip
 
 SNAP: tuple[Quantity[Snap], ...] = (
     Quantity("fraction", "part of the way to it"),

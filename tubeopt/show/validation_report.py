@@ -94,49 +94,25 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("robot", "name of the robot", lambda v: v.robot.name),
     Quantity("measurements", "file of the measurements", lambda v: v.measurements.source),
     Quantity("count", "measured", lambda v: len(v.measurements), words=_measured),
-    Quantity(
-        "registration",
-        "registration",
-        of=REGISTRATION,
-        words="{registration[method]}: yaw {registration[yaw_deg]:.2f} deg, tilt {registration[tilt_deg]:.2f} deg",
-    ),
-    Quantity(
-        "error",
-        "tip error",
-        lambda v: _summary(v.summary, v.length),
-        words=lambda v: _errors_in_words(v.summary, v.length),
-    ),
-    Quantity(
-        "by_direction",
-        "the same by direction",
-        lambda v: _groups(v.by_direction, "direction_deg", v.length),
-        label="worst direction",
-        words=lambda v: _worst(v.by_direction),
-    ),
-    Quantity(
-        "by_separation",
-        "the same by separation",
-        lambda v: _groups(v.by_separation, "separation_deg", v.length),
-        label="worst separation",
-        words=lambda v: _worst(v.by_separation),
-    ),
-    Quantity(
-        "length_mm",
-        "length of the arm, which percentages are of",
-        label="percentages",
-        words="of the arm's length, {length_mm:.1f} mm",
-    ),
-    Quantity(
-        "sensor_spread_rms_mm",
-        "RMS distance of sensors from their mean",
-        lambda v: np.sqrt((v.measurements.sensor_spread**2).mean()),
-    ),
+    Quantity("registration", "registration", of=REGISTRATION,
+             words="{registration[method]}: yaw {registration[yaw_deg]:.2f} deg, "
+             "tilt {registration[tilt_deg]:.2f} deg"),
+    Quantity("error", "tip error", lambda v: _summary(v.summary, v.length),
+             words=lambda v: _errors_in_words(v.summary, v.length)),
+    Quantity("by_direction", "the same by direction", lambda v: _groups(v.by_direction, "direction_deg", v.length),
+             label="worst direction", words=lambda v: _worst(v.by_direction)),
+    Quantity("by_separation", "the same by separation", lambda v: _groups(v.by_separation, "separation_deg", v.length),
+             label="worst separation", words=lambda v: _worst(v.by_separation)),
+    Quantity("length_mm", "length of the arm, which percentages are of", label="percentages",
+             words="of the arm's length, {length_mm:.1f} mm"),
+    Quantity("sensor_spread_rms_mm", "RMS distance of sensors from their mean",
+             lambda v: np.sqrt((v.measurements.sensor_spread**2).mean())),
     Quantity("least_margin", "least margin of the configurations", lambda v: np.nanmin(v.margin)),
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "the same errors at each distance behind the tip", lambda v: _stations(v)),
     Quantity("parity", "what depends on the way", of=PARITY, label="both ways", words=lambda v: _both_ways(v)),
     Quantity("remarks", "what was noticed when the file was read", lambda v: v.measurements.remarks),
-)
+)  # fmt: skip
 
 
 class ValidationReport(Report[Validation]):
@@ -196,25 +172,16 @@ FIT: tuple[Quantity[Fit], ...] = (
     Quantity("noise_mm", "noise per coordinate", form=".3f"),
     Quantity("remarks", "what to beware of"),
     Quantity("axis_noise_deg", "noise of a direction", form=".3f"),
-    Quantity(
-        "calibration",
-        "what robot.yaml holds of the drives",
-        lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
-        label="drives",
-        words=lambda f: (
-            None if f.robot.calibration is None else "their offsets, gains and latency go into robot.yaml of --out"
-        ),
-    ),
-    Quantity(
-        "held_out_axis_deg",
-        "RMS angle of directions that a fit to the others did not see",
-        lambda f: None if f.held_out_axis_errors is None else np.sqrt(np.nanmean(f.held_out_axis_errors**2)),
-        form=".2f",
-    ),
+    Quantity("calibration", "what robot.yaml holds of the drives",
+             lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
+             label="drives", words="their offsets, gains and latency go into robot.yaml of --out"),
+    Quantity("held_out_axis_deg", "RMS angle of directions that a fit to the others did not see",
+             lambda f: None if f.held_out_axis_errors is None else np.sqrt(np.nanmean(f.held_out_axis_errors**2)),
+             form=".2f"),
     Quantity("before", "the comparison before the fit", of=COMPARISON),
     Quantity("after", "the comparison after the fit", of=COMPARISON),
     Quantity("shapes_solved", "shapes that were solved", lambda f: f.evaluations),
-)
+)  # fmt: skip
 
 
 class FitReport(Report[Fit]):
@@ -285,20 +252,15 @@ def _length(c: Comparison) -> float:
 
 EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
     Quantity("folds", "blocks held out"),
-    Quantity(
-        "start",
-        "held-out errors of the robot as given",
-        lambda c: _summary(c.start, _length(c)),
-        label="as given",
-        words=lambda c: f"RMS {c.start.rms * TO_MM:.2f} mm held out",
-    ),
+    Quantity("start", "held-out errors of the robot as given", lambda c: _summary(c.start, _length(c)),
+             label="as given", words="RMS {start[rms_mm]:.2f} mm held out"),
     Quantity("start_axis_deg", "RMS angle of the directions, held out", form=".2f"),
     Quantity("steps", "effects that pay, in order", lambda c: [_step(s, _length(c)) for s in c.steps]),
     Quantity("dropped", "effects that later ones made useless"),
     Quantity("refused", "effects that do not pay beside them", lambda c: [_step(s, _length(c)) for s in c.refused]),
     Quantity("remarks", "what was noticed when the file was read"),
     Quantity("fit", "the fit of the effects that pay", of=(*FIT_ERRORS[2:], *FIT)),
-)
+)  # fmt: skip
 
 
 class EffectsReport(Report[Comparison]):

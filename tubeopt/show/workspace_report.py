@@ -21,11 +21,10 @@ LOSS: tuple[Quantity[SnappingLoss], ...] = (
     Quantity("unstable", "those of them that are unstable", form=".6g"),
     Quantity("held_volume_cm3", "volume that stable equilibria reach", form=".6g"),
     Quantity("lost_volume_cm3", "volume that only unstable ones reach", form=".6g"),
-    Quantity(
-        "lost_first_half_cm3", "the same from the first half of the samples", lambda loss: loss.early_loss, form=".6g"
-    ),
+    Quantity("lost_first_half_cm3", "the same from the first half of the samples", lambda loss: loss.early_loss,
+             form=".6g"),
     Quantity("lost_fraction", "part of all that is reached which is lost", lambda loss: loss.fraction, form=".6g"),
-)
+)  # fmt: skip
 
 
 def _extent(a: Findings, side: int) -> Array:
@@ -51,28 +50,18 @@ def _dexterity(a: Findings) -> str:
 
 
 MERIDIAN: tuple[Quantity[Volume], ...] = (
-    Quantity(
-        "meridian_volume_cm3",
-        "volume as a body of revolution",
-        lambda volume: volume.value,
-        label="",
-        words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
-        "{meridian_first_half_cm3:.4g} from the first half of the samples",
-    ),
+    Quantity("meridian_volume_cm3", "volume as a body of revolution", lambda volume: volume.value, label="",
+             words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
+             "{meridian_first_half_cm3:.4g} from the first half of the samples"),
     Quantity("meridian_first_half_cm3", "the same from the first half of the samples", lambda volume: volume.half),
-)
+)  # fmt: skip
 """As a body of revolution, by which there is not always an answer."""
 
 ALPHA: tuple[Quantity[Volume], ...] = (
-    Quantity(
-        "alpha_volume_cm3",
-        "volume of the alpha shape",
-        lambda volume: volume.value,
-        label="",
-        words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm",
-    ),
+    Quantity("alpha_volume_cm3", "volume of the alpha shape", lambda volume: volume.value, label="",
+             words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm"),
     Quantity("alpha_radius_mm", "radius of the alpha shape", lambda volume: volume.scale),
-)
+)  # fmt: skip
 """As an alpha shape, likewise."""
 
 WORKSPACE: tuple[Quantity[Findings], ...] = (

@@ -110,7 +110,7 @@ def solve_ipopt(
         twist = start.pop("torsion")
         start["torsion of the transmissions"] = twist[: len(rotations)]
         inside = torsion_at(problem, guess, tuple(problem.mesh.tableau.nodes.tolist()))
-        start["torsion inside"] = (inside if problem.here is None else inside / held_stiffness(problem)).ravel()
+        start["torsion inside"] = (inside / held_stiffness(problem) if problem.assembly.general else inside).ravel()
     for name, numbers in start.items():
         program.set_guess(name, numbers)
     found = program.attempt(settings or (EQUATIONS if formulation == "equations" else EQUILIBRIUM))
@@ -166,7 +166,7 @@ def _section(problem: LoadedProblem, rotations: Array, z: Any, q: Any) -> tuple[
     """Bending energy of the cross-sections, J, and rows u_x and u_y (N,) of the curvature at the points."""
     torsion = problem.torsion
     count, n = torsion.stiffness.shape
-    base = np.tile(rotations, (count, 1)) + (0.0 if torsion.phase is None else torsion.phase)
+    base = rotations + torsion.phase
     theta = ca.reshape(ca.DM(base.ravel()) + ca.DM(problem.spread.reshape(count * n, -1)) @ z, n, count)
     section = section_functions(n, False)["section"].map(count)
     stiffness, moment = ca.DM(torsion.stiffness.T), ca.DM(torsion.moment.T)

@@ -1,4 +1,4 @@
-"""Newton's method and energy descent on a reduced problem.
+"""Newton's method on a reduced problem, or on a loaded one, and energy descent on the former.
 
 `newton` goes where the equations lead, to stable and unstable equilibria alike; `descend` only downhill in energy, so
 that it ends in a minimum, or in a saddle if symmetry holds it there.
@@ -13,7 +13,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import scipy
 
+from ..block.transcription import loaded
+from ..block.transcription.loaded import LoadedProblem, LoadedState
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
+from ..block.transcription.second_variation import least
 from ..typing import Array
 from .settings import NEWTON, Newton
 
@@ -32,21 +35,21 @@ class NewtonResult(Generic[S]):
 
 def full_steps(
     state: S,
-    step: Callable[[S], tuple[Array, float]],
     moved: Callable[[S, Array], S],
+    turn: Callable[[S, Array], float],
     residual: Callable[[S], float],
-    iterations: int,
     settings: Newton,
+    iterations: int,
 ) -> NewtonResult[S]:
     """Newton's method: full steps, which stop early where they grow instead of shrinking.
 
     Args:
-        step: from a state, with its largest turn (rad), which is infinite or NaN where there is none.
-        moved: a state after a step.   residual: of a state, rad.
+        moved: a state after a step.   turn: largest turn of a step from a state, rad.   residual: of a state, rad.
     """
     last, contraction = np.inf, 0.0
     for iteration in range(1, iterations + 1):
-        change, size = step(state)
+        change, singular = newton_step(state)
+        size = np.inf if singular else turn(state, change)
         if not np.isfinite(size) or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
         state = moved(state, change)
@@ -63,31 +66,44 @@ def newton(
     problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
 ) -> NewtonResult[Evaluation]:
     """Full Newton steps from z (U,), by default as many as in `settings`."""
-
-    def step(state: Evaluation) -> tuple[Array, float]:
-        change, singular = newton_step(state)
-        return change, np.inf if singular else _turn(problem, change)
-
     return full_steps(
         evaluate(problem, rotations, z),
-        step,
         lambda state, change: evaluate(problem, rotations, state.z + change),
+        lambda _, change: _turn(problem, change),
         lambda state: residual(problem, state),
-        settings.iterations if iterations is None else iterations,
         settings,
+        settings.iterations if iterations is None else iterations,
+    )
+
+
+def loaded_newton(
+    problem: LoadedProblem, rotations: Array, x: Array, factor: float = 1.0, *, iterations: int = 20
+) -> NewtonResult[LoadedState]:
+    """Full Newton steps from x (U + 2 N,)."""
+
+    def turn(state: LoadedState, change: Array) -> float:
+        size = turn_of(problem, state, change)
+        return size if size <= 1e3 else np.inf
+
+    return full_steps(
+        loaded.evaluate(problem, rotations, x, factor),
+        lambda state, change: loaded.evaluate(problem, rotations, state.x + change, factor),
+        turn,
+        lambda state: loaded_residual(problem, state),
+        NEWTON,
+        iterations,
     )
 
 
 def descend(
-    problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
+    problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON
 ) -> NewtonResult[Evaluation]:
     """Newton on the energy with the Hessian made positive and steps shortened until the energy falls.
 
     For tubes off the centreline, which have no such energy, call it on the concentric problem.
     """
-    iterations = settings.descent_iterations if iterations is None else iterations
     state = evaluate(problem, rotations, z)
-    for iteration in range(1, iterations + 1):
+    for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)
         size = _turn(problem, step)
         if size <= settings.last_step:
@@ -102,7 +118,7 @@ def descend(
                 break
             step, slope = step / 2, slope / 2
         state = trial
-    return NewtonResult(state, False, iterations, 0.0)
+    return NewtonResult(state, False, settings.descent_iterations, 0.0)
 
 
 def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
@@ -141,3 +157,26 @@ def newton_step(state: Any) -> tuple[Array, bool]:
         return state.gradient, False
     _, _, step, failed = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
     return step, failed != 0
+
+
+def turn_of(problem: LoadedProblem, state: LoadedState, step: Array) -> float:
+    """Largest turn (rad) of a tube at a point by a step, or of the arm if curvature changed alike all along it."""
+    tubes = np.abs(problem.torsion.factor @ step[: problem.torsion.size]).max(initial=0.0)
+    length = problem.torsion.assembly.total_length
+    return max(float(tubes), length * float(np.abs(state.turned @ step).max(initial=0.0)))
+
+
+def loaded_residual(problem: LoadedProblem, state: LoadedState) -> float:
+    """Largest violation of the equations, as an error of theta at the points or of the arm's direction, rad."""
+    split = problem.torsion.size
+    tubes = np.abs(problem.torsion.factor @ state.gradient[:split]).max(initial=0.0)
+    bend = np.abs(np.repeat(problem.softness, 2) * state.gradient[split:]).max(initial=0.0)
+    return max(float(tubes), problem.torsion.assembly.total_length * float(bend))
+
+
+def loaded_margin(problem: LoadedProblem, state: LoadedState) -> float:
+    """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1; NaN for loads
+    without an energy."""
+    if not problem.load.has_energy:
+        return float("nan")
+    return least(state.hessian)

@@ -53,27 +53,32 @@ class Evaluates(Protocol):
 
 @dataclass(frozen=True)
 class ProblemStatistics:
-    """How a solve went: IPOPT's own verdict, iterations of the last solve, seconds of all, numbers of unknowns and of
-    constraints, and how often breakpoints changed places."""
+    """How a solve went."""
 
     verdict: str
+    """IPOPT's own."""
     iterations: int
+    """Of the last solve."""
     seconds: float
+    """Of all solves."""
     unknowns: int
     constraints: int
     reorderings: int = 0
+    """How often breakpoints changed places."""
 
 
 @dataclass(frozen=True)
 class Attempts:
-    """What became of the starts of `Problem.multistart`: how many there were, how many ended in an optimum, had no
-    equilibrium to start from, or failed; and the objectives of the optima, least first."""
+    """What became of the starts of `Problem.multistart`."""
 
     started: int
     solved: int
+    """That ended in an optimum."""
     without_equilibrium: int
+    """That had none to start from."""
     failed: int
     objectives: tuple[float, ...]
+    """Of the optima, least first."""
 
     def __str__(self) -> str:
         text = f"{self.started} starts: {self.solved} optima, {self.failed} failed"
@@ -82,31 +87,28 @@ class Attempts:
 
 @dataclass(frozen=True, eq=False)
 class ProblemSolution(Displayed):
-    """What was found for a `Problem`.
-
-    Attributes:
-        status: how the solve ended.  objective: the value there.
-        values: of the variables, by name, in their own units.
-        multipliers: of the constraints, by name, a row each: the change of the objective per unit by which the
-            bound that holds it is raised, in the units of objective and constraint; 0 for what does not press.
-        bound_multipliers: the same of the bounds of variables.
-        parameters: the numbers that were given, by name.
-        violations: constraints that do not hold, the worst first: none of a solved program.
-        statistics: the cost.  attempts: of a multi-start.
-    """
+    """What was found for a `Problem`."""
 
     _brief = ("status", "objective", "values")
 
     status: ProblemStatus
     objective: float
     values: dict[str, Array]
+    """Of the variables, by name, in their own units."""
     multipliers: dict[str, Array]
+    """Of the constraints, by name, a row each: the change of the objective per unit by which the bound that holds it is
+    raised, in the units of objective and constraint; 0 for what does not press."""
     bound_multipliers: dict[str, Array]
+    """The same of the bounds of variables."""
     parameters: dict[str, Array]
+    """The numbers that were given, by name."""
     violations: tuple[Violation, ...]
+    """Constraints that do not hold, the worst first: none of a solved program."""
     statistics: ProblemStatistics
     attempts: Attempts | None = None
+    """Of a multi-start."""
     program: Evaluates | None = field(default=None, repr=False)
+    """Whose expressions have values here; None of a solution that was loaded or unpickled."""
 
     def value(self, what: Any) -> Any:
         """The number, (n,) or (n, m) numbers of a variable by its name, or of an expression of the problem.

@@ -14,17 +14,6 @@ from ..errors import InputError, Settings, choice, positive, whole
 class Newton(Settings):
     """How Newton's method, and the descent in energy before it, solve for an equilibrium.
 
-    Args:
-        last_step: a step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence
-            does.
-        round_off: residual or step (rad) that is close to round-off; nothing below tells of convergence.
-        longest_step: descent turns no point by more than this (rad) at once: well inside the period of the energy.
-        iterations: of Newton's method, after which it gives up.
-        descent_iterations: of the descent.
-        refinements: most times that the pieces of the mesh are halved.
-        loaded_refinements: the same under load.
-        margin_tolerance: wanted accuracy under load of margins so close to 1 that they need a check of their own.
-
     Raises:
         InputError: a field out of its range.
     """
@@ -32,13 +21,21 @@ class Newton(Settings):
     _none: ClassVar[tuple[str, ...]] = ("refinements", "loaded_refinements")
 
     last_step: float = 1e-6
+    """A step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence does."""
     round_off: float = 1e-12
+    """Residual or step (rad) that is close to round-off; nothing below tells of convergence."""
     longest_step: float = 1.0
+    """Descent turns no point by more than this (rad) at once: well inside the period of the energy."""
     iterations: int = 20
+    """Of Newton's method, after which it gives up."""
     descent_iterations: int = 60
+    """Of the descent."""
     refinements: int = 6
+    """Most times that the pieces of the mesh are halved."""
     loaded_refinements: int = 4
+    """The same under load."""
     margin_tolerance: float = 1e-8
+    """Wanted accuracy under load of margins so close to 1 that they need a check of their own."""
 
 
 NEWTON = Newton()
@@ -49,94 +46,85 @@ NEWTON = Newton()
 class Continuation(Settings):
     """How a branch of equilibria is followed, and where a robot goes that has lost its own.
 
-    Args:
-        largest_ratio: Newton must shrink its steps at least so much: beyond that it may be on its way to another
-            branch.
-        largest_twist: largest change (rad) of the twist theta - alpha at a point in one step.
-        soft_twist: the same (rad) where the margin is 0. The two stable branches beside a narrow fold are little
-            farther apart.
-        largest_turn: largest change (rad) of a joint rotation in one step of a path: small against a turn, after which
-            another branch looks like the one that is followed.
-        largest_shift: of a translation, as a fraction of the longest tube.
-        home_turn: largest turn (rad) of a tube per step of the way from home, by which a cold start goes that ended in
-            no stable equilibrium.
-        shortest_step, shortest_load_step: fraction of a way, and of one with a load, below which a step that fails
-            means that the branch has ended.
-        towards_end: part of the way to where the margin seems to vanish that is stepped at once.
-        symmetric: a growing load whose part along the softest direction is smaller than this meets a bifurcation there.
-        compiled_step: fraction of a load below which the compiled kernel leaves a step that fails to the general
-            solver.
-        compiled_part: the same of a way in joint values and load.
-        least_stiffness: margin below which errors no longer grow in the estimate.
-        hardly_softened: margins above need the check of their accuracy; the others are surer than the shape.
-        fold_steps: of Newton's method to a fold at most.
-        fold_difference: step of the differences along the softest direction, as a turn (rad) of a tube or of the arm.
-        widest: largest part of the way between the last stable point that was found and the one where stability is
-            lost.
-        branch_points: of a branch that is traced through its folds, at most.
-        nudge: push (rad) along the softest direction that starts a fall.
-        stride: largest turn (rad) of a point in one step downhill: short, so that the steps stay in the valley that
-            they are in.
-        flow_steps: of a fall at most.
-        smooth_turn: a loss of stability after which no point turns by more than this (rad) is a bifurcation into a
-            neighbouring branch, not a snap.
-        least_turn: that (rad) tells where the robot lands from where it was.
-        past: fraction of a way, or part of a load, by which a smooth change of branch is left behind, where both
-            branches are one.
-        load_stage: every stage of a growing load ends with so many times the load of the one before, on a mesh of its
-            own.
-        rubbing_steps: of Newton's method with friction at most.
-        stick_patience: exchanges between sticking and slipping without fewer wrong rows, after which they are taken to
-            go in circles.
-        stick_changes: per row, after which the descent that then follows gives up: round-off has won.
-        onward: cosine of the angle between two turns of the bases from which the second goes on the way of the first.
-        towards_rubbing_fold: part of the way to a fold with friction in one step. The state moves as the square root of
-            the way that is left, on which Newton's method shrinks its steps enough (`largest_ratio`) up to 0.75 of it.
-        rubbing_past: shortest steps by which the joints are past the last state that was found when a robot with
-            friction flows from it.
-        landed_step: part of the longest step with which a motion with friction goes on from where it landed, and which
-            no path is too short for.
-        hop: part of the longest step below which a state that only friction holds may hop.
-        rubbing_waypoints: that are handed to the compiled kernel at once.
-
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     largest_ratio: float = 0.3
+    """Newton must shrink its steps at least so much: beyond that it may be on its way to another branch."""
     largest_twist: float = 0.6
+    """Largest change (rad) of the twist theta - alpha at a point in one step."""
     soft_twist: float = 0.1
+    """The same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther apart."""
     largest_turn: float = 0.3
+    """Largest change (rad) of a joint rotation in one step of a path: small against a turn, after which another branch
+    looks like the one that is followed."""
     largest_shift: float = 0.05
+    """Of a translation, as a fraction of the longest tube."""
     home_turn: float = math.pi / 8
+    """Largest turn (rad) of a tube per step of the way from home, by which a cold start goes that ended in no stable
+    equilibrium."""
     shortest_step: float = 1e-11
+    """Fraction of a way below which a step that fails means that the branch has ended."""
     shortest_load_step: float = 1e-8
+    """The same of a way with a load."""
     towards_end: float = 0.8
+    """Part of the way to where the margin seems to vanish that is stepped at once."""
     symmetric: float = 1e-5
+    """A growing load whose part along the softest direction is smaller than this meets a bifurcation there."""
     compiled_step: float = 1e-3
+    """Fraction of a load below which the compiled kernel leaves a step that fails to the general solver."""
     compiled_part: float = 1e-2
+    """The same of a way in joint values and load."""
     least_stiffness: float = 1e-6
+    """Margin below which errors no longer grow in the estimate."""
     hardly_softened: float = 0.99
+    """Margins above need the check of their accuracy; the others are surer than the shape."""
     fold_steps: int = 25
+    """Of Newton's method to a fold at most."""
     fold_difference: float = 1e-4
+    """Step of the differences along the softest direction, as a turn (rad) of a tube or of the arm."""
     widest: float = 1e-3
+    """Largest part of the way between the last stable point that was found and the one where stability is lost."""
     branch_points: int = 4000
+    """Of a branch that is traced through its folds, at most."""
     nudge: float = 1e-2
+    """Push (rad) along the softest direction that starts a fall."""
     stride: float = 0.1
+    """Largest turn (rad) of a point in one step downhill: short, so that the steps stay in the valley they are in."""
     flow_steps: int = 2000
+    """Of a fall at most."""
     smooth_turn: float = 0.05
+    """A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring
+    branch, not a snap."""
     least_turn: float = 1e-3
+    """That (rad) tells where the robot lands from where it was."""
     past: float = 1e-4
+    """Fraction of a way, or part of a load, by which a smooth change of branch is left behind, where both branches are
+    one."""
     load_stage: float = 4.0
+    """Every stage of a growing load ends with so many times the load of the one before, on a mesh of its own."""
     rubbing_steps: int = 15
+    """Of Newton's method with friction at most."""
     stick_patience: int = 4
+    """Exchanges between sticking and slipping without fewer wrong rows, after which they are taken to go in circles."""
     stick_changes: int = 20
+    """Per row, after which the descent that then follows gives up: round-off has won."""
     onward: float = 0.9
+    """Cosine of the angle between two turns of the bases from which the second goes on the way of the first."""
     towards_rubbing_fold: float = 0.72
+    """Part of the way to a fold with friction in one step. The state moves as the square root of the way that is left,
+    on which Newton's method shrinks its steps enough (`largest_ratio`) up to 0.75 of it."""
     rubbing_past: float = 1e4
+    """Shortest steps by which the joints are past the last state that was found when a robot with friction flows from
+    it."""
     landed_step: float = 1e-3
+    """Part of the longest step with which a motion with friction goes on from where it landed, and which no path is too
+    short for."""
     hop: float = 0.1
+    """Part of the longest step below which a state that only friction holds may hop."""
     rubbing_waypoints: int = 256
+    """That are handed to the compiled kernel at once."""
 
 
 CONTINUATION = Continuation()
@@ -152,31 +140,29 @@ take as long to build as all others."""
 class Ipopt(Displayed):
     """How IPOPT solves a `Problem`, or the equations of an equilibrium.
 
-    Args:
-        tolerance: of optimality and of constraints over their scales. An answer that is merely "acceptable" to IPOPT
-            counts as a failure.
-        constraint_tolerance: of constraints over their scales; None is `tolerance`.
-        iterations: after how many it gives up.
-        time_limit: s, after which it stops where it is; infinite by default.
-        linear_solver: of the Newton steps; "mumps" comes with CasADi.
-        expand: write the program out in scalars first: a solve is faster, the building slower. For one to three blocks.
-        hessian: "exact" second derivatives, or "limited-memory".
-        barrier: barrier parameter with which a cold start begins.
-        print_level: 0 silent, 5 a line for every iteration.
-
     Raises:
         InputError: a field out of its range.
     """
 
     tolerance: float = 1e-10
+    """Of optimality and of constraints over their scales. An answer that is merely "acceptable" to IPOPT counts as a
+    failure."""
     constraint_tolerance: float | None = None
+    """Of constraints over their scales; None is `tolerance`."""
     iterations: int = 500
+    """After how many it gives up."""
     time_limit: float = math.inf
+    """s, after which it stops where it is."""
     linear_solver: str = "mumps"
+    """Of the Newton steps; "mumps" comes with CasADi."""
     expand: bool = False
+    """Write the program out in scalars first: a solve is faster, the building slower. For one to three blocks."""
     hessian: str = "exact"
+    """Second derivatives: "exact", or "limited-memory"."""
     barrier: float = 0.1
+    """Barrier parameter with which a cold start begins."""
     print_level: int = 0
+    """0 silent, 5 a line for every iteration."""
 
     def __post_init__(self) -> None:
         positive("tolerance", self.tolerance)

@@ -75,7 +75,7 @@ def all_solutions(
     problem: ReducedProblem, rotations: Array, search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH
 ) -> list[Solution]:
     """All solutions of a reduced problem; raises SolveError where their degree is not 1."""
-    surely = search.certain if problem.here is None else search.certain_of_pieces
+    surely = search.certain_of_pieces if problem.assembly.general else search.certain
     if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
         result = descend(problem, rotations, np.zeros(problem.size))
         if result.converged:

@@ -77,7 +77,7 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
         bent=mesh.collocated[pieces],
         gain=gain_of(problem)[np.ix_(pieces, members)],
         sections=(torsion, stiffness, moment, *phase),
-        transmission=(held if problem.here is None else reach(mesh, problem.here)[pieces[0]])[members],
+        transmission=(reach(mesh, problem.here)[pieces[0]] if assembly.general else held)[members],
         place=(assembly.offset[members], assembly.offset_angle[members]) if assembly.eccentric else (),
     )
     return Group(tubes, bundle, seat)

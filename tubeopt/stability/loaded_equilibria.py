@@ -23,8 +23,7 @@ from ..equilibrium.solving import sample_rotation
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
-from ..solvers.loaded import turn_of
-from ..solvers.newton import NewtonResult
+from ..solvers.newton import NewtonResult, turn_of
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .certificate import snap_free_certificate

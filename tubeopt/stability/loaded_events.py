@@ -12,8 +12,7 @@ from ..block.transcription.loaded import LoadedState
 from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
 from ..equilibrium.loaded import bifurcates
 from ..solvers.flow import downhill, flow
-from ..solvers.loaded import loaded_margin, turn_of
-from ..solvers.newton import NewtonResult
+from ..solvers.newton import NewtonResult, loaded_margin, turn_of
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Of
 from .folds import turning_point

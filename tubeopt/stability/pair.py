@@ -110,7 +110,7 @@ def pair_of(problem: ReducedProblem) -> Pair | None:
     lever = softness(problem)[0][:, [i, j]].sum(1)
     rate = mapped(bend_rate_function(problem.assembly.n_tubes), len(problem.weight))(problem.stiffness, problem.moment)
     # A moment below 0, as tubes of one curvature may have it, is a size at half a turn.
-    phase = np.pi * (problem.moment < 0) + (0.0 if problem.phase is None else problem.phase)
+    phase = np.pi * (problem.moment < 0) + problem.phase
     return Pair(
         problem=problem,
         tubes=(i, j),

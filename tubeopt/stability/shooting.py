@@ -41,9 +41,9 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
     """kt, kb and m (P, n) of the tubes of a problem on its pieces; of tubes made of pieces 1 / kt, kb, m and phase
     (P, X, n) at GRID."""
     mesh, n = problem.mesh, problem.assembly.n_tubes
-    if problem.here is None:
+    if not problem.assembly.general:
         kt = np.tile(problem.assembly.torsional_stiffness, (len(mesh.length), 1))
-        return kt, problem.piece_stiffness, problem.piece_moment
+        return kt, *problem.on_pieces
     at = sections_at(problem.assembly, mesh, GRID)
     table = 1 / at.torsional_stiffness, at.stiffness, at.moment, at.phase
     return tuple(part.reshape(len(mesh.length), len(GRID), n) for part in table)
@@ -92,20 +92,20 @@ class Shot:
 
 def whole(problem: ReducedProblem) -> Bundle:
     """All tubes of a problem on all its pieces."""
-    assembly, mesh, here = problem.assembly, problem.mesh, problem.here
+    assembly, mesh = problem.assembly, problem.mesh
     return Bundle(
         length=mesh.length,
         bent=mesh.collocated,
         gain=gain_of(problem),
         sections=sections_of(problem),
-        transmission=assembly.transmission if here is None else here.transmission,
+        transmission=problem.here.transmission if assembly.general else assembly.transmission,
         place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
     )
 
 
 def gain_of(problem: ReducedProblem) -> Array:
     """(P, n) length of the pieces, m, or of tubes made of pieces int ds / kt."""
-    if problem.here is not None:
+    if problem.assembly.general:
         return np.diff(reach(problem.mesh, problem.here), axis=0)
     return np.tile(problem.mesh.length[:, None], (1, problem.assembly.n_tubes))
 

@@ -8,9 +8,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ..block.transcription.offset_margin import softenings
 from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
-from ..block.transcription.second_variation import margin
+from ..block.transcription.second_variation import margin, softenings
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium

@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 import scipy
 
 from ..display import Displayed
-from ..errors import InputError, choice, instance, positive
+from ..errors import InputError, instance, positive
+from ..files.marks import OneOf, check_fields
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index, Progress, Sentence
@@ -50,8 +52,9 @@ class FitOptions:
         InputError: a value out of its range.
     """
 
-    registration: str = "rigid"
-    """As for `validate`."""
+    registration: Annotated[
+        str, OneOf(tuple(FREEDOMS)), "how the device's frame is brought to the plate's: rigid, base-axis or none"
+    ] = "rigid"
     base: BasePose = SENSOR_FRAME
     """As for `validate`."""
     folds: int = 5
@@ -59,18 +62,17 @@ class FitOptions:
     dealt in a fixed order; each is predicted by a fit, registration included, to the others. 0: none."""
     confidence: float = 0.95
     """Of the intervals, between 0 and 1."""
-    loss: str = "linear"
-    """How a large error counts: "linear" (least squares), "huber" or "soft_l1"."""
-    priors: bool = False
-    """Whether parameters are drawn to their values in the drawing, by how far these may be off."""
+    loss: Annotated[str, OneOf(tuple(LOSSES)), "how a large error counts: linear, huber or soft_l1"] = "linear"
+    """Linear is that of least squares."""
+    priors: Annotated[bool, "draw the parameters to their values in the drawing"] = False
+    """By how far these may be off."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""
     solver: FitSolver = DEFAULT_SOLVER
     """How the fit descends."""
 
     def __post_init__(self) -> None:
-        choice("registration", self.registration, FREEDOMS)
-        choice("loss", self.loss, LOSSES)
+        check_fields(self)
         instance("solver", self.solver, FitSolver)
         if not 0 < self.confidence < 1:
             raise InputError(f"confidence is {self.confidence:g}; it must lie between 0 and 1")

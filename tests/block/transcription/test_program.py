@@ -9,7 +9,6 @@ from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested
 from tubeopt import ConcentricRobot, Problem, ProblemSolution, ProblemStatus, forward_kinematics
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.mesh import make_mesh
-from tubeopt.block.transcription.model import UNKNOWNS
 from tubeopt.block.transcription.program import add_torsion, structure_of, torsion_guess, torsion_numbers
 from tubeopt.block.transcription.reduced import ReducedProblem, reduce
 from tubeopt.block.violation import violations_of, worst
@@ -65,7 +64,7 @@ def test_its_equations_have_the_equilibrium_of_forward_kinematics(
     points = inside_points(problem, found.values["rotation inside"])
     assert points[chosen] == pytest.approx(pose.point_rotation[chosen], abs=1e-10)
     at = [int(np.argmin(np.abs(pose.arc_length - s))) for s in problem.mesh.start]
-    begins, twists = (found.values[name].reshape(-1, robot.n_tubes) for name in UNKNOWNS[:2])
+    begins, twists = (found.values[name].reshape(-1, robot.n_tubes) for name in ("rotation", "torsion"))
     assert begins == pytest.approx(pose.rotation[:, at].T, abs=1e-10)
     assert twists == pytest.approx(pose.torsion[:, at].T, abs=1e-8)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...robots.lengthwise import CrossSections
 from ...typing import Array, Index
 from .collocated import ENDS
 from .green import sections_at
@@ -48,13 +47,13 @@ def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: 
     mesh, assembly, here = problem.mesh, problem.assembly, problem.here
     t, h = mesh.tableau, mesh.length[:, None]
     inner = np.zeros((len(h), t.degree, len(base)))
-    own = moment / assembly.torsional_stiffness if here is None else moment
+    own = moment if assembly.general else moment / assembly.torsional_stiffness
     inner[mesh.collocated] = own.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
     twist = -np.cumsum(gain[::-1], axis=0)[::-1]
     turn = h * twist + h**2 * ((t.weights * (1 - t.nodes)) @ inner)
     held, extra, mean = assembly.transmission, None, None
-    if here is not None:
+    if assembly.general:
         held, mean = here.transmission, np.einsum("k,pki->pi", t.weights, here.rate)
         extra = (twist[:, None] + h[..., None] * (t.adjoint @ inner)) * (here.rate - mean[:, None])
         turn *= mean
@@ -134,22 +133,12 @@ def _inside(mesh: Mesh, values: Array, places: tuple[Index, Array], integrals: i
     return np.asarray(np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=integrals), values[piece]))
 
 
-def shape_sections(torsion: ReducedProblem) -> CrossSections:
-    """(P 5, n) cross-sections at the shape points of every piece, seen from inside it."""
-    assembly, mesh, count = torsion.assembly, torsion.mesh, len(ENDS)
-    if torsion.here is not None:
-        return sections_at(assembly, mesh, ENDS)
-    kb, m = (np.repeat(table, count, axis=0) for table in (torsion.piece_stiffness, torsion.piece_moment))
-    none = np.zeros_like(kb)
-    return CrossSections(kb, m, none, np.broadcast_to(assembly.torsional_stiffness, kb.shape), none, none)
-
-
 def tubes_along(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tuple[Array, Array, Array]]:
     """theta and theta' (P, 5, n) at the shape points, and what the functions of a cross-section take there."""
-    ends, n, here = tuple(ENDS.tolist()), torsion.assembly.n_tubes, shape_sections(torsion)
+    ends, n, here = tuple(ENDS.tolist()), torsion.assembly.n_tubes, sections_at(torsion.assembly, torsion.mesh, ENDS)
     theta, slope = (along(torsion, profile, ends) for along in (rotations_at, torsion_at))
     slope = slope.reshape(-1, n)
-    if torsion.here is not None:
+    if torsion.assembly.general:
         slope = slope / here.torsional_stiffness
     pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
     return theta + here.wound.reshape(theta.shape), (slope + here.twist).reshape(theta.shape), pull

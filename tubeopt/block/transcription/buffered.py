@@ -11,7 +11,6 @@ import numpy as np
 
 from ...physics.torsion import section_functions
 from ...typing import Array
-from .piece import piece_function
 
 
 class Buffered:
@@ -62,6 +61,6 @@ def mapped(function: ca.Function, count: int) -> Buffered:
     return _bound(function, count, False, threading.get_ident())
 
 
-def piece_chain(count: int, n_tubes: int, eccentric: bool, family: str, degree: int) -> Buffered:
-    """`piece_function` chained over `count` pieces from base to tip, bound to arrays of this thread."""
-    return _bound(piece_function(n_tubes, eccentric, family, degree), count, True, threading.get_ident())
+def chained(function: ca.Function, count: int) -> Buffered:
+    """A function whose first output is its next first input, `count` times in a row, bound to arrays of this thread."""
+    return _bound(function, count, True, threading.get_ident())

@@ -23,14 +23,6 @@ from .collocated import Grid
 from .loaded_fields import FRAME
 from .model import Equation, Model, equation, model_of, places_in_words
 
-UNKNOWNS = ("bending moment", "bending moment inside")
-"""Columns of unknowns of an arm under load, besides those of every arm: where pieces begin, and at their points."""
-
-
-def sizes(pieces: int, degree: int) -> tuple[tuple[int, int], ...]:
-    """Shapes of the UNKNOWNS."""
-    return (2, pieces), (2 * degree, pieces)
-
 
 @dataclass(frozen=True, eq=False)
 class Push:
@@ -94,7 +86,7 @@ class LoadedModel(Model):
 
 
 def arm_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], given: Mapping[str, Any]) -> Model:
-    """`model_of`, with the load that is `given` as "push", if any: the UNKNOWNS of a loaded arm follow the others."""
+    """`model_of`, with the load that is `given` as "push", if any."""
     model, push = model_of(grid, numbers, unknowns, given), given.get("push")
     return model if push is None else _under(model, unknowns[5:], push)
 

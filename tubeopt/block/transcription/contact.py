@@ -200,7 +200,7 @@ def rubbing_profile(contact: Contact, rotations: Array, state: Rubbing, torque: 
     turn, twist = found.rotation.copy(), found.twist.copy()
     soft = softness(problem)[1]
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
-    rate = 1.0 if problem.here is not None else 1 / problem.assembly.torsional_stiffness
+    rate = 1.0 if problem.assembly.general else 1 / problem.assembly.torsional_stiffness
     for r in spots:
         k = int(np.argmin(np.abs(ends - contact.arc_length[r])))
         for j, push in ((int(contact.pair[r]) + 1, torque[r]), (int(contact.pair[r]), -torque[r])):

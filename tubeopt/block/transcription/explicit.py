@@ -23,12 +23,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...physics.matrix import determinant
 from ...physics.shape import exponential
 from ...physics.torsion import section_functions
 from ...robots.robot import Robot, is_general
 from ...robots.steps import steps_of, varies
 from ...typing import Array
+from .functions import determinant_function
 from .march import classical_step
 
 STEPS = 4
@@ -130,7 +130,7 @@ def explicit_arm(kind: Kind) -> ca.Function:
         length, *given, transmission = _sections(n)(shift, kb, moment, straight, whole)
         given, theta = [*given, ca.repmat(kt, 1, kind.sections)], tip
     columns = [ca.horzsplit(each) for each in (length, *given)]
-    step, fields = _step(n, kind.eccentric, kind.stretches > 0), []
+    step, determinant, fields = _step(n, kind.eccentric, kind.stretches > 0), determinant_function(n), []
     w, y, v = ca.MX(ca.DM.zeros(n)), ca.MX(ca.densify(ca.DM.eye(n))), ca.MX(ca.DM.zeros(n, n))
     bends: list[tuple[Any, Any]] = []
     for whole_length, stiffness, pull, kt, *turned in reversed(list(zip(*columns, strict=True))):
@@ -142,8 +142,8 @@ def explicit_arm(kind: Kind) -> ca.Function:
             ahead = (lead - k * h * twist, twist) if turned else place
             theta, w, y, v, bend = step(theta, w, y, v, h, stiffness, pull, kt, 1 - margin, *ahead)
             bends.append((h, bend))
-        fields.append(_field(n)(y, v, ca.MX(ca.DM.zeros(n))))
-    fields[-1] = _field(n)(y, v, transmission)
+        fields.append(determinant(y))
+    fields[-1] = determinant(y - ca.repmat(transmission, 1, n) * v)
     shape = _shape(bends)
     arm = ca.Function(
         "explicit_arm",
@@ -233,13 +233,6 @@ def _sorted(values: list[Any]) -> list[Any]:
         for k in range(last):
             out[k], out[k + 1] = ca.fmin(out[k], out[k + 1]), ca.fmax(out[k], out[k + 1])
     return out
-
-
-@lru_cache(maxsize=16)
-def _field(n: int) -> ca.Function:
-    """(Y, V (n, n), transmission (n,)) -> det(Y - transmission V)."""
-    y, v, transmission = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n), ca.SX.sym("t", n)
-    return ca.Function("field", [y, v, transmission], [determinant(y - ca.diag(transmission) @ v)])
 
 
 @lru_cache(maxsize=16)

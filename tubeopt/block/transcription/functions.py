@@ -7,7 +7,6 @@ from typing import Any
 
 import casadi as ca
 
-from ...physics.matrix import determinant
 from ...physics.shape import quaternion_product, rotation_matrix
 from ...physics.strain import bend_from_own
 from . import loaded_fields
@@ -173,9 +172,14 @@ def _softness(grid: Grid) -> tuple[Any, ...]:
 
 @lru_cache(maxsize=16)
 def determinant_function(n: int) -> ca.Function:
-    """(n, n) -> its determinant, with derivatives, which `casadi.det` of an MX has not."""
-    matrix = ca.SX.sym("matrix", n, n)
-    return ca.Function("determinant", [matrix], [determinant(matrix)], OPTIONS)
+    """(n, n) -> its determinant, with derivatives, which `casadi.det` of an MX has not; of more than three rows by
+    elimination without pivoting, as fits matrices that begin as the identity."""
+    whole = ca.SX.sym("matrix", n, n)
+    product, rest = ca.SX(1), whole
+    while rest.shape[0] > 3:
+        pivot = rest[0, 0]
+        product, rest = product * pivot, rest[1:, 1:] - rest[1:, 0] @ rest[0, 1:] / pivot
+    return ca.Function("determinant", [whole], [product * ca.det(rest)], OPTIONS)
 
 
 def _pose() -> tuple[Any, Any]:

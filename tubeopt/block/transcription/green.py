@@ -18,7 +18,7 @@ INWARDS = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Compliant:
-    """Tubes made of pieces on a mesh.
+    """The tubes of an assembly on a mesh.
 
     Attributes:
         sections: (P K, n) the cross-sections at the points that all pieces would have.
@@ -32,15 +32,17 @@ class Compliant:
 
 
 def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
-    """The tubes of an assembly with pieces on a mesh."""
-    assert assembly.lengthwise is not None
+    """The tubes of an assembly on a mesh."""
     sections = sections_at(assembly, mesh, mesh.tableau.nodes)
     rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
-    return Compliant(sections, rate, assembly.lengthwise.compliant(assembly.transmission))
+    held, table = assembly.transmission, assembly.lengthwise
+    return Compliant(sections, rate, held / assembly.torsional_stiffness if table is None else table.compliant(held))
 
 
 def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
-    """(P X, n) cross-sections of tubes made of pieces at fractions x (X,) of every piece of a mesh."""
+    """(P X, n) cross-sections at fractions x (X,) of every piece of a mesh."""
+    if not assembly.general:
+        return assembly.of_sections(np.repeat(mesh.section, len(x)))
     s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
     return assembly.cross_sections(s.ravel(), inside.ravel())
 

@@ -30,7 +30,7 @@ from ...typing import Array
 from .buffered import section_function
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
-from .reduced import ReducedProblem, directions, softness, to_unknowns, torsional_hessian, whitened
+from .reduced import ReducedProblem, softness, to_unknowns, torsional_hessian, whitened
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,15 +132,6 @@ def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]
     return spread.reshape(count, n, -1), soft, tip, row, float(ends[-1, tip])
 
 
-def compliances(torsion: ReducedProblem) -> tuple[Array, Array]:
-    """1 / kt at the points (N, n), and int ds / kt from where the tubes are held to the plate (n,)."""
-    assembly, here = torsion.assembly, torsion.here
-    if here is not None:
-        return here.rate.reshape(-1, assembly.n_tubes), here.transmission
-    even = 1 / assembly.torsional_stiffness
-    return np.tile(even, (len(torsion.weight), 1)), assembly.transmission * even
-
-
 def _forces(mesh: Mesh, load: Load, mass: Array) -> tuple[Array, Array]:
     """Force (N, 3) on the cross-sections at the points, and (3,) at the plate, of loads in world axes; `mass` (m,) per
     length of each section, kg/m."""
@@ -174,7 +165,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     theta[:] = rotations
     theta.ravel()[torsion.flat] += torsion.factor @ z
     bend, moment, stiff, natural, slope, second = section_function("bending", count, n, False)(
-        directions(torsion, theta), torsion.stiffness, torsion.moment
+        theta + torsion.phase, torsion.stiffness, torsion.moment
     )
     # CasADi stores by columns: (N, n, 2).
     slope, second = (part.reshape(count, n, 2).swapaxes(1, 2) for part in (slope, second))
@@ -342,6 +333,6 @@ def unknowns(problem: LoadedProblem, rotations: Array, theta: Array, curvature: 
     full[:] = rotations
     full.ravel()[torsion.flat] += torsion.factor @ z
     natural = section_function("curvature", count, full.shape[1], False)(
-        directions(torsion, full), torsion.stiffness, torsion.moment
+        full + torsion.phase, torsion.stiffness, torsion.moment
     )[0]
     return np.concatenate([z, ((curvature - natural) / problem.softness[:, None]).ravel()])

@@ -9,7 +9,7 @@ from ...typing import Array
 from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, tubes_along
 from .buffered import mapped, section_function
 from .collocated import ENDS
-from .loaded import LoadedProblem, LoadedState, compliances
+from .loaded import LoadedProblem, LoadedState
 from .orientation import IDENTITY, tangent_slopes, tangents
 from .reduced import softness, whitened
 
@@ -19,7 +19,7 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
     torsion, tip = problem.torsion, problem.tip_tube
     profile = integrate(torsion, rotations, state.torque)
     profile.rotation[:, tip] += state.tip_torque * softness(torsion)[1][:-1, tip]
-    if torsion.here is None:
+    if not torsion.assembly.general:
         profile.twist[:, tip] += state.tip_torque / torsion.assembly.torsional_stiffness[tip]
         return profile
     assert profile.extra is not None
@@ -96,13 +96,12 @@ def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube:
 def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, float]:
     """(U,) rotation of a tube at a place by z, and its compliance that z does not see, rad/(N m)."""
     torsion, mesh = problem.torsion, problem.mesh
-    rate, held = compliances(torsion)
-    t = mesh.tableau
+    rate, held, t = torsion.here.rate[:, :, tube].ravel(), torsion.here.transmission[tube], mesh.tableau
     piece = np.repeat(np.arange(len(mesh.length)), t.degree)
     up_to = np.where(piece < piece[:, None], torsion.weight, 0.0)
     within = np.kron(np.diag(mesh.length), t.matrix)
-    shared = (up_to + within) * rate[:, tube] / torsion.weight
-    lever = held[tube] + shared @ weight
-    whole = held[tube] + float((weight**2 * rate[:, tube] / torsion.weight).sum())
+    shared = (up_to + within) * rate / torsion.weight
+    lever = held + shared @ weight
+    whole = held + float((weight**2 * rate / torsion.weight).sum())
     row = whitened(torsion, np.where(torsion.tube == tube, lever[torsion.point], 0.0))
     return row, whole - float(row @ row)

@@ -70,12 +70,11 @@ def needs(assembly: Assembly) -> tuple[Array, ...]:
     """Of sections (m,): coupling rate, largest curvature, pieces for twist and detail of tubes made of pieces, least
     sum of kb, and largest |m_i| / kt_i."""
     if not assembly.general:
-        stiffness = assembly.bending_stiffness * assembly.present
-        moment = assembly.bending_stiffness * assembly.curvature * assembly.curved
-        rate = _rate(stiffness, moment, assembly.torsional_stiffness)
+        here = assembly.of_sections(np.arange(assembly.n_sections))
+        rate = _rate(here.stiffness, here.moment, assembly.torsional_stiffness)
         steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
-        pull = (np.abs(moment) / assembly.torsional_stiffness).max(1, initial=0.0)
-        return rate, steepest, np.zeros(1), np.maximum(stiffness.sum(1), 1e-300), pull
+        pull = (np.abs(here.moment) / assembly.torsional_stiffness).max(1, initial=0.0)
+        return rate, steepest, np.zeros(1), np.maximum(here.stiffness.sum(1), 1e-300), pull
     table, count = assembly.lengthwise, len(SAMPLES)
     assert table is not None
     s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()

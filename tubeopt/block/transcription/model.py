@@ -23,10 +23,6 @@ from .chain import columns, joints, panels, transmissions
 from .collocated import Grid
 from .layout import Layout
 
-UNKNOWNS = ("rotation", "torsion", "rotation inside", "orientation", "position")
-"""Columns of unknowns of an arm: theta and w where pieces begin, theta at their points, and the pose where all
-pieces but the first begin."""
-
 
 @dataclass(frozen=True)
 class Equation:
@@ -211,9 +207,14 @@ def mapped(name: str, grid: Grid, pieces: int) -> ca.Function:
     return function.map(pieces)
 
 
-def sizes(n: int, pieces: int, degree: int) -> tuple[tuple[int, int], ...]:
-    """Shapes of the UNKNOWNS."""
-    return (n, pieces), (n, pieces), (n, pieces * degree), (4, pieces - 1), (3, pieces - 1)
+def unknowns_of(grid: Grid, pieces: int) -> dict[str, tuple[int, int]]:
+    """Shapes of the columns of unknowns of an arm: theta and w where pieces begin, theta at their points, and the pose
+    where all pieces but the first begin; under load the bending moment where pieces begin, and at their points."""
+    n, degree = grid.n_tubes, grid.degree
+    torsion = {"rotation": (n, pieces), "torsion": (n, pieces), "rotation inside": (n, pieces * degree)}
+    pose = {"orientation": (4, pieces - 1), "position": (3, pieces - 1)}
+    bending = {"bending moment": (2, pieces), "bending moment inside": (2 * degree, pieces)}
+    return {**torsion, **pose, **(bending if grid.loaded else {})}
 
 
 def numbers_of(layout: Layout, column: Any = None) -> tuple[Any, Any, Any, Any]:
@@ -228,7 +229,7 @@ def numbers_of(layout: Layout, column: Any = None) -> tuple[Any, Any, Any, Any]:
 
 
 def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], given: Mapping[str, Any]) -> Model:
-    """The arm with these UNKNOWNS, as matrices, on a layout's `numbers`, with these joint values and dimensions.
+    """The arm with these unknowns, as matrices, on a layout's `numbers`, with these joint values and dimensions.
 
     `given` has also the `place` of eccentric tubes, and the `chain` of tubes made of pieces, with their PIECES.
     """

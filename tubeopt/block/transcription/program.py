@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ...typing import Array
 from .arm import Profile, rotations_at
 from .collocated import Grid
-from .model import UNKNOWNS, TorsionModel, sizes
+from .model import TorsionModel, unknowns_of
 from .panel import at_points, width
 from .reduced import ReducedProblem
 
@@ -86,7 +86,7 @@ def structure_of(problem: ReducedProblem) -> Structure:
 def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
     """What is given of the arm of a problem, each by columns."""
     assembly, mesh = problem.assembly, problem.mesh
-    if problem.here is not None:
+    if assembly.general:
         kt = held_stiffness(problem)
         return {
             "transmission": problem.here.transmission * kt,
@@ -95,11 +95,12 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
             "along": at_points(problem.here.sections, mesh.tableau.nodes),
         }
     place = {"offset": assembly.offset, "angle": assembly.offset_angle} if assembly.eccentric else {}
+    stiffness, moment = problem.on_pieces
     return {
         "transmission": assembly.transmission,
         "lengths": mesh.length,
-        "stiffness": problem.piece_stiffness.ravel(),
-        "moment": problem.piece_moment.ravel(),
+        "stiffness": stiffness.ravel(),
+        "moment": moment.ravel(),
         "torsional_stiffness": np.tile(assembly.torsional_stiffness, len(mesh.length)),
         **place,
     }
@@ -122,10 +123,9 @@ def add_torsion(program: Program, structure: Structure, rotations: Any, own: Map
     given = torsion_given(program, structure, own)
     place = tuple(given.pop(name) for name in ("offset", "angle") if name in given)
     given = {"stiffness": None, "moment": None, "along": None, **given}
-    shapes = sizes(structure.grid.n_tubes, len(structure.section), structure.grid.degree)[:3]
     theta, twist, inner = (
         ca.reshape(program.variable(name, rows * columns), rows, columns)
-        for name, (rows, columns) in zip(UNKNOWNS, shapes, strict=False)
+        for name, (rows, columns) in list(unknowns_of(structure.grid, len(structure.section)).items())[:3]
     )
     arm = TorsionModel(structure.grid, theta=theta, twist=twist, inner=inner, place=place, **given)
     for each in arm.torsion_equations(rotations, 1.0, structure.section):
@@ -136,8 +136,8 @@ def add_torsion(program: Program, structure: Structure, rotations: Any, own: Map
 def torsion_guess(problem: ReducedProblem, profile: Profile) -> dict[str, Array]:
     """The unknowns of an arm, by name and by columns, at a torsion profile on the same mesh."""
     theta = rotations_at(problem, profile, tuple(problem.mesh.tableau.nodes.tolist()))
-    twist = profile.twist if problem.here is None else profile.twist / held_stiffness(problem)
-    return dict(zip(UNKNOWNS, (profile.rotation.ravel(), twist.ravel(), theta.ravel()), strict=False))
+    twist = profile.twist / held_stiffness(problem) if problem.assembly.general else profile.twist
+    return {"rotation": profile.rotation.ravel(), "torsion": twist.ravel(), "rotation inside": theta.ravel()}
 
 
 def held_stiffness(problem: ReducedProblem) -> Array:

@@ -57,11 +57,9 @@ class ReducedProblem:
 
     Attributes:
         assembly, mesh: what is solved.
-        piece_stiffness, piece_moment: (P, n) kb_i of the tubes present and m_i of the tubes curved on each piece.
-            Where a tube is made of pieces both refuse every use: `here` tells them.
-        stiffness, moment: (N, n) the same at the points.
-        phase: (N, n) angle to be added to the elastic rotation for the direction of a tube's pull; None is 0.
-        here: tubes made of pieces, (P K, n) at the points that all pieces would have; None where there are none.
+        stiffness, moment: (N, n) kb_i of the tubes present and m_i of the tubes curved at the points.
+        phase: (N, n) angle to be added to the elastic rotation for the direction of a tube's pull.
+        here: the tubes at the points that all pieces would have.
         arc_length, weight: (N,) place and quadrature weight of the points, m.
         point, tube: (U,) of which point and tube each unknown is the rotation; by tube, then by point.
         factor: (U, U) L, rad per sqrt(J).
@@ -74,10 +72,10 @@ class ReducedProblem:
 
     assembly: Assembly
     mesh: Mesh
-    piece_stiffness: Array
-    piece_moment: Array
+    here: Compliant
     stiffness: Array
     moment: Array
+    phase: Array
     arc_length: Array
     weight: Array
     point: Index
@@ -90,8 +88,6 @@ class ReducedProblem:
     entry_weight: Array
     stretch: tuple[Array, Array, Array] | None
     blocks: tuple[Block, ...] = ()
-    phase: Array | None = None
-    here: Compliant | None = None
 
     @property
     def size(self) -> int:
@@ -103,6 +99,12 @@ class ReducedProblem:
         """The unknowns of each tube, between which L is 0."""
         cuts = np.searchsorted(self.tube, np.arange(self.assembly.n_tubes + 1)).tolist()
         return tuple(slice(a, b) for a, b in pairwise(cuts) if b > a)
+
+    @cached_property
+    def on_pieces(self) -> tuple[Array, Array]:
+        """The same on each piece, (P, n), along which no tube varies; raises InputError where one is made of pieces."""
+        here = self.assembly.of_sections(self.mesh.section)
+        return here.stiffness, here.moment
 
     @cached_property
     def energy_parts(self) -> float:
@@ -140,14 +142,8 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
     index[point, tube] = np.arange(len(point))
     pair = np.flatnonzero((index[:, :, None] >= 0) & (index[:, None, :] >= 0))
     at, row, column = np.unravel_index(pair, (len(section), n, n))
-    here = compliant(assembly, mesh) if assembly.general else None
-    piece_stiffness, piece_moment = _piece_numbers(assembly, mesh)
-    if here is None:
-        numbers = tuple(np.repeat(table[elements], degree, axis=0) for table in (piece_stiffness, piece_moment))
-    else:
-        chosen = (elements[:, None] * degree + np.arange(degree)).ravel()
-        numbers = tuple(table[chosen] for table in (here.sections.stiffness, here.sections.moment, here.sections.phase))
-    factor = _factor(assembly, mesh, here, (point, tube))
+    here, chosen = compliant(assembly, mesh), (elements[:, None] * degree + np.arange(degree)).ravel()
+    factor = _factor(mesh, here, (point, tube))
     stretch: tuple[Array, Array, Array] | None = None
     blocks: tuple[Block, ...] = ()
     if assembly.eccentric:
@@ -158,10 +154,10 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
-        piece_stiffness=piece_stiffness,
-        piece_moment=piece_moment,
-        stiffness=numbers[0],
-        moment=numbers[1],
+        here=here,
+        stiffness=here.sections.stiffness[chosen],
+        moment=here.sections.moment[chosen],
+        phase=here.sections.phase[chosen],
         arc_length=(mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes).ravel(),
         weight=weight,
         point=point,
@@ -175,37 +171,20 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
         entry_weight=weight[at],
         stretch=stretch,
         blocks=blocks,
-        phase=None if here is None else numbers[2],
-        here=here,
     )
 
 
-def _factor(assembly: Assembly, mesh: Mesh, here: Compliant | None, unknowns: tuple[Index, Index]) -> Array:
+def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array:
     """(U, U) L of the unknowns, of which `unknowns` has point and tube: of every tube the root of its compliance."""
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
-    factor = np.zeros((len(point), len(point)))
-    length = mesh.length[elements]
-    green = green_of(mesh.tableau, mesh.start[elements], length)
-    ends = np.searchsorted(tube, np.arange(assembly.n_tubes + 1)).tolist()  # the unknowns are sorted by tube
-    for i, (begin, end) in enumerate(pairwise(ends)):
-        if begin < end:
-            mine = point[begin:end]
-            if here is None:
-                compliance = (assembly.transmission[i] + green[mine[:, None], mine]) / assembly.torsional_stiffness[i]
-            else:
-                own = green_of(mesh.tableau, reach(mesh, here)[elements, i], length, here.rate[elements, :, i])
-                compliance = own[mine[:, None], mine]
-            factor[begin:end, begin:end] = np.linalg.cholesky(compliance)
+    factor, begin = np.zeros((len(point), len(point))), reach(mesh, here)
+    ends = np.searchsorted(tube, np.arange(begin.shape[1] + 1)).tolist()  # the unknowns are sorted by tube
+    for i, (first, last) in enumerate(pairwise(ends)):
+        if first < last:
+            mine = point[first:last]
+            own = green_of(mesh.tableau, begin[elements, i], mesh.length[elements], here.rate[elements, :, i])
+            factor[first:last, first:last] = np.linalg.cholesky(own[mine[:, None], mine])
     return factor
-
-
-def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
-    """kb of the tubes present and m of those curved, (P, n); what refuses to be used where tubes are made of pieces."""
-    if assembly.general:
-        return assembly.bending_stiffness, assembly.bending_stiffness
-    stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
-    moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
-    return stiffness, moment
 
 
 def _curved_groups(assembly: Assembly) -> list[Index]:
@@ -259,9 +238,7 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     theta.ravel()[problem.flat] += problem.factor @ z
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
-    moment, stiffness, bending, *stretch = balance(
-        directions(problem, theta), problem.stiffness, problem.moment, *place
-    )
+    moment, stiffness, bending, *stretch = balance(theta + problem.phase, problem.stiffness, problem.moment, *place)
     moment = moment.copy()
     gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
     hessian = torsional_hessian(problem, stiffness)
@@ -272,11 +249,6 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
         gradient -= residual
         hessian -= slope
     return Evaluation(z, theta, energy, gradient, hessian, moment, extra)
-
-
-def directions(problem: ReducedProblem, theta: Array) -> Array:
-    """(N, n) direction in which each tube pulls: theta, or phi and the phase of tubes made of pieces."""
-    return theta if problem.phase is None else theta + problem.phase
 
 
 def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
@@ -320,26 +292,14 @@ def _stretch_terms(
 
 def pull_rate(problem: ReducedProblem) -> Array:
     """(P,) how much curvature a turn of all tubes can change on each piece, 1/m; see `bend_rate_function`."""
-    if problem.here is None:
-        numbers, points = (problem.piece_stiffness, problem.piece_moment), 1
-    else:
-        here = problem.here.sections
-        numbers, points = (here.stiffness, here.moment), problem.mesh.tableau.degree
-    count, n = numbers[1].shape
-    each = mapped(bend_rate_function(n), count)(*numbers)[0].sum(1)
-    return np.asarray(each.reshape(-1, points).max(1, initial=0.0))
+    stiffness, moment = problem.here.sections.stiffness, problem.here.sections.moment
+    each = mapped(bend_rate_function(moment.shape[1]), len(moment))(stiffness, moment)[0].sum(1)
+    return np.asarray(each.reshape(-1, problem.mesh.tableau.degree).max(1, initial=0.0))
 
 
 def softness(problem: ReducedProblem) -> tuple[Array, Array]:
     """(N, n) and (P + 1, n) int ds / kt from where each tube is held to the points and to the ends of the pieces."""
-    mesh, assembly = problem.mesh, problem.assembly
-    if problem.here is not None:
-        return ahead(mesh, problem.here), reach(mesh, problem.here)
-    ends = np.append(mesh.start, assembly.total_length)
-    inside, outside = (
-        (assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends)
-    )
-    return inside, outside
+    return ahead(problem.mesh, problem.here), reach(problem.mesh, problem.here)
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:

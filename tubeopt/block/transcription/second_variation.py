@@ -1,18 +1,46 @@
-"""How stable a solved torsion problem is: margin, unstable directions, and the softest of all."""
+"""How stable a solved torsion problem is: margin, unstable directions, and the softest of all.
+
+Of tubes off the centreline the margin is how far one equilibrium is from a fold. Their equations, theta' = g w and
+kt w' = M, are not those of an energy in the rotations alone. Linearised at a solution,
+
+    y' = g v + w (g' y),   kt v' = M' y,   v = 0 at the tip,   y(0) = |beta| v(0),
+
+and a y that fulfils them is a fold: the joint rotations no longer tell the shape. The margin mu is the fraction of
+their torsional stiffness that the tubes may lose, with the state held, before there is one: with the collocated
+integrals P from the base and W to the tip,
+
+    (1 - mu) y = K y,   K = -(1 - P w g')^-1 [Gamma + P (g - 1) W / kt] M',
+
+and 1 - mu is the largest real eigenvalue of K, at most 1. K is the collocated equation itself, so the margin is 0
+exactly where its Jacobian is singular. With d = 0 K is the symmetric -Gamma V'' in other coordinates, and the margin
+the smallest eigenvalue of the second variation.
+
+Tubes that are curved together make a block of their own: the tubes that run through an outer segment without being
+curved there feel it, but do not act on it, so that K is block triangular.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from ...typing import Array
-from .offset_margin import softenings
-from .reduced import Evaluation, ReducedProblem
+from .buffered import section_function
+from .reduced import Block, Evaluation, ReducedProblem
+
+REAL = 1e-6
+"""An eigenvalue whose imaginary part is less than this share of it is real: two that are almost one are split so far by
+round-off. Only a real eigenvalue can be that of a fold."""
 
 
 def margin(problem: ReducedProblem, state: Evaluation) -> float:
     """Smallest eigenvalue of the second variation relative to its torsional part, at most 1; for tubes off the
-    centreline, what takes its place (see `offset_margin`)."""
+    centreline, what takes its place."""
     if not problem.size:
         return 1.0
     if problem.assembly.eccentric:
@@ -44,3 +72,106 @@ def softest(problem: ReducedProblem, state: Evaluation) -> Array:
     values, columns = np.linalg.eig(state.hessian)
     direction = columns[:, int(np.argmin(values.real))].real
     return np.asarray(direction / np.linalg.norm(direction))
+
+
+# --- tubes off the centreline -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """An eigenvalue 1 - mu of K with its vectors: y (N, n), 0 but for its block, and zeta (N, n), the left one of the
+    equation before it is solved for y; `pairing`, their product with what the eigenvalue multiplies."""
+
+    value: float
+    y: Array
+    zeta: Array
+    pairing: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Of one block: 1 - P w g' (k p, k p), by tube, then by point; the bracket (k, p, p) of each tube; M' (p, k, k)."""
+
+    block: Block
+    left: Array
+    whole: Array
+    slope: Array
+
+    def matrix(self) -> Array:
+        """K (k p, k p)."""
+        right = self.whole[:, :, None, :] * self.slope.transpose(1, 2, 0)[:, None]
+        return np.asarray(np.linalg.solve(self.left, -right.reshape(self.left.shape)))
+
+
+def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
+    assembly, count = problem.assembly, len(problem.weight)
+    n, kt = assembly.n_tubes, assembly.torsional_stiffness
+    balance = section_function("balance", count, n, True)
+    place = assembly.offset, assembly.offset_angle
+    moment, turned, _, g, stretched = balance(theta, problem.stiffness, problem.moment, *place)
+    assert problem.stretch is not None
+    twist = -(problem.stretch[1] @ moment) / kt
+    extra = (g - 1) / kt
+    # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
+    turned, stretched = turned.reshape(count, n, n), stretched.reshape(count, n, n)
+    for block in problem.blocks:
+        t, o = block.tubes, block.points
+        k, p = len(t), len(o)
+        whole = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
+        own = np.ix_(o, t, t)
+        relative = stretched[own].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
+        left = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
+        left.ravel()[:: k * p + 1] += 1.0
+        yield _Linearised(block, left, whole, turned[own].swapaxes(1, 2))
+
+
+def _real(values: NDArray[Any]) -> Array:
+    """The real ones of eigenvalues; the others as 0, the eigenvalue of what nothing couples."""
+    return np.where(np.abs(values.imag) <= REAL * np.abs(values), values.real, 0.0)
+
+
+def softenings(problem: ReducedProblem, theta: Array) -> Array:
+    """Real eigenvalues of K at theta (N, n), of all blocks: each the share of torsional stiffness that is a fold."""
+    parts = [np.linalg.eigvals(_of_moments(one)) for one in _linearise(problem, theta)]
+    return _real(np.concatenate(parts)) if parts else np.zeros(0)
+
+
+def _of_moments(one: _Linearised) -> Array:
+    """K, for moments in place of y, without those of the last tube: at one place all moments add up to 0."""
+    size = len(one.left) - len(one.block.points)
+    last = len(one.block.tubes) - 1
+    whole, slope = one.whole, one.slope
+    columns = np.zeros((*whole.shape[:2], last, whole.shape[2]))
+    for i in range(last):
+        columns[i, :, i] = whole[i]
+        columns[last, :, i] = -whole[last]
+    moved = np.linalg.solve(one.left, columns.reshape(len(one.left), size)).reshape(*whole.shape[:2], size)
+    return -np.asarray(np.einsum("bij,jbm->ibm", slope[:, :last], moved).reshape(size, size))
+
+
+def worst_mode(problem: ReducedProblem, theta: Array) -> Mode | None:
+    """The mode with the largest eigenvalue; None where nothing softens, or where the eigenvalue is double."""
+    best: tuple[float, _Linearised, Array, Array] | None = None
+    following = 0.0
+    for one in _linearise(problem, theta):
+        matrix = one.matrix()
+        values, vectors = np.linalg.eig(matrix)
+        real = _real(values)
+        order = np.argsort(-real)
+        top = float(real[order[0]])
+        following = max(following, *real[order[1:2]].tolist(), top if best is not None and top <= best[0] else 0.0)
+        if best is None or top > best[0]:
+            following = max(following, 0.0 if best is None else best[0])
+            best = top, one, vectors[:, order[0]].real, matrix
+    if best is None or best[0] <= 0:
+        return None
+    value, one, right, matrix = best
+    if value - following < 1e-9:
+        return Mode(value, np.full_like(theta, np.nan), np.full_like(theta, np.nan), np.nan)
+    values, vectors = np.linalg.eig(matrix.T)
+    left = vectors[:, int(np.argmin(np.abs(values - value)))].real
+    y, zeta = np.zeros_like(theta), np.zeros_like(theta)
+    places = np.ix_(one.block.points, one.block.tubes)
+    y[places] = right.reshape(len(one.block.tubes), -1).T
+    zeta[places] = np.linalg.solve(one.left.T, left).reshape(len(one.block.tubes), -1).T
+    return Mode(value, y, zeta, float(left @ right))

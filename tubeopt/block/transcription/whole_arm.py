@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from functools import lru_cache, reduce
+from typing import Any
+
+import casadi as ca
 import numpy as np
 
-from ...physics.shape import GAUSS_POINTS, step_function
+from ...physics.shape import GAUSS_POINTS, magnus_step, step_function
 from ...robots.lengthwise import CrossSections
 from ...typing import Array
 from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at, tubes_along
-from .buffered import mapped, piece_chain, section_function
-from .collocated import STEPS
+from .buffered import chained, mapped, section_function
+from .collocated import ENDS, STEPS, Grid, Torsion, symbols
 from .green import reach, sections_at
-from .piece import COARSE_STEPS, EXTRA_POINTS
 from .reduced import Evaluation, ReducedProblem
 from .tableau import tableau
+
+COARSE_STEPS = 2
+"""Steps of the shape per piece of the mesh of the rougher integration that tells the error of the STEPS."""
+
+EXTRA_POINTS = 3
+"""Collocation points by which the check of the mesh is finer than the solution."""
 
 SUBSTEPS = 2
 """Steps of the shape from one of its points to the next: the curvature of such arms turns as they go on."""
@@ -36,13 +45,12 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     if not pieces:
         still, zero = rotations[:, None].copy(), np.zeros((1, 3))
         return Arm(np.zeros(1), still, np.zeros((n, 1)), zero[:, :2], zero, np.eye(3)[None], 0.0, 0.0, 0.0)
-    if problem.here is not None:
+    if problem.assembly.general:
         return _general_arm(problem, state, torsion)
     eccentric, t = problem.assembly.eccentric, mesh.tableau
-    chain = piece_chain(pieces, n, eccentric, t.family, t.degree)
+    chain = chained(piece_function(n, eccentric, t.family, t.degree), pieces)
     given = [_HOME, torsion.rotation, torsion.twist, torsion.moment.reshape(-1, n)]
-    given += [problem.piece_stiffness, problem.piece_moment]
-    given += [problem.assembly.torsional_stiffness, mesh.length[:, None]]
+    given += [*problem.on_pieces, problem.assembly.torsional_stiffness, mesh.length[:, None]]
     if eccentric:
         assert torsion.extra is not None
         given += [torsion.extra.reshape(-1, n), problem.assembly.offset, problem.assembly.offset_angle]
@@ -87,6 +95,57 @@ def _defect(problem: ReducedProblem, defects: Array) -> float:
     lever = problem.assembly.transmission + (mesh.start + mesh.length)[:, None]
     wrong = (defects[:, 0] + defects[:, 1] * lever)[mesh.collocated]
     return float(wrong.sum(0).max())
+
+
+@lru_cache(maxsize=32)
+def piece_function(n: int, eccentric: bool, family: str, degree: int) -> ca.Function:
+    """(poses, theta, w, M/kt, kb, m, kt, h[, (g-1)w, d, phi]) -> (poses, theta, theta', u, R and p, defects, V).
+
+    poses (24,): R by columns and p of the fine and of the coarse integration, where the piece begins and where it ends.
+    theta, w (n,) at its beginning; M/kt (n, K) at its collocation points; kb, m (n,) of its section; h its length.
+    theta (n, 5), theta' (n, 5), u (2, 5) at the points ENDS, R and p (12, 4) at all but the first.
+    defects (n, 2): how far theta inside and the gain of w over the piece are from a quadrature with EXTRA_POINTS more.
+    V: bending energy per length at the beginning.
+    """
+    piece = symbols(Grid(n, family, degree, eccentric))
+    t, h = piece.grid.tableau, piece.length
+    poses, gain, extra = ca.SX.sym("poses", 24), ca.SX.sym("moment", n, degree), ca.SX.sym("extra", n, degree)
+    torsion = Torsion(piece, ca.SX(), gain, extra, ca.SX(), (ca.SX(), ca.SX()))
+    inputs = [poses, piece.theta, piece.twist, gain, piece.stiffness, piece.moment, piece.torsional_stiffness, h]
+    inputs += [extra, *piece.place] if eccentric else []
+    slope = torsion.torsion(ENDS) + (extra @ t.lagrange(ENDS).T if eccentric else 0)
+    fine = _integrate(poses[:12], torsion, STEPS)
+    coarse = _integrate(poses[12:], torsion, COARSE_STEPS)
+    check = tableau("gauss", degree + EXTRA_POINTS)
+    theta = torsion.rotation(check.nodes)
+    finer = [piece.section(theta[:, k], x) for k, x in enumerate(check.nodes)]
+    gained = h * ca.horzcat(*(here.moment / piece.torsional_stiffness for here in finer))
+    w = ca.repmat(piece.twist, 1, check.degree) + gained @ check.matrix.T
+    stretch = ca.horzcat(*(ca.SX(here.stretch) for here in finer))
+    defect = ca.repmat(piece.theta, 1, check.degree) + h * (w * stretch) @ check.matrix.T - theta
+    outputs = [
+        ca.vertcat(fine[-1], coarse[-1]),
+        torsion.rotation(ENDS),
+        slope,
+        torsion.curvature(ENDS),
+        ca.horzcat(*fine),
+        ca.horzcat(
+            reduce(ca.fmax, ca.horzsplit(ca.fabs(defect))), ca.fabs(gained @ check.weights - h * gain @ t.weights)
+        ),
+        piece.section(piece.theta, 0.0).bending_energy,
+    ]
+    return ca.Function("piece", inputs, [ca.densify(out) for out in outputs], {"cse": True})
+
+
+def _integrate(pose: Any, torsion: Torsion, steps: int) -> list[Any]:
+    """Poses (12,) after each Magnus step."""
+    u = torsion.curvature(((np.arange(steps)[:, None] + GAUSS_POINTS) / steps).ravel())
+    rotation, position = ca.reshape(pose[:9], 3, 3), pose[9:]
+    out = []
+    for k in range(steps):
+        rotation, position = magnus_step(rotation, position, u[:, 3 * k : 3 * k + 3], torsion.piece.length / steps)
+        out.append(ca.vertcat(ca.vec(rotation), position))
+    return out
 
 
 # --- tubes made of pieces: a cross-section of its own at every point -------------------------------------------------
@@ -138,8 +197,7 @@ def _poses(u: Array, step: Array) -> tuple[Array, Array]:
 
 def _check(problem: ReducedProblem, torsion: Profile) -> tuple[float, Array]:
     """What a quadrature with EXTRA_POINTS more says is wrong in phi, rad, and the bending energy (P,) of the pieces."""
-    mesh, n, here = problem.mesh, problem.assembly.n_tubes, problem.here
-    assert here is not None
+    mesh, n = problem.mesh, problem.assembly.n_tubes
     finer = tableau("gauss", mesh.tableau.degree + EXTRA_POINTS)
     phi, at, given = _points(problem, torsion, finer.nodes)
     moment, _, bending, *_ = section_function("balance", len(given[0]), n, False)(*given)
@@ -149,6 +207,6 @@ def _check(problem: ReducedProblem, torsion: Profile) -> tuple[float, Array]:
     turned = h * (finer.matrix @ (torque / at.torsional_stiffness.reshape(shape)))
     inner = np.abs(torsion.rotation[:, None] + turned - phi).max(1)
     gained = np.abs(finer.weights @ gain - h[:, 0] * (mesh.tableau.weights @ torsion.moment))
-    wrong = (inner + gained * reach(mesh, here)[1:]).sum(0)
+    wrong = (inner + gained * reach(mesh, problem.here)[1:]).sum(0)
     energy = mesh.length * (bending[:, 0].reshape(shape[:2]) @ finer.weights)
     return float(wrong.max(initial=0.0)), energy

@@ -57,11 +57,16 @@ def full_current(tube: Tube, rig: Rig, *, leaking: bool = True) -> float:
     return rig.battery.voltage / (rig.battery.internal_resistance + rig.circuit.resistance + ohm)
 
 
+def heating_rate(tube: Tube, rig: Rig, ampere: float) -> float:
+    """Rate (K/s) at which a current (A) warms a tube, without any loss."""
+    data, section = thermal_data(tube), tube.cross_section
+    power = ampere**2 * rig.resistivity_factor * data.resistivity / section
+    return power / (data.density * section * data.heat_capacity)
+
+
 def count_rate(tube: Tube, rig: Rig) -> float:
     """Rate (K/s) at which one count of the duty warms a tube in an insulating mold, without any loss."""
-    data, section = thermal_data(tube), tube.cross_section
-    power = full_current(tube, rig, leaking=False) ** 2 * rig.resistivity_factor * data.resistivity / section
-    return power / COUNTS / (data.density * section * data.heat_capacity)
+    return heating_rate(tube, rig, full_current(tube, rig, leaking=False)) / COUNTS
 
 
 def guarded_counts(

@@ -121,17 +121,6 @@ def shifted(law: HeatingLaw, by: float) -> HeatingLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class Fleet:
-    """B rigs as they may be, beside the one of the file.
-
-    model: of all members. bias: (B,) of the sensor, K, where the tube is as hot as it gets.
-    """
-
-    model: ThermalModel
-    bias: Array
-
-
-@dataclass(frozen=True, eq=False)
 class LoopHistory:
     """What B rigs did in a closed loop."""
 
@@ -165,19 +154,28 @@ class LoopHistory:
         return np.where(np.isfinite(low), low, -math.inf), np.where(np.isfinite(high), high, math.inf)
 
 
-def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, dies: float = math.inf) -> LoopHistory:
-    """Run every rig of a fleet under the law until the last has ended.
+def run_loop(
+    model: ThermalModel,
+    law: HeatingLaw,
+    sensor: Sensor,
+    *,
+    bias: Array | float = 0.0,
+    seed: int = 0,
+    dies: float = math.inf,
+) -> LoopHistory:
+    """Run every member of a model under the law until the last has ended.
 
     Args:
+        bias: (B,) or one, of the sensor, K, where the tube is as hot as it gets.
         seed: of the sensor's noise.
         dies: s, time from which the sensor is dead: the firmware then stops, and the count is 0.
     """
-    model, rng = fleet.model, np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     felt, memory, rows = Felt.at_rest(model, sensor), begin(model.members), []
     ends, dead = (law.reference.min(), law.reference.max()), np.zeros(model.members, dtype=bool)
     slots = math.ceil(law.longest / law.slot)
     for k in range(slots + 1):
-        reading = sensor.shown(felt.lagged, fleet.bias, ends, rng)
+        reading = sensor.shown(felt.lagged, bias, ends, rng)
         dead |= (k * law.slot >= dies) | (reading < sensor.lowest) | (reading > sensor.highest)
         place = memory.place
         count, memory = decide(law, memory, reading)

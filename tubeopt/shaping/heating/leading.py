@@ -11,7 +11,7 @@ import scipy
 from ...errors import InputError, instance
 from ...solvers.parallel.blas import small
 from ...typing import Array
-from .law import Contribution, Feedback, Fleet, HeatingLaw, LoopHistory, run_loop, shifted
+from .law import Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .robust import ENSEMBLE, assess
@@ -63,8 +63,8 @@ def lead_by(
         raise InputError(f"samples is {samples}; it must be at least 20")
     unknown = Uncertainty.of_a_workshop() if uncertainty is None else uncertainty
     law = _tuned(plan, sensor, unknown, seed)
-    fleet, draws = fleet_of(plan, sensor, unknown, samples, seed + 1)
-    history = corrected(plan, law, sensor, run_loop(fleet, law, sensor, seed=seed))
+    fleet, bias, draws = fleet_of(plan, sensor, unknown, samples, seed + 1)
+    history = corrected(plan, law, sensor, run_loop(fleet, law, sensor, bias=bias, seed=seed))
     lowest, highest = (row[1:] for row in history.extremes(law))
     top = history.top.max(0)[1:]
     low, high = plan.spec.window_degC
@@ -73,16 +73,18 @@ def lead_by(
     return Feedback(
         sensor=sensor, law=law, uncertainty=unknown, history=history, lowest=lowest, highest=highest, top=top,
         kept=kept, open_loop=assess(plan, unknown, samples=samples).probability,
-        contributions=_contributions(names, np.column_stack([draws, fleet.bias[1:]]), lowest, highest),
+        contributions=_contributions(names, np.column_stack([draws, bias[1:]]), lowest, highest),
         window=plan.spec.window_degC, limit=plan.spec.limit,
     )  # fmt: skip
 
 
-def fleet_of(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, samples: int, seed: int) -> tuple[Fleet, Array]:
-    """The rig of a plan and `samples` others, with the biases of their sensors; and the draws of the rigs."""
+def fleet_of(
+    plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, samples: int, seed: int
+) -> tuple[ThermalModel, Array, Array]:
+    """The rig of a plan and `samples` others, the biases of their sensors, and the draws of the others."""
     model, draws = unknown.models(plan.tube, plan.rig, samples, ENSEMBLE, seed)
     bias = sensor.bias * np.random.default_rng(seed).uniform(-1, 1, samples)
-    return Fleet(model, np.concatenate([[0.0], bias])), draws
+    return model, np.concatenate([[0.0], bias]), draws
 
 
 def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
@@ -123,12 +125,12 @@ def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -
     law = nominal_law(plan, sensor)
     nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
     found = response(nominal, sensor, law)
-    fleet, _ = fleet_of(plan, sensor, unknown, plan.spec.solver.law.rigs, seed)
+    fleet, bias, _ = fleet_of(plan, sensor, unknown, plan.spec.solver.law.rigs, seed)
     best: tuple[float, HeatingLaw] | None = None
     for share in (0.002, 0.005, 0.01, 0.02, 0.04):  # per K, from gentle to quick
         proportional, integral = regulator(found, law.slot, share)
         trial = replace(law, proportional=proportional, integral=integral)
-        history = corrected(plan, trial, sensor, run_loop(fleet, trial, sensor, seed=seed))
+        history = corrected(plan, trial, sensor, run_loop(fleet, trial, sensor, bias=bias, seed=seed))
         low, high = history.extremes(trial)
         value, shift = _best_shift(plan, low, high, history.top.max(0))
         if best is None or value > best[0]:
@@ -153,7 +155,7 @@ def _best_shift(plan: HeatingPlan, low: Array, high: Array, top: Array) -> tuple
 def corrected(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, history: LoopHistory) -> LoopHistory:
     """Temperatures of a fleet with what the fine grid adds to the first member, at every slot of the schedule."""
     models = (thermal_model(plan.tube, plan.rig, grid) for grid in (FINE, ENSEMBLE))
-    fine, coarse = (run_loop(Fleet(model, np.zeros(1)), law, replace(sensor, noise=0.0)) for model in models)
+    fine, coarse = (run_loop(model, law, replace(sensor, noise=0.0)) for model in models)
 
     def added(name: str) -> Array:
         slots = range(len(law.planned) + 1)

@@ -15,7 +15,7 @@ from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
-from .counts import Counts
+from .counts import Counts, heating_rate
 from .cures import Cure
 from .law import Feedback
 from .outcome import Outcome, hold_slots, remarks
@@ -206,14 +206,8 @@ class HeatingPlan(Displayed):
     @property
     def pwm_ripple(self) -> float:
         """Swing of the temperature within a period of the PWM, K: what taking the duty for a mean power leaves out."""
-        data = thermal_data(self.tube)
-        resistivity = self.rig.resistivity_factor * data.resistivity
-        section = self.tube.cross_section
-        on = self.duty.max() / COUNTS
-        power = self.peak_current**2 * resistivity / section
-        return float(
-            power * on * (1 - on) / self.rig.circuit.pwm_frequency / (data.density * data.heat_capacity * section)
-        )
+        on = float(self.duty.max()) / COUNTS
+        return heating_rate(self.tube, self.rig, self.peak_current) * on * (1 - on) / self.rig.circuit.pwm_frequency
 
     @property
     def cold_end(self) -> float:

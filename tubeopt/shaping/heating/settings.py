@@ -1,4 +1,4 @@
-"""How hard a heating is planned: what a user may want to change, as documented fields."""
+"""How hard a heating is planned, and a rig calibrated: what a user may want to change, as documented fields."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ DEFAULT_HEATING = HeatingSolver()
 
 @dataclass(frozen=True)
 class RigSolver(Settings):
-    """How a rig is calibrated to a log, or to trials; of `calibrate` and `calibrate_from_trials`.
+    """How a rig is calibrated to a log; of `calibrate`.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
@@ -189,12 +189,6 @@ class RigSolver(Settings):
     """What a thermometer may be off the ambient temperature before heating, K, before that is remarked."""
     rare: float = 1e-4
     """Probability below which what is seen is no accident of noise."""
-    trial_spread: float = 15.0
-    """Standard deviation, K, of the temperature at which a trial turns out so or so: tubes and eyes differ; assumed."""
-    trial_prior: float = 0.3
-    """Standard deviation of the logarithm of the loss factor before any trial; assumed."""
-    trial_slots: int = 120
-    """Of the simulation of a trial."""
 
 
 DEFAULT_RIG_SOLVER = RigSolver()

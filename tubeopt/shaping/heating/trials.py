@@ -14,14 +14,13 @@ import numpy as np
 import scipy
 
 from ...display import Displayed
-from ...errors import InputError, choice, positive
+from ...errors import InputError, Settings, choice, positive
 from ...files.marks import POSITIVE, REQUIRED, check_fields, key, unit
 from ...physics.heat import Resolution
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .rig import COUNTS, Rig
-from .settings import DEFAULT_RIG_SOLVER, RigSolver
 from .simulation import simulate
 from .spec import HeatingSpec
 from .thermal import stack, thermal_model
@@ -148,6 +147,25 @@ class Trial:
             raise InputError(f"ramp of a trial is {self.ramp:g} s; it must not be longer than the trial")
 
 
+@dataclass(frozen=True)
+class TrialSolver(Settings):
+    """How far trials are trusted; of `calibrate_from_trials`.
+
+    Raises:
+        InputError: a count that is no whole number of at least 1, another number that is not positive.
+    """
+
+    spread: float = 15.0
+    """Standard deviation, K, of the temperature at which a trial turns out so or so: tubes and eyes differ; assumed."""
+    prior: float = 0.3
+    """Standard deviation of the logarithm of the loss factor before any trial; assumed."""
+    slots: int = 120
+    """Of the simulation of a trial."""
+
+
+DEFAULT_TRIALS = TrialSolver()
+
+
 @dataclass(frozen=True, eq=False)
 class TrialFit(Displayed):
     """The loss factor that trials speak for."""
@@ -180,7 +198,7 @@ def calibrate_from_trials(
     *,
     colours: ColourTable = NITINOL_COLOURS,
     confidence: float = 0.95,
-    solver: RigSolver = DEFAULT_RIG_SOLVER,
+    solver: TrialSolver = DEFAULT_TRIALS,
 ) -> TrialFit:
     """The loss factor from trial outcomes: Bayes' rule on a grid, with a log-normal prior around the rig's file.
 
@@ -197,10 +215,10 @@ def calibrate_from_trials(
     if not 0 < confidence < 1:
         raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
     window = (spec or HeatingSpec()).window_degC
-    ends = np.array([_end_temperatures(tube, rig, trial, solver.trial_slots) for trial in trials])  # (K, G)
-    spread = solver.trial_spread
+    ends = np.array([_end_temperatures(tube, rig, trial, solver.slots) for trial in trials])  # (K, G)
+    spread = solver.spread
     chance = np.array([_chance(trial, row, window, colours, spread) for trial, row in zip(trials, ends, strict=True)])
-    log = np.log(np.maximum(chance, 1e-12)).sum(0) + scipy.stats.norm.logpdf(np.log(FACTORS), scale=solver.trial_prior)
+    log = np.log(np.maximum(chance, 1e-12)).sum(0) + scipy.stats.norm.logpdf(np.log(FACTORS), scale=solver.prior)
     density = np.exp(log - log.max())
     density /= density.sum()
     cumulative = np.cumsum(density) - 0.5 * density

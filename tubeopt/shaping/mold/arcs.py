@@ -15,7 +15,7 @@ from numpy.polynomial import chebyshev
 
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import Piece, bounds
+from .groove import Arc, bounds
 from .setting import signed_curvature
 from .settings import MoldSolver
 
@@ -25,7 +25,7 @@ FLAT = 1e-9
 _GAUSS = np.polynomial.legendre.leggauss(16)
 
 
-def bend_of(held: Tube, solver: MoldSolver) -> tuple[Piece, ...]:
+def bend_of(held: Tube, solver: MoldSolver) -> tuple[Arc, ...]:
     """The bend of a groove that holds a planar tube so, from left to right.
 
     The headings of its ends are opposite, and on the whole it turns to the right: one arc stands symmetrically about
@@ -35,7 +35,7 @@ def bend_of(held: Tube, solver: MoldSolver) -> tuple[Piece, ...]:
     turn = math.fsum(_turn(length, c) for length, c in panels)
     side = -1.0 if turn >= 0 else 1.0
     at, heading = np.zeros(2), abs(turn) / 2
-    pieces: list[Piece] = []
+    pieces: list[Arc] = []
     for length, coefficients in panels:
         stretch = Stretch(length, side * coefficients, at, heading)
         pieces += stretch.arcs(solver)
@@ -91,11 +91,11 @@ class Stretch:
         corners = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
         return self.start + corners[np.searchsorted(knots, s)]
 
-    def arcs(self, solver: MoldSolver) -> list[Piece]:
+    def arcs(self, solver: MoldSolver) -> list[Arc]:
         """The stretch as tangent arcs."""
         if len(self.coefficients) == 1:
             return [_one_arc(self.start, self.heading, float(self.coefficients[0]), self.length)]
-        pieces: list[Piece] = []
+        pieces: list[Arc] = []
         stack = [(0.0, self.length)]
         while stack:
             low, high = stack.pop()
@@ -110,14 +110,14 @@ class Stretch:
         return pieces
 
 
-def _one_arc(start: Array, heading: float, curvature: float, length: float) -> Piece:
+def _one_arc(start: Array, heading: float, curvature: float, length: float) -> Arc:
     sweep = curvature * length
     flat = abs(sweep) * length / 8 <= FLAT
     at = float(start[0]), float(start[1])
-    return Piece(at, heading + sweep / 2, length) if flat else Piece(at, heading, length, curvature)
+    return Arc(at, heading + sweep / 2, length) if flat else Arc(at, heading, length, curvature)
 
 
-def _biarc(start: Array, first: float, end: Array, last: float) -> tuple[Piece, Piece]:
+def _biarc(start: Array, first: float, end: Array, last: float) -> tuple[Arc, Arc]:
     """The biarc from `start` with heading `first` to `end` with heading `last`, with equal arms."""
     t0, t1 = (np.array([math.cos(angle), math.sin(angle)]) for angle in (first, last))
     chord = end - start
@@ -137,7 +137,7 @@ def _sweep(start: Array, heading: float, end: Array) -> float:
     return 2 * math.atan2(across, along)
 
 
-def _arc_to(start: Array, heading: float, end: Array) -> Piece:
+def _arc_to(start: Array, heading: float, end: Array) -> Arc:
     """The arc from `start` with `heading` to `end`."""
     half = _sweep(start, heading, end) / 2
     chord = float(np.linalg.norm(end - start))

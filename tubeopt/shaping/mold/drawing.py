@@ -10,7 +10,7 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
-from .groove import Piece, Point, leads_to_edge
+from .groove import Arc, Point, leads_to_edge
 from .mold import Clamp, Groove, Mold
 
 LAYERS = ("OUTLINE", "GROOVE", "CENTERLINE", "HOLES", "TEXT")
@@ -23,7 +23,7 @@ class Drawing:
     """A plate in mm: per layer its lines and arcs; circles (centre, diameter) and texts (place, text)."""
 
     size: Point
-    pieces: dict[str, tuple[Piece, ...]]
+    pieces: dict[str, tuple[Arc, ...]]
     circles: tuple[tuple[Point, float], ...]
     texts: tuple[tuple[Point, str], ...]
 
@@ -53,13 +53,13 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     )
 
 
-def groove_walls(groove: Groove, size: Point) -> tuple[Piece, ...]:
+def groove_walls(groove: Groove, size: Point) -> tuple[Arc, ...]:
     """Both walls of a groove (m), lead, bend, lead, from plate edge to plate edge."""
     walls = (groove.centreline.offset(side * groove.width / 2) for side in (1, -1))
     return tuple(piece for wall in walls for piece in leads_to_edge(wall.bend, size).pieces)
 
 
-def _jaws(clamp: Clamp, mold: Mold) -> list[Piece]:
+def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
     """Outline of a clamp's jaws (m), and of where its far side comes to when it slides."""
     along = np.asarray(clamp.direction)
     across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
@@ -67,7 +67,7 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Piece]:
     lines = _around([near - across, far - across, far + across, near + across])
     if clamp.slides:
         beyond = far + along * clamp.travel
-        lines.append(Piece.between(beyond - across, beyond + across))
+        lines.append(Arc.between(beyond - across, beyond + across))
     return lines
 
 
@@ -91,16 +91,16 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
     return [((0.0, below - k * step), line) for k, line in enumerate(lines)]
 
 
-def rectangle(width: float, height: float) -> tuple[Piece, ...]:
+def rectangle(width: float, height: float) -> tuple[Arc, ...]:
     """The outline of a plate whose lower left corner is the origin."""
     return tuple(_around(np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])))
 
 
-def _around(corners: Sequence[Array] | Array) -> list[Piece]:
-    return [Piece.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+def _around(corners: Sequence[Array] | Array) -> list[Arc]:
+    return [Arc.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
 
 
-def in_mm(piece: Piece) -> Piece:
+def in_mm(piece: Arc) -> Arc:
     """A piece in m, in mm."""
     (x, y), length = piece.start, piece.length * TO_MM
-    return Piece((x * TO_MM, y * TO_MM), piece.heading, length, piece.curvature / TO_MM)
+    return Arc((x * TO_MM, y * TO_MM), piece.heading, length, piece.curvature / TO_MM)

@@ -17,7 +17,7 @@ from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from .drawing import LAYERS, PARTS, TEXT_HEIGHT_MM, Drawing, draw_plate
 from .gcode import write_gcode
-from .groove import Piece, farthest, polygon
+from .groove import Arc, farthest, polygon
 from .holes import Hole
 from .mold import Mold
 
@@ -57,7 +57,7 @@ def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
     return [*paths, *write_gcode(mold, out)]
 
 
-def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: Path) -> list[Path]:
+def write_drawing(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> list[Path]:
     """Write a drawing as DXF and SVG under a path to which the endings are added, and return the paths; errors, and
     what is left out, as of `write_mold`."""
     svg, paths = path.with_suffix(".svg"), list[Path]()
@@ -70,7 +70,7 @@ def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: Path) -> 
 # --- drawings ---------------------------------------------------------------------------------------------------------
 
 
-def write_dxf(drawing: Drawing, centreline: Sequence[Piece], path: Path) -> Path:
+def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
     """Write a drawing as DXF (R2010, true arcs), whole or not at all; raises SolveError where its centreline, read
     back, lies 1 um or more from these."""
     ezdxf = extra("ezdxf", "fabrication", "DXF files")
@@ -96,28 +96,28 @@ def write_dxf(drawing: Drawing, centreline: Sequence[Piece], path: Path) -> Path
     return path
 
 
-def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
+def read_centreline(path: str | PathLike[str]) -> tuple[Arc, ...]:
     """The lines and arcs on layer CENTERLINE of a DXF file, in m."""
     ezdxf = extra("ezdxf", "fabrication", "DXF files")
     try:
         document = ezdxf.readfile(path)
     except (OSError, ezdxf.DXFError) as error:
         raise InputError(f"{path}: not a DXF file that can be read: {error}") from None
-    pieces: list[Piece] = []
+    pieces: list[Arc] = []
     for entity in document.modelspace().query('*[layer=="CENTERLINE"]'):
         dxf = entity.dxf
         if entity.dxftype() == "LINE":
             ends = ((end.x / TO_MM, end.y / TO_MM) for end in (dxf.start, dxf.end))
-            pieces.append(Piece.between(*ends))
+            pieces.append(Arc.between(*ends))
         elif entity.dxftype() == "ARC":
             sweep = math.radians((dxf.end_angle - dxf.start_angle) % 360.0)
             first, radius = math.radians(dxf.start_angle), dxf.radius / TO_MM
             start = dxf.center.x / TO_MM + radius * math.cos(first), dxf.center.y / TO_MM + radius * math.sin(first)
-            pieces.append(Piece(start, first + math.pi / 2, radius * sweep, 1 / radius))
+            pieces.append(Arc(start, first + math.pi / 2, radius * sweep, 1 / radius))
     return tuple(pieces)
 
 
-def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str]) -> float:
+def dxf_deviation(own: Sequence[Arc], path: str | PathLike[str]) -> float:
     """Greatest distance (m), either way, between centrelines and those in a DXF file, sampled every millimetre."""
     read = read_centreline(path)
     if not read:
@@ -125,7 +125,7 @@ def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str]) -> float:
     return max(farthest(own, read), farthest(read, own))
 
 
-def _add(space: object, piece: Piece, layer: str) -> None:
+def _add(space: object, piece: Arc, layer: str) -> None:
     attributes = {"layer": layer}
     if not piece.curvature:
         space.add_line(piece.start, piece.end, dxfattribs=attributes)  # type: ignore[attr-defined]
@@ -164,7 +164,7 @@ def svg_of(drawing: Drawing) -> str:
     return head + "".join(groups) + "</g>\n</svg>\n"
 
 
-def _path(piece: Piece) -> str:
+def _path(piece: Arc) -> str:
     (x0, y0), (x1, y1) = piece.start, piece.end
     if not piece.curvature:
         return f"M{x0:.6f},{y0:.6f} L{x1:.6f},{y1:.6f}"

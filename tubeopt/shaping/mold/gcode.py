@@ -29,7 +29,7 @@ from .gcode_reader import (
     read_gcode,
     toolpath_deviation,
 )
-from .groove import Piece, Point
+from .groove import Arc, Point
 from .holes import Hole
 from .mold import Groove, Mold
 from .spec import WORK_OFFSETS, MoldSpec
@@ -214,22 +214,22 @@ def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
         yield from _down(corners[0], depth, spec)
         for start, end in pairwise(corners):
             for part in _tabs(start, end, spec) if depth > top else ():
-                yield _move(Piece.between(start, part.start)) + _feed(shop.outline_feed)
+                yield _move(Arc.between(start, part.start)) + _feed(shop.outline_feed)
                 yield f"G1 Z{_mm(-top)}"
                 yield _move(part)
                 yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
-            yield _move(Piece.between(start, end)) + _feed(shop.outline_feed)
+            yield _move(Arc.between(start, end)) + _feed(shop.outline_feed)
         yield from _up(spec)
 
 
-def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Piece]:
+def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Arc]:
     """Where the cutter is lifted on one side of the outline."""
-    shop, side = spec.workshop, Piece.between(start, end)
+    shop, side = spec.workshop, Arc.between(start, end)
     count = max(1, round(side.length / shop.tab_pitch))
     half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side.length / count)
     for k in range(count):
         middle = (k + 0.5) / count * side.length
-        yield Piece.between(*side.point(np.array([middle - half, middle + half])))
+        yield Arc.between(*side.point(np.array([middle - half, middle + half])))
 
 
 def _above(place: Point, spec: MoldSpec) -> Iterator[str]:
@@ -302,7 +302,7 @@ def _feed(feed: float) -> str:
     return f" F{feed * TO_MM * PER_MINUTE:.1f}"
 
 
-def _move(piece: Piece) -> str:
+def _move(piece: Arc) -> str:
     x, y = piece.end
     if not piece.curvature:
         return f"G1 X{_mm(x)} Y{_mm(y)}"

@@ -16,7 +16,7 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...typing import Array
 from .checks import overrun
-from .groove import Centreline, Piece, Point, farthest, spaced
+from .groove import Arc, Centreline, Point, farthest, spaced
 from .mold import Groove, Mold
 
 PER_MINUTE = 60.0
@@ -37,7 +37,7 @@ class Motion:
     feed: m/s, None for a rapid one.   spindle: whether it turns.   cycle: whether it is a drill cycle."""
 
     line: int
-    piece: Piece
+    piece: Arc
     start: float
     end: float
     feed: float | None
@@ -96,14 +96,14 @@ def _motions(machine: _Machine, number: int, words: list[tuple[str, float]]) -> 
     end = given.get("X", machine.place[0]), given.get("Y", machine.place[1])
     if machine.motion == 83:
         machine.depth, machine.above = given.get("Z", machine.depth), given.get("R", machine.above)
-        yield Motion(number, Piece.between(machine.place, end), machine.z, machine.z, None, machine.spindle)
+        yield Motion(number, Arc.between(machine.place, end), machine.z, machine.z, None, machine.spindle)
         machine.place = end
         yield Motion(
-            number, Piece.between(end, end), machine.above, machine.depth, machine.feed, machine.spindle, cycle=True
+            number, Arc.between(end, end), machine.above, machine.depth, machine.feed, machine.spindle, cycle=True
         )
         return
     z = given.get("Z", machine.z)
-    piece = Piece.between(machine.place, end)
+    piece = Arc.between(machine.place, end)
     if machine.motion > 1:
         centre = machine.place[0] + given.get("I", 0.0), machine.place[1] + given.get("J", 0.0)
         piece = _arc(number, machine.place, end, centre=centre, left=machine.motion == 3)
@@ -111,7 +111,7 @@ def _motions(machine: _Machine, number: int, words: list[tuple[str, float]]) -> 
     machine.place, machine.z = end, z
 
 
-def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) -> Piece:
+def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) -> Arc:
     radius, other = math.dist(start, centre), math.dist(end, centre)
     if abs(radius - other) > 5e-6:
         raise InputError(
@@ -120,7 +120,7 @@ def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) ->
     first, last = (math.atan2(place[1] - centre[1], place[0] - centre[0]) for place in (start, end))
     side = 1 if left else -1
     turn = side * (last - first) % (2 * math.pi)
-    return Piece(start, first + side * math.pi / 2, radius * turn, side / radius)
+    return Arc(start, first + side * math.pi / 2, radius * turn, side / radius)
 
 
 def hazards(text: str) -> list[str]:

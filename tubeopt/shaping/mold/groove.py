@@ -15,8 +15,8 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A piece of one curvature: an arc, or a line where that is 0."""
+class Arc:
+    """A stretch of one curvature: an arc of a circle, or a line where that is 0."""
 
     start: Point
     """m."""
@@ -28,7 +28,7 @@ class Piece:
     """1/m, positive where it turns left."""
 
     @classmethod
-    def between(cls, start: Array | Point, end: Array | Point) -> Piece:
+    def between(cls, start: Array | Point, end: Array | Point) -> Arc:
         """The line from one point (2,) to another."""
         (x, y), way = start, np.subtract(end, start)
         return cls((float(x), float(y)), math.atan2(way[1], way[0]), math.hypot(*way))
@@ -66,12 +66,12 @@ class Piece:
         angle = self.heading + self.curvature * np.asarray(s)
         return np.column_stack([np.cos(angle), np.sin(angle)])
 
-    def offset(self, distance: float) -> Piece:
+    def offset(self, distance: float) -> Arc:
         """The parallel piece at `distance` (m) to the left; the radius of an arc must stay positive."""
         shrink = 1 - self.curvature * distance
         (x, y), h = self.start, self.heading
         start = x - distance * math.sin(h), y + distance * math.cos(h)
-        return Piece(start, h, shrink * self.length, self.curvature / shrink)
+        return Arc(start, h, shrink * self.length, self.curvature / shrink)
 
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the piece."""
@@ -86,7 +86,7 @@ class Piece:
         ends = [np.linalg.norm(points - np.asarray(end), axis=1) for end in (self.start, self.end)]
         return np.asarray(np.where(inside, to_circle, np.minimum(*ends)))
 
-    def moved(self, shift: Point) -> Piece:
+    def moved(self, shift: Point) -> Arc:
         """The piece, moved by `shift` (m)."""
         return replace(self, start=(self.start[0] + shift[0], self.start[1] + shift[1]))
 
@@ -98,14 +98,14 @@ class Centreline:
     The bend is a chain of tangent pieces: one arc for a tube of one curvature.
     """
 
-    lead_in: Piece
+    lead_in: Arc
     """The line before the bend."""
-    bend: tuple[Piece, ...]
-    lead_out: Piece
+    bend: tuple[Arc, ...]
+    lead_out: Arc
     """The line behind the bend."""
 
     @property
-    def pieces(self) -> tuple[Piece, ...]:
+    def pieces(self) -> tuple[Arc, ...]:
         """All pieces in order."""
         return self.lead_in, *self.bend, self.lead_out
 
@@ -158,15 +158,15 @@ class Centreline:
         return np.asarray(np.min([piece.distance(points) for piece in self.pieces], axis=0))
 
 
-def with_leads(bend: Sequence[Piece], lead_in: float, lead_out: float) -> Centreline:
+def with_leads(bend: Sequence[Arc], lead_in: float, lead_out: float) -> Centreline:
     """The bend with tangent leads of these lengths (m)."""
     first, last = bend[0], bend[-1]
     start = _point(np.asarray(first.start) - lead_in * first.tangent(np.zeros(1))[0])
-    out = Piece(last.end, last.heading + last.sweep, lead_out)
-    return Centreline(Piece(start, first.heading, lead_in), tuple(bend), out)
+    out = Arc(last.end, last.heading + last.sweep, lead_out)
+    return Centreline(Arc(start, first.heading, lead_in), tuple(bend), out)
 
 
-def leads_to_edge(bend: Sequence[Piece], size: Point) -> Centreline:
+def leads_to_edge(bend: Sequence[Arc], size: Point) -> Centreline:
     """The bend with tangent leads that end at the edge of the plate [0, width] x [0, height]; the bend lies inside."""
     first, last = bend[0].tangent(np.zeros(1))[0], bend[-1].tangent(np.array([bend[-1].length]))[0]
     return with_leads(bend, way_to_edge(bend[0].start, -first, size), way_to_edge(bend[-1].end, last, size))
@@ -181,7 +181,7 @@ def way_to_edge(start: Point, direction: Array, size: Point) -> float:
     return float(min(ways))
 
 
-def bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
+def bounds(pieces: Sequence[Arc]) -> tuple[Point, Point]:
     """Least and greatest coordinates of pieces, exact for arcs."""
     points = [end for piece in pieces for end in (piece.start, piece.end)]
     for piece in pieces:
@@ -198,7 +198,7 @@ def least_distance(first: Centreline, second: Centreline) -> float:
     return float(second.distance(first.sample(5e-4)).min())
 
 
-def farthest(pieces: Iterable[Piece], others: Iterable[Piece]) -> float:
+def farthest(pieces: Iterable[Arc], others: Iterable[Arc]) -> float:
     """Greatest distance (m) of pieces, sampled every millimetre, from others."""
     points = np.vstack([piece.point(spaced(piece.length, 1e-3)) for piece in pieces])
     return float(np.min([other.distance(points) for other in others], axis=0).max())

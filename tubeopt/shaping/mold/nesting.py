@@ -13,16 +13,7 @@ import numpy as np
 from ...errors import InputError
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import (
-    Centreline,
-    Piece,
-    Point,
-    bounds,
-    crosses_itself,
-    leads_to_edge,
-    least_distance,
-    with_leads,
-)
+from .groove import Arc, Centreline, Point, bounds, crosses_itself, leads_to_edge, least_distance, with_leads
 from .heat import ColdEnd
 from .spec import EndMill, MoldSpec
 
@@ -46,7 +37,7 @@ class Blank:
     """That cuts it."""
     width: float
     """m."""
-    bend: tuple[Piece, ...]
+    bend: tuple[Arc, ...]
     """With its top at y = 0."""
     least_lead: float
     """m."""

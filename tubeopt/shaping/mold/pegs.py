@@ -25,7 +25,7 @@ from ..heating.rig import air_conductivity, natural_convection
 from ..heating.thermal import STEFAN_BOLTZMANN
 from .arcs import bend_of
 from .checks import held_in_plane, refuse_failed, springback_remarks, strain_check
-from .groove import Centreline, Piece, Point, bounds, crosses_itself, with_leads
+from .groove import Arc, Centreline, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd, HeatSpec, fin, thermal_data
 from .held import Held, held_between
 from .lattice import Lattice, Peg, Sampled
@@ -171,7 +171,7 @@ def _worst(values: Array, s: Array, kept: tuple[float, float]) -> float:
     return float(np.abs(values[(s >= kept[0] - 1e-9) & (s <= kept[1] + 1e-9)]).max())
 
 
-def _going_on(bend: Sequence[Piece], tube: Tube, length: float) -> tuple[list[Piece], tuple[float, float]]:
+def _going_on(bend: Sequence[Arc], tube: Tube, length: float) -> tuple[list[Arc], tuple[float, float]]:
     """The bend, longer where the tube is cut off at its end, and by how much at either end, m."""
     pieces, over = list(bend), [0.0, 0.0]
     for end in (0, -1):
@@ -180,7 +180,7 @@ def _going_on(bend: Sequence[Piece], tube: Tube, length: float) -> tuple[list[Pi
             continue
         back = length if end == 0 else 0.0
         x, y = last.point(np.array([-back]))[0].tolist()
-        pieces[end] = Piece((x, y), last.heading - back * last.curvature, last.length + length, last.curvature)
+        pieces[end] = Arc((x, y), last.heading - back * last.curvature, last.length + length, last.curvature)
         over[end] = length
     return pieces, (over[0], over[1])
 

@@ -12,7 +12,7 @@ from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
 from ...shaping.mold.drawing import PARTS, draw_plate
 from ...shaping.mold.gcode import as_milled, clear_room
-from ...shaping.mold.groove import Piece
+from ...shaping.mold.groove import Arc
 from ...shaping.mold.mold import Groove, Mold
 from ...shaping.mold.ranking import MOST_LEAK, MaterialRating
 from ...shaping.mold.springback import Calibration
@@ -115,7 +115,7 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
         axes.text(x, y, str(groove.number), color=colour, ha="center", va="center", fontsize=7, fontweight="bold")
 
 
-def _line(pieces: Sequence[Piece]) -> Array:
+def _line(pieces: Sequence[Arc]) -> Array:
     """(N, 2) points in mm, fine on arcs."""
     counts = [200 if piece.curvature else 2 for piece in pieces]
     points = [piece.point(np.linspace(0, piece.length, count)) for piece, count in zip(pieces, counts, strict=True)]

@@ -116,6 +116,8 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
     }
 }
 
+#define COUPLING_FLOOR 1e-10 /* a margin closer to 1 is 1 */
+
 /* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. */
 static int never_softens(const Unknowns *q, const State *state, double *h) {
     second_variation(q, state, h);

@@ -18,7 +18,7 @@ from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise
 from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
-from .library import MOST_TUBES, Kernel, Library, library
+from .library import MOST_TUBES, Kernel, library
 
 SOLVED = 0
 
@@ -148,7 +148,7 @@ def _tubes(robot: Robot, pieces: Any = None) -> Array:
 
 
 @lru_cache(maxsize=64)
-def kernel_of(robot: Robot) -> Library | None:
+def kernel_of(robot: Robot) -> Kernel | None:
     """The compiled kernel for a robot, None where there is none for it."""
     if robot.n_tubes > MOST_TUBES:
         return None
@@ -157,7 +157,7 @@ def kernel_of(robot: Robot) -> Library | None:
 
 
 @lru_cache(maxsize=64)
-def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Library, Any, int] | None:
+def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Kernel, Any, int] | None:
     """Kernel of a robot, its tubes, and where these are; None where there is no kernel, or none for a refined mesh."""
     kernel = kernel_of(robot)
     if kernel is None or (refinement and not is_general(robot)):

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ...block.transcription.collocated import ENDS
 from ...block.transcription.green import INWARDS
 from ...block.transcription.linear import hermite
 from ...block.transcription.mesh import DETAIL_PER_PIECE, KNOWN, SAMPLES, TWIST_PER_PIECE
-from ...block.transcription.piece import EXTRA_POINTS
 from ...block.transcription.tableau import tableau
-from ...block.transcription.whole_arm import FINE, ROUGHER, SUBSTEPS
+from ...block.transcription.whole_arm import EXTRA_POINTS, FINE, ROUGHER, SUBSTEPS
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..rubbing import HONEST
 from ..settings import CONTINUATION
 from ..sticking import ROUND_OFF
-from .text import c_tables
+from .text import c_tables, defined
 
 DEGREE, COARSE_DEGREE = 6, 3
 """Collocation points per element of the solution, and of the descent towards it."""
-
-HARDLY_SOFTER = 1e-6
-"""1 / margin - 1 from which margins of tubes that rub need not be told from 1 as exactly: eigenvalues gather there."""
 
 
 def rule_constants(general: bool) -> str:
@@ -60,7 +54,7 @@ def general_constants() -> str:
         "CHECK_BASIS": bases(check.nodes),
     }
     numbers = {"SUBSTEPS": SUBSTEPS, "EXTRA_POINTS": EXTRA_POINTS}
-    return piece_constants() + _defined(numbers) + c_tables(tables)
+    return piece_constants() + defined(numbers) + c_tables(tables)
 
 
 def piece_constants() -> str:
@@ -74,11 +68,7 @@ def piece_constants() -> str:
         "KNOWN": KNOWN,
     }
     tables = {"SAMPLES": SAMPLES, "QUADRATURE_NODES": nodes, "QUADRATURE_WEIGHTS": weights}
-    return _defined(numbers) + c_tables(tables)
-
-
-def _defined(numbers: Mapping[str, float]) -> str:
-    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items())
+    return defined(numbers) + c_tables(tables)
 
 
 def slope_constants() -> str:
@@ -103,7 +93,6 @@ def rubbing_constants() -> str:
         "HONEST": HONEST,
         "RUB_ITERATIONS": CONTINUATION.rubbing_steps,
         "ONWARD": CONTINUATION.onward,
-        "HARDLY_SOFTER": HARDLY_SOFTER,
         "LARGEST_TURN": CONTINUATION.largest_turn,
         "LARGEST_SHIFT": CONTINUATION.largest_shift,
         "LARGEST_RATIO": CONTINUATION.largest_ratio,
@@ -111,4 +100,4 @@ def rubbing_constants() -> str:
         "SOFT_TWIST": CONTINUATION.soft_twist,
     }
     tables = {"TWICE_LEGENDRE": tableau("gauss", DEGREE).integrated(2)}
-    return _defined(numbers) + c_tables(tables)
+    return defined(numbers) + c_tables(tables)

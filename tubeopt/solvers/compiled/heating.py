@@ -23,7 +23,7 @@ def heating_source() -> str:
     generator = ca.CodeGenerator("heat.c")
     for law in cell_functions():
         generator.add(law)
-    constants = {"AMBIENT": PROPERTIES.index("ambient"), "CLAMP": CLAMP, "LUMPED": LUMPED, "GAMMA": repr(GAMMA)}
+    constants = {"AMBIENT": PROPERTIES.index("ambient"), "CLAMP": CLAMP, "LUMPED": LUMPED, "GAMMA": GAMMA}
     return c_text(constants, generator, "heating.c")
 
 

@@ -60,6 +60,9 @@ static int newton_from(double theta[][N], const double *alpha, Workspace *w, int
 #endif
 }
 
+#define COARSE_STEP 1e-3        /* rad, with which a descent on the coarse points ends */
+#define MOST_WARM_ITERATIONS 12 /* from a guess: more than Newton's method needs close by, since chords count too */
+
 /* Descent on the coarse points from tubes without torsion (on the centreline), then Newton on the fine ones. */
 static int from_untwisted(const double *alpha, Workspace *w, int *iterations, double *ratio) {
     double theta[MOST_POINTS][N];

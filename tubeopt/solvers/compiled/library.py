@@ -27,8 +27,7 @@ import platformdirs
 
 from ...block.transcription.collocated import STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
-from ...block.transcription.piece import COARSE_STEPS, piece_function
-from ...block.transcription.whole_arm import SHAPE_RATIO
+from ...block.transcription.whole_arm import COARSE_STEPS, SHAPE_RATIO, piece_function
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
@@ -62,28 +61,8 @@ class Room(NamedTuple):
 ROOM = Room()
 """Of the kernels that Python calls."""
 
-COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
-"""A descent on the coarse points ends with a step below the first, rad; Newton keeps its factors below the second."""
-
-MOST_WARM_ITERATIONS = 12
-"""From a guess: more than what Newton needs close by, since steps with kept factors count too."""
-
-LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
-"""Most Lanczos steps for the margin, and the fraction of 1 / margin by which that may be off when they end: that of the
-solution, and that of the coarse points, which only tell where to start."""
-
-STRETCHED_ERROR, FAR_BELOW = 3e-9, 0.05
-"""Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far
-below 0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
-
 MOST_TUBES = 6
 """Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
-
-SOFTENING_ERROR = 1e-2
-"""What is wrong at most, as a fraction, with 1 - margin on the centreline, which tells where to look off it."""
-
-COUPLING_FLOOR = 1e-10
-"""A margin closer to 1 than this is 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,12 +74,10 @@ class Kernel:
     answer: np.dtype[np.void]
     workspace_size: int
 
-
-@dataclass(frozen=True, eq=False)
-class Library(Kernel):
-    """That of robots with so many tubes, and whether it has derivatives."""
-
-    differentiable: bool
+    @property
+    def differentiable(self) -> bool:
+        """Whether it has derivatives: that of concentric tubes of one curvature."""
+        return hasattr(self.functions, "differentiate")
 
 
 def cache_directory() -> Path:
@@ -160,17 +137,7 @@ def kernel_text(
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
         "ROUND_OFF": NEWTON.round_off,
         "LAST_STEP": NEWTON.last_step,
-        "MOST_WARM_ITERATIONS": MOST_WARM_ITERATIONS,
         "LONGEST_STEP": NEWTON.longest_step,
-        "COARSE_STEP": COARSE_STEP,
-        "CHORD_STEP": CHORD_STEP,
-        "LANCZOS": LANCZOS,
-        "EIGENVALUE_ERROR": EIGENVALUE_ERROR,
-        "ROUGH_ERROR": ROUGH_ERROR,
-        "STRETCHED_ERROR": STRETCHED_ERROR,
-        "FAR_BELOW": FAR_BELOW,
-        "SOFTENING_ERROR": SOFTENING_ERROR,
-        "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     tables = general_constants() if general else "" if eccentric else slope_constants()
     return rule_constants(general) + tables + c_text(constants, generator, "kernel.c")
@@ -328,7 +295,7 @@ def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) 
 
 
 @lru_cache(maxsize=16)
-def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
+def library(n: int, eccentric: bool, general: bool = False) -> Kernel | None:
     """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
     what = "general" if general else "eccentric" if eccentric else "concentric"
     kernel = load_kernel((n, what), lambda: source(n, eccentric, general), _answer(n, general))
@@ -339,7 +306,6 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     functions.solve_many.argtypes = [pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     functions.solve_many.restype = None
     functions.constrained.argtypes = [whole] * 3 + [pointer] * 3
-    differentiable = not (eccentric or general)
-    if differentiable:
+    if kernel.differentiable:
         functions.differentiate.argtypes = [pointer] * 6
-    return Library(**vars(kernel), differentiable=differentiable)
+    return kernel

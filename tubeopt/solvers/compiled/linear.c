@@ -3,6 +3,12 @@
    Cholesky's factors are worked on in squares of four by four, rows and columns filled up with those of the unit matrix
    to a multiple of four: `a` and `x` need room for these. */
 
+#define LANCZOS 48             /* steps for the margin at most */
+#define EIGENVALUE_ERROR 1e-10 /* fraction of 1 / margin by which that may be off when they end */
+#define ROUGH_ERROR 1e-6       /* the same on the coarse points, which only tell where to start */
+#define SOFTENING_ERROR 1e-2   /* fraction of 1 - margin that may be wrong where it only tells where to look on */
+#define CHORD_STEP 1e-3        /* below it, rad, Newton's method keeps its factors */
+
 static int filled_up(int n) { return (n + 3) / 4 * 4; }
 
 /* The square at a[0] = R'R, upper triangle in place, with the inverse of R's diagonal; 0 where that cannot be. */

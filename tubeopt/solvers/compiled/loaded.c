@@ -125,6 +125,8 @@ static void take_up(const Stage *s, const double *alpha, const double *theta, co
     }
 }
 
+#define ANYWHERE_PART 1e-3 /* what of a direction is any other: alone, a symmetric one would never leave its plane */
+
 /* The equilibrium under the whole load on the branch of the unloaded one in w->state, of this margin: grown on few points,
    what that changes carried over, and settled. Returns about the margin, NaN where this fails. */
 static double grow_roughly(const double *alpha, double margin, Workspace *w, Answer *out) {

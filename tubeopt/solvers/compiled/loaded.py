@@ -15,53 +15,34 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape, shape_sections
+from ...block.transcription.arm import ArmShape
 from ...block.transcription.collocated import ENDS, STEPS
-from ...block.transcription.loaded import LoadedProblem, compliances
+from ...block.transcription.green import sections_at
+from ...block.transcription.loaded import LoadedProblem
 from ...block.transcription.reduced import ReducedProblem
 from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
 from ...typing import Array, Mask
-from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
 from .binding import address, room_of
-from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, Kernel, load_kernel
+from .library import Kernel, load_kernel
 from .text import c_tables, c_text
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
 """Points per piece: of the answer, of the growing of the load, and of the check; and room of the kernel: other
 arms go to the general solver."""
 
-FIRST_LANCZOS, LEAST_SOFTENING, BEYOND = 12, 1e-6, 1.2
-"""Steps after which Lanczos' method looks for a better place to start from; the least 1 - margin expected; and how many
-times as far below 1 as the margin expected that place is."""
-
-MARGIN_APART = 0.1
-"""Margins closer to 1 do not shorten the steps of a load, whatever they are."""
-
-ROUGH_STEP, ROUGH_CHORD_STEP = 1e-2, 0.1
-"""A step of Newton's method, rad, that is the last on few points, which are no better; and one after which its factors
-serve for the next there."""
-
-ANYWHERE_PART = 1e-3
-"""What of a direction is any other one where Lanczos' method begins with the softest on few points: on its own a
-symmetric one would never leave its plane."""
-
-PREDICTED_PART = 0.9
-"""Of the largest change in one step of a load, the part that is gone for by the first derivative."""
-
 SOLVED = 0
 
 
 def loaded_source(n: int) -> str:
     """The C text of the kernel for n concentric tubes under load."""
-    return loaded_text(n, ca.CodeGenerator("mechanics.c"), "loaded.c")
+    return loaded_text(n, ca.CodeGenerator("mechanics.c"))
 
 
-def loaded_text(n: int, generator: ca.CodeGenerator, file: str, pieces: int = MOST_PIECES) -> str:
-    """A C text that begins with the kernel's functions of the cross-section, beside those that a generator has; with
-    room for so many pieces of a mesh."""
+def loaded_text(n: int, generator: ca.CodeGenerator, pieces: int = MOST_PIECES) -> str:
+    """The same with the functions that a generator has beside its own, and room for so many pieces of a mesh."""
     generator.add(section_functions(n, False)["bending"])
     generator.add(rotation_matrix_function())
     defines = {
@@ -72,18 +53,6 @@ def loaded_text(n: int, generator: ca.CodeGenerator, file: str, pieces: int = MO
         "MOST_DEGREE": CHECK_DEGREE,
         "MOST_PIECES": pieces,
         "STEPS": STEPS,
-        "LANCZOS": LANCZOS,
-        "EIGENVALUE_ERROR": EIGENVALUE_ERROR,
-        "SOFTENING_ERROR": SOFTENING_ERROR,
-        "FIRST_LANCZOS": FIRST_LANCZOS,
-        "LEAST_SOFTENING": LEAST_SOFTENING,
-        "BEYOND": BEYOND,
-        "MARGIN_APART": MARGIN_APART,
-        "ANYWHERE_PART": ANYWHERE_PART,
-        "ROUGH_CHORD_STEP": ROUGH_CHORD_STEP,
-        "ROUGH_STEP": ROUGH_STEP,
-        "PREDICTED_PART": PREDICTED_PART,
-        "CHORD_STEP": CHORD_STEP,
         "ROUND_OFF": NEWTON.round_off,
         "LAST_STEP": NEWTON.last_step,
         "MOST_ITERATIONS": NEWTON.iterations,
@@ -100,7 +69,7 @@ def loaded_text(n: int, generator: ca.CodeGenerator, file: str, pieces: int = MO
         f"static const double {name}[3][4][4] = {str(table.tolist()).translate(braces)};\n"
         for name, table in tables.items()
     )
-    return _rules() + arrays + c_text(defines, generator, file)
+    return _rules() + arrays + c_text(defines, generator, "loaded.c")
 
 
 def _rules() -> str:
@@ -144,6 +113,30 @@ class LoadedRules:
     check: LoadedProblem
 
 
+@dataclass(frozen=True, eq=False)
+class LoadedAnswer:
+    """An equilibrium under load at N points and along its arm; n tubes.
+
+    Attributes:
+        theta (N, n), curvature (N, 2): at the points.
+        margin, residual, energy, work, iterations: as of an equilibrium.
+        errors: of theta (rad), the tip (m) and the margin, by a Newton step on a finer rule.
+        compliance: (6, 6) of the tip; None at a fold.   base_wrench: (6,).
+    """
+
+    theta: Array
+    curvature: Array
+    margin: float
+    residual: float
+    energy: float
+    work: float
+    iterations: int
+    errors: tuple[float, float, float]
+    compliance: Array | None
+    base_wrench: Array
+    arm: ArmShape
+
+
 def _answer(n: int) -> np.dtype[np.void]:
     points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
     names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work")
@@ -171,24 +164,23 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
     """The C struct Problem without forces, which keeps the arrays that it points to."""
     mesh, assembly = torsion.mesh, torsion.assembly
     t, pieces, n = mesh.tableau, len(mesh.length), assembly.n_tubes
-    ends = shape_sections(torsion)
+    ends = sections_at(assembly, mesh, ENDS)
     bent = np.zeros((len(torsion.weight), n))
     bent.ravel()[torsion.flat] = 1.0
     bent = bent.reshape(pieces, t.degree, n)[:, 0]
     # The twist of a tube matters up to where it is bent for the last time, and to where it ends the arm.
     felt = np.cumsum(bent[::-1], axis=0)[::-1] > 0
     felt[:, tip_tube] = True
-    rate, held = compliances(torsion)
     arrays = {
         "start": mesh.start,
         "length": mesh.length,
         "stiffness": torsion.stiffness,
         "moment": torsion.moment,
-        "phase": np.zeros_like(torsion.moment) if torsion.phase is None else torsion.phase,
-        "rate": rate,
+        "phase": torsion.phase,
+        "rate": torsion.here.rate,
         "bent": bent,
         "felt": felt,
-        "held": held,
+        "held": torsion.here.transmission,
         "ends_stiffness": ends.stiffness,
         "ends_moment": ends.moment,
         "ends_phase": ends.phase,

@@ -251,6 +251,12 @@ static double least_factorised(const Stage *s, double small, double apart, int m
     return least;
 }
 
+#define FIRST_LANCZOS 12     /* steps after which Lanczos' method looks for a better place to start from: */
+#define BEYOND 1.2           /* so many times as far below 1 as the margin expected, */
+#define LEAST_SOFTENING 1e-6 /* but at least so far */
+#define MARGIN_APART 0.1     /* margins closer to 1 do not shorten the steps of a load, whatever they are */
+#define PREDICTED_PART 0.9   /* of the largest change in one step of a load, what the first derivative may make */
+
 /* About the margin, where the second variation is factorised; of margins closer to 1 than `apart` no more than that. */
 static double rough_margin(const Stage *s, double apart, Step *step, Room *room) {
     int settled;

@@ -67,6 +67,9 @@ ALWAYS_INLINE void add_transposed(double scale, const double *a, const double *b
     add_product(scale, a, other, out);
 }
 
+#define ROUGH_STEP 1e-2     /* of Newton's method, rad: the last on few points, which are no better */
+#define ROUGH_CHORD_STEP 0.1 /* CHORD_STEP there */
+
 /* Weights, softness and the twist of the tubes: what rotations and load do not change. */
 static void prepare(Stage *s, const Problem *p, const Rule *rule) {
     int k = s->degree = rule->degree;

@@ -4,6 +4,7 @@
 #include "sticking.c"
 
 #define LONG 0.3 /* part of the longest step of a state with margin 0 from which the next may be longer still */
+#define HARDLY_SOFTER 1e-6 /* 1 / margin - 1 from which margins are told from 1 less exactly: eigenvalues gather there */
 #define MOST_EVENTS ((2 * N + 1) * (2 * N + 1) + 1)
 
 typedef struct {

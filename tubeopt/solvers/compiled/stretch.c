@@ -122,6 +122,9 @@ static int stable_softened(const Unknowns *coarse, const State *rough, double so
     return cholesky(h, coarse->size, STRIDE);
 }
 
+#define FAR_BELOW 0.05 /* how far below 0 the margin on the centreline may be: several times by how much the two differ */
+#define STRETCHED_ERROR 3e-9 /* residual, as a fraction of 1 / margin, at which Arnoldi steps end */
+
 /* What 1 - mu of the margin mu cannot exceed, at most 1, and is not far below: FAR_BELOW more than what, by the coarse
    points, the same rotations have on the centreline. -1 where mu there is not above -FAR_BELOW. */
 static double most_softening(const Unknowns *all, const Unknowns *coarse, const double *alpha, const Profile *arm,
@@ -140,7 +143,7 @@ static double most_softening(const Unknowns *all, const Unknowns *coarse, const 
 }
 
 /* z <- (1 - soft K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual of moments `soft`
-   times as steep: K is what block/transcription/offset_margin.py tells the margin by. */
+   times as steep: K is what block/transcription/second_variation.py tells the margin by. */
 static void stiffness_left(const Unknowns *q, const Stretch *e, const double *jacobian, double *z) {
     double gain[MOST_POINTS][N] = {{0}};
     for (int y = 0; y < q->points; y++)

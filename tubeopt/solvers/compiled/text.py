@@ -13,10 +13,15 @@ from numpy.typing import ArrayLike
 HERE = Path(__file__).parent
 
 
-def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
+def c_text(constants: Mapping[str, float], generator: ca.CodeGenerator, file: str) -> str:
     """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
-    constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
-    return f"{constants}{(HERE / 'elementary.c').read_text()}\n{generator.dump()}\n{with_included(HERE / file)}"
+    begin = defined(constants) + (HERE / "elementary.c").read_text()
+    return f"{begin}\n{generator.dump()}\n{with_included(HERE / file)}"
+
+
+def defined(constants: Mapping[str, float]) -> str:
+    """Numbers as constants of C."""
+    return "".join(f"#define {name} {value!r}\n" for name, value in constants.items())
 
 
 def with_included(file: Path) -> str:

@@ -36,10 +36,12 @@ AT_A_CLUSTER = 64
 
 @dataclass(frozen=True)
 class Failure:
-    """Why an item has no answer.   kind: name of the exception, or `WorkerLost`.   reason: its message."""
+    """Why an item has no answer."""
 
     kind: str
+    """Name of the exception, or `WorkerLost`."""
     reason: str
+    """Its message."""
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.reason}"
@@ -47,15 +49,14 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome(Generic[B]):
-    """What became of one item.   index: its place among the items.   One of value and failure is None.
-
-    seconds: how long the worker computed.
-    """
+    """What became of one item: of value and failure one is None."""
 
     index: int
+    """Its place among the items."""
     value: B | None
     failure: Failure | None
     seconds: float = float("nan")
+    """How long the worker computed."""
 
 
 class SerialExecutor(Executor):
