@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import functools
 import importlib
 import re
@@ -107,13 +108,13 @@ def test_every_field_of_public_data_is_told() -> None:
 
 
 def test_fields_of_what_users_import_have_docstrings_of_their_own() -> None:
-    names = set(tubeopt.__all__)
+    exported = [getattr(tubeopt, name) for name in tubeopt.__all__]
     bare = [
-        f"{name}.{node.name}.{field}"
-        for name, path in modules().items()
-        for node in tree(path).body
-        if isinstance(node, ast.ClassDef) and node.name in names
-        if any("dataclass" in ast.unparse(each) for each in node.decorator_list)
+        f"{one.__name__}.{field}"
+        for one in exported
+        if isinstance(one, type) and dataclasses.is_dataclass(one)
+        for node in tree(modules()[one.__module__.removeprefix("tubeopt.")]).body
+        if isinstance(node, ast.ClassDef) and node.name == one.__name__
         for field in untold_fields(node, "")
     ]
     assert bare == []
