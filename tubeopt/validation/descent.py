@@ -122,7 +122,7 @@ class Descent:
     jacobian: Array
     """(V, 3, P + F)."""
     converged: bool
-    """Whether steps became as small as is asked for."""
+    """Whether no step was left that lessens the cost by what counts; else the steps ran out."""
     obstacle: str = ""
     """What cut its last steps short, in words."""
 
