@@ -86,7 +86,7 @@ def plot_targets(
     least = min(each.margin for each in solutions)
     headed(figure, f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least {least:.3f}")
     way = arc_length(targets) * TO_MM
-    sweep = Sweep([arms[k] for k in chosen], np.arange(len(arms), dtype=float), targets)
+    sweep = Sweep([arms[k] for k in chosen], np.arange(len(arms), dtype=float), targets, asked=True)
     rows = beside_scene(figure, 3, sweep, (), view)
     draw_joints(rows, way, np.array([each.rotations for each in arms]), np.array([each.translations for each in arms]))
     rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.4)

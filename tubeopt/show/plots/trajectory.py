@@ -202,6 +202,8 @@ class Sweep(NamedTuple):
     """(T, 3) way of the tip, m."""
     base: Frame = Frame()
     """Where the plate of the arms stands; the tips are placed already."""
+    asked: bool = False
+    """Whether the tips are targets: nothing is known of the way between two, so straight lines join them."""
 
 
 def stage_for(
@@ -239,23 +241,24 @@ def draw_sweeps(
     seen, box = stage
     draw_box(scene, box, seen)
     parts = body_meshes(obstacles)
-    for arms, *_, base in sweeps:
-        for k, arm in enumerate(arms):
-            strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else faint
-            parts.append(robot_mesh(arm, opacity=strong, detail=SWEEPING).placed(base))
+    for sweep in sweeps:
+        for k, arm in enumerate(sweep.arms):
+            strong = 1.0 if k == len(sweep.arms) - 1 else 0.45 if k == 0 else faint
+            parts.append(robot_mesh(arm, opacity=strong, detail=SWEEPING).placed(sweep.base))
     scene.add_collection(facets(Mesh.join(parts), seen))
     for sweep in sweeps:
-        _draw_way(scene, sweep.time, sweep.tips, seen)
+        _draw_way(scene, sweep, seen)
 
 
-def _draw_way(scene: Axes, time: Array, tips: Array, seen: View) -> None:
-    """The way of a tip, curved between its samples, with its ends."""
-    tips = seen.project(tips)
+def _draw_way(scene: Axes, sweep: Sweep, seen: View) -> None:
+    """The way of a tip, curved between its samples, or targets; with its ends."""
+    time, tips = sweep.time, seen.project(sweep.tips)
     way = tips
-    if len(time) > 2:
+    if len(time) > 2 and not sweep.asked:
         curve = Akima1DInterpolator(time, tips, method="makima")
         way = curve(np.union1d(time, np.linspace(time[0], time[-1], WAY)))
-    scene.plot(way[:, 0], way[:, 1], color=INK, lw=0.9, zorder=5, label="tip")
+    name, dots = ("targets", ".") if sweep.asked else ("tip", None)
+    scene.plot(way[:, 0], way[:, 1], marker=dots, ms=3, color=INK, lw=0.9, zorder=5, label=name)
     scene.plot(*tips[0, :2], "o", mfc="white", mec=INK, ms=4, zorder=6, label="start")
     scene.plot(*tips[-1, :2], "o", color=INK, ms=4, zorder=6, label="end")
 
