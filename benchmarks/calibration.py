@@ -24,7 +24,6 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import ConcentricRobot, Friction, Tube
 from tubeopt.equilibrium.friction import sweep
-from tubeopt.robots.calibration import Calibration
 from tubeopt.stability.rubbing_following import rubbing_start
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, compare_effects, fit
@@ -114,9 +113,8 @@ def joints(time: Array, last: float) -> Array:
 def measure(truth: Truth, rows: int, seed: int) -> Measurements:
     """The way as the laboratory records it."""
     setup, time = truth.setup(), np.arange(rows) / RATE
-    read, lagging = (joints(at, time[-1]) for at in (time, time - setup.latency))
-    drives = setup.calibration() or Calibration.none(ROBOT.n_tubes)
-    tips = followed(setup, np.hstack(drives.to_model(lagging[:, :3], lagging[:, 3:])))
+    read, lagging = (joints(at, time[-1]) for at in (time, time - setup.drives.latency))
+    tips = followed(setup, np.hstack(setup.drives.to_model(lagging[:, :3], lagging[:, 3:])))
     random = np.random.default_rng(seed + 10_000)
     seen = Rotation.random(rng=random).apply(tips) + random.uniform(-0.3, 0.3, 3)
     noisy = seen + random.normal(0, NOISE, tips.shape)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import functools
 import importlib
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+import tubeopt
 from tests.conftest import listed
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,14 +102,26 @@ def test_every_field_of_public_data_is_told() -> None:
         f"{name}.{node.name}.{field}"
         for name, node in classes
         if node.name in public and any("dataclass" in ast.unparse(each) for each in node.decorator_list)
-        for field in untold_fields(node)
+        for field in untold_fields(node, ast.get_docstring(node) or "")
     ]
     assert untold == []
 
 
-def untold_fields(node: ast.ClassDef) -> Iterator[str]:
-    """Fields of a dataclass without a docstring, an annotation that tells them, or a word in that of the class."""
-    words = ast.get_docstring(node) or ""
+def test_fields_of_what_users_import_have_docstrings_of_their_own() -> None:
+    exported = [getattr(tubeopt, name) for name in tubeopt.__all__]
+    bare = [
+        f"{one.__name__}.{field}"
+        for one in exported
+        if isinstance(one, type) and dataclasses.is_dataclass(one)
+        for node in tree(modules()[one.__module__.removeprefix("tubeopt.")]).body
+        if isinstance(node, ast.ClassDef) and node.name == one.__name__
+        for field in untold_fields(node, "")
+    ]
+    assert bare == []
+
+
+def untold_fields(node: ast.ClassDef, words: str) -> Iterator[str]:
+    """Fields of a dataclass without a docstring, an annotation that tells them, or a place in `words`."""
     for field, after in zip(node.body, [*node.body[1:], None], strict=True):
         if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
             continue

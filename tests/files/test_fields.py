@@ -203,6 +203,25 @@ def test_whole_numbers_and_flags_are_checked(change: dict[str, Any], message: st
         Tries(**change)
 
 
+@dataclass(frozen=True)
+class Seeded:
+    seed: Annotated[int, NOT_NEGATIVE, "of the search"] = 0
+    count: Annotated[int, POSITIVE, "of them"] = 1
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"seed": -1}, "seed is -1; it must be at least 0"),
+        ({"seed": 0.5}, "seed is 0.5; it must be a whole number"),
+        ({"count": 0}, "count is 0; it must be greater than 0"),
+    ],
+)
+def test_the_range_of_a_whole_number_in_a_file_is_said_in_whole_numbers(data: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+        check(entry_of(Seeded), data, "")
+
+
 @asking(Pace)
 class PaceEntry(Part):
     places_mm: list[Number]

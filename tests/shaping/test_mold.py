@@ -164,6 +164,15 @@ def test_nested_grooves_keep_their_walls(tubes: tuple[Tube, ...]) -> None:
     assert predict_tube(mold, 1).outer_diameter == tubes[1].outer_diameter
 
 
+@pytest.mark.parametrize("flat", [3.0, 4.0, 7.0])
+def test_a_flatter_groove_stands_a_wall_above_a_sharper_one(flat: float) -> None:
+    """Their tops are nearest, where they are set: no step further for a wall that round-off makes smaller."""
+    sharp = Tube(1e-3, 0.8e-3, 50e-3, 60e-3, 2 * flat)
+    mold = plan_mold([sharp, Tube(1.5e-3, 1.2e-3, 30e-3, 50e-3, flat)])
+    (wall,) = (check.value for check in mold.checks if check.name == "least wall between grooves")
+    assert wall == pytest.approx(mold.spec.groove.wall, rel=1e-9)
+
+
 def test_a_hairpin_stands_beside_its_like() -> None:
     tube = Tube(1e-3, 0.8e-3, 0.0, 60e-3, 45.0)  # 155 deg
     mold = plan_mold([tube, tube])

@@ -157,6 +157,7 @@ def test_two_tubes_are_found_as_bad_as_proved() -> None:
     found = worst_margin(robot)
     assert found.margin == pytest.approx(snap_free_certificate(robot), abs=1e-6)
     assert float(np.cos(np.subtract(*found.equilibrium.tip_rotations))) == pytest.approx(-1.0, abs=1e-6)
+    assert repr(found).startswith("WorstMargin(margin=")
 
 
 def test_pair_section_and_share() -> None:

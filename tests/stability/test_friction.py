@@ -353,3 +353,14 @@ def test_band_is_infinite_without_a_certificate() -> None:
     assert band.certificate < 0
     assert np.isinf(band.tip_radius)
     assert np.isfinite(band.tip_half_widths).all()
+
+
+def test_out_of_and_back_into_the_plate() -> None:
+    """With no tube in front of the plate nothing is unknown, and nothing rubs but at the plate."""
+    inside = [-tube.length for tube in THESIS.tubes]
+    way = [inside, [0.9 * d for d in inside], inside]
+    path = follow(THESIS, [[0, 0, 0], [0, 0.4, 0.8], [0, 0.4, 0.8]], way, friction=Friction(0.01, plate=1e-3))
+    assert not path.snaps
+    for state in (path.equilibria[0], path.equilibria[-1]):
+        assert (len(state.point), state.margin, state.energy) == (0, 1.0, 0.0)
+        assert state.status is Status.STABLE

@@ -40,6 +40,7 @@ class CLibrary(Displayed):
     """Texts of a library."""
 
     robot: Robot
+    """Whose library it is."""
     name: str
     """What the robot is called."""
     prefix: str

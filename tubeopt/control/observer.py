@@ -60,6 +60,7 @@ class Correction(Displayed):
     """What an observer did with a measurement."""
 
     used: bool
+    """Whether the model was corrected by it."""
     words: str
     """Why it was not used; "" where it was."""
     before: float

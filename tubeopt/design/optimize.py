@@ -76,7 +76,7 @@ class DesignSolution(Displayed):
     rounds: int
     """How often worst cases were added."""
     added: Added
-    """Which."""
+    """The worst cases that were added."""
     verification: Verification
     """All promises, checked again."""
     seconds: float

@@ -72,6 +72,7 @@ class ExchangeSearch(Settings):
     """How worst cases are found and added, of a box of translations, a joint path, a workspace."""
 
     rounds: int = 12
+    """In which worst cases are found and added, at most."""
     path_points: int = 16
     """Between two task poses, at which a joint path is followed."""
     points: int = 3

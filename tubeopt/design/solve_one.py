@@ -223,8 +223,10 @@ def improve(
         values, start / scale, program.lower / scale, program.upper / scale, iterations=iterations,
         strategy=strategy, report=None if report is None else lambda f: report("optimum", f * size),
     )  # fmt: skip
-    prices = optimum.multipliers * size, optimum.bound_multipliers * size / scale
-    optimum = replace(optimum, x=optimum.x * scale, multipliers=prices[0], bound_multipliers=prices[1])
+    optimum = replace(
+        optimum, x=optimum.x * scale, multipliers=optimum.multipliers * size,
+        bound_multipliers=optimum.bound_multipliers * size / scale,
+    )  # fmt: skip
     if form is cubed:
         optimum = _folded(optimum, known[1])
     reached = attempt(program, optimum.x, optimum)

@@ -255,7 +255,7 @@ def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
     """Of every pair its rows along the arm (K,), and what an end of slip between neighbours can be off, (K - 1,) rad:
     half a spacing of full torque where the rotation is a parabola of it."""
     problem, out = contact.problem, []
-    soft = problem.here.rate.max((0, 1))
+    soft = problem.here.rate.max((0, 1), initial=0.0)
     for pair in np.unique(contact.pair):
         rows = np.flatnonzero((contact.pair == pair) & (contact.point >= 0))
         spacing = problem.weight[contact.point[rows]]

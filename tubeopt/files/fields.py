@@ -200,8 +200,8 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way
     if kind is float:
         return _number(marks, suffix)
     if kind is int:
-        allowed = next((mark for mark in marks if isinstance(mark, Range)), Range())
-        return Annotated[Whole, Field(ge=allowed.least, le=allowed.most)], lambda number: number, lambda number: number
+        limits: dict[str, Any] = {name: int(bound) for name, bound in _bounds(marks).items()}
+        return Annotated[Whole, Field(**limits)], lambda number: number, lambda number: number
     if get_origin(kind) is tuple:
         return _several(get_args(kind), marks, suffix)
     if dataclasses.is_dataclass(kind):
@@ -209,11 +209,16 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way
     return kind, lambda value: value, lambda value: value
 
 
-def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
-    scale, zero = UNITS[suffix] if suffix else Decimal(1), ZERO_CELSIUS if suffix == "degC" else Decimal(0)
+def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
+    """What pydantic calls the bounds of a number, SI."""
     allowed = next((mark for mark in marks if isinstance(mark, Range)), Range())
     bounds = {"gt": allowed.above, "ge": allowed.least, "le": allowed.most}
-    limits = {name: (Decimal(repr(bound)) - zero) / scale for name, bound in bounds.items() if bound is not None}
+    return {name: bound for name, bound in bounds.items() if bound is not None}
+
+
+def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
+    scale, zero = UNITS[suffix] if suffix else Decimal(1), ZERO_CELSIUS if suffix == "degC" else Decimal(0)
+    limits = {name: (Decimal(repr(bound)) - zero) / scale for name, bound in _bounds(marks).items()}
 
     def _write(value: float) -> Any:
         if zero:

@@ -217,13 +217,21 @@ class InverseSolver(Settings):
     way_margin: float = 2e-3
     """That it keeps, or half of what its ends have where that is less."""
     descent: Descent = Descent()
+    """Towards the target from each start."""
     order: OrderChanges = OrderChanges()
+    """Where breakpoints change their order on the way."""
     starts: Starts = Starts()
+    """Where it begins."""
     program: Programs = Programs()
+    """By IPOPT, from answers of the descent."""
     closest: Closest = Closest()
+    """Where the target is out of reach."""
     aim: Aiming = Aiming()
+    """Under a load."""
     session: SessionSteps = SessionSteps()
+    """From target to target."""
     leap: Leaps = Leaps()
+    """Between targets."""
 
 
 DEFAULT_SOLVER = InverseSolver()

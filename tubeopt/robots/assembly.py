@@ -36,19 +36,19 @@ class Assembly:
     curvature: Array
     """(n,) precurvature of the curved parts, 1/m."""
     offset: Array
-    """(n,) m."""
+    """(n,) of each tube from the centreline, m; 0 for concentric ones."""
     offset_angle: Array
-    """(n,) rad."""
+    """(n,) where that is, about the centreline, rad."""
     transmission: Array
     """(n,) |beta_i|, the length from where tube i is held to the plate, m."""
     transition: Array
     """(n,) arc length where each tube begins to curve, m; < 0 behind the plate."""
     end: Array
-    """(n,) where it ends."""
+    """(n,) arc length where each tube ends, m; < 0 behind the plate."""
     start: Array
     """(m,) arc length where each section begins, m."""
     length: Array
-    """(m,) m."""
+    """(m,) of each section, m."""
     present: Mask
     """(m, n) whether tube i is there."""
     curved: Mask
@@ -72,8 +72,8 @@ class Assembly:
     def of_sections(self, section: Index) -> CrossSections:
         """The tubes in sections (X,), where none is made of pieces."""
         kb = self.bending_stiffness * self.present[section]
-        moment, none = kb * self.curvature * self.curved[section], np.zeros_like(kb)
-        return CrossSections(kb, moment, none, np.broadcast_to(self.torsional_stiffness, kb.shape), none, none)
+        moment, none = kb * self.curvature * self.curved[section], np.zeros(kb.shape)
+        return CrossSections(kb, moment, none, none + self.torsional_stiffness, none, none)
 
     def wound(self, arc_length: Array) -> Array:
         """(X, n) natural turn of the tubes up to arc lengths (X,) from where they are held, rad; 0 without pieces."""

@@ -38,7 +38,7 @@ class Bearing(Displayed):
     limit: LoadLimit | None
     """None where it bears all that was looked at."""
     up_to: float
-    """Times the load that was looked at."""
+    """Up to how many times the load was looked at."""
 
 
 class LoadLimitStudy(Posed, LoadedStudy):

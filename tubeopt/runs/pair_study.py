@@ -41,9 +41,9 @@ class PairAnswer(Displayed):
     after: PairShare
     """The same of the designs."""
     proved: int
-    """Of the motions that were planned."""
+    """How many of the motions are proved."""
     planned: int
-    """Motions of both arms to some pairs of these places."""
+    """How many motions of both arms were planned, to some pairs of these places."""
     names: tuple[str, str]
     """What the arms are called."""
     plates: tuple[Frame, Frame]

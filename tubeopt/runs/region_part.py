@@ -56,9 +56,9 @@ class RegionAnswer(Displayed):
     after: ReachShare
     """The same of the design."""
     proved: int
-    """Of the plans."""
+    """How many of the plans are proved."""
     planned: int
-    """Plans to some of the places that the design reaches."""
+    """How many plans were made, to some of the places that the design reaches."""
     base: Frame
     """Where the plate stands for the design, in the frame of the plate as it was given."""
 

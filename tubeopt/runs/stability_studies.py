@@ -145,9 +145,11 @@ class Certification(Displayed):
     """The verdict on a robot."""
 
     robot: Robot
+    """On which it is."""
     verdict: Verdict
     """At the translations of the least certificate in `box` where a box was asked for."""
     box: WorstCertificate | None
+    """The least certificate over a box of translations; None where not asked for."""
     robot_file: str = "ROBOT.yaml"
     """What the commands that repeat it name."""
     force: float | None = None

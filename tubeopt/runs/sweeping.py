@@ -42,7 +42,7 @@ class Sweep(Displayed):
     computed: int
     """By this run; the others were there before."""
     failures: tuple[tuple[int, str], ...]
-    """Index and reason of every point that failed."""
+    """Index, from 0, and reason of every point that failed."""
     table: Path
     """Of table.csv."""
     arrays: Path

@@ -144,9 +144,13 @@ class Part:
     """A surface as it is seen."""
 
     name: str
+    """By which it is told from others in a scene."""
     surface: Surface
+    """Its facets, m."""
     colour: Colour
+    """Red, green, blue, 0 to 255."""
     opacity: float = 1.0
+    """1 hides what is behind."""
     lift: float = 0.0
     """m, by which it counts as nearer to whom it faces where facets are sorted by depth, so that a surface stays
     outside of what touches it from within."""

@@ -52,7 +52,7 @@ class Doctor:
     """Library -> version."""
     system: str
     kernel: str
-    """Of what the compiled kernel is, or why there is none."""
+    """Where the compiled kernel is from, or why there is none."""
     threads: dict[str, str]
     """Variables that set threads."""
     cache: Path

@@ -92,7 +92,9 @@ class ProblemSolution(Displayed):
     _brief = ("status", "objective", "values")
 
     status: ProblemStatus
+    """How the solve ended, as a sentence."""
     objective: float
+    """At these values, in its own unit."""
     values: dict[str, Array]
     """Of the variables, by name, in their own units."""
     multipliers: dict[str, Array]
@@ -105,6 +107,7 @@ class ProblemSolution(Displayed):
     violations: tuple[Violation, ...]
     """Constraints that do not hold, the worst first: none of a solved program."""
     statistics: ProblemStatistics
+    """What the solve took."""
     attempts: Attempts | None = None
     """Of a multi-start."""
     program: Evaluates | None = field(default=None, repr=False)

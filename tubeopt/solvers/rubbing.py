@@ -61,6 +61,8 @@ class Model:
 def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
     """The model for rows (R, X); None where the Hessian is singular."""
     right = np.column_stack([-gradient, rows.T])
+    if not len(right):
+        return Model(right[:, 0], right[:, 1:], rows @ right[:, 1:], 0)
     _, solved, failed = scipy.linalg.lapack.dposv(hessian, right)
     negative = 0
     if failed:

@@ -194,14 +194,14 @@ def proof_gradient(robot: Robot, translations: Array) -> dict[str, Array]:
     share the derivative in equal parts. NaN where either side leaves what can be proved; where one does, that of the
     other."""
     here = robot.assembly(translations)
-    out = {name: np.full(here.n_tubes, np.nan) for name in PARAMETERS}
+    value, out = proof(here)[0], {name: np.full(here.n_tubes, np.nan) for name in PARAMETERS}
     for name in PARAMETERS:
         for group in robot.moving_together:
             tubes = list(group)
             size = float(np.abs(getattr(here, name)[tubes[0]])) if hasattr(here, name) else here.total_length
             h = STEP * max(size, 1e-300)
-            at = [(x, _proof_at(robot, translations, (name, tubes, x))) for x in (-h, 0.0, h)]
-            known = [(x, value) for x, value in at if np.isfinite(value)]
+            before, after = (_proof_at(robot, translations, (name, tubes, x)) for x in (-h, h))
+            known = [(x, y) for x, y in ((-h, before), (0.0, value), (h, after)) if np.isfinite(y)]
             if len(known) > 1:
                 (low, first), *_, (high, last) = known
                 out[name][tubes] = (last - first) / (high - low) / len(tubes)

@@ -34,6 +34,8 @@ least."""
 class WorstMargin(Displayed):
     """The least margin that was found over all rotations at given translations: what a certificate may not exceed."""
 
+    _brief = ("margin", "equilibrium", "searches", "unstable")
+
     equilibrium: Equilibrium
     """Where, with the joint values to repeat it."""
     searches: int

@@ -113,14 +113,18 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent ended: state, residuals (V, 3), Jacobian (V, 3, P + F), whether it converged, and what cut its
-    last steps short, in words."""
+    """Where a descent ended."""
 
     state: State
+    """There."""
     residuals: Array
+    """(V, 3)."""
     jacobian: Array
+    """(V, 3, P + F)."""
     converged: bool
+    """Whether no step was left that lessens the cost by what counts; else the steps ran out."""
     obstacle: str = ""
+    """What cut its last steps short, in words."""
 
 
 def weighted_sums(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, Array]:

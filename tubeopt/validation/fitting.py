@@ -65,7 +65,7 @@ class FitOptions:
     loss: Annotated[str, OneOf(tuple(LOSSES)), "how a large error counts: linear, huber or soft_l1"] = "linear"
     """Linear is that of least squares."""
     priors: Annotated[bool, "draw the parameters to their values in the drawing"] = False
-    """By how far these may be off."""
+    """Each with the standard deviation by which the drawing may be off, the `prior` of its effect."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""
     solver: FitSolver = DEFAULT_SOLVER

@@ -62,17 +62,18 @@ def ahead(mesh: Mesh, here: Compliant) -> Array:
 
 
 def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None) -> Array:
-    """(N, N) of a tube: int `rate` ds from where it is held to the nearer of two points, collocated, exact between
-    elements of lengths (E,); `rate` (E, K) at the points, None is 1, and `begin` (E,) the integral up to the elements:
-    their arc length, where the rate is 1."""
+    """(..., N, N) of tubes: int `rate` ds from where they are held to the nearer of two points, collocated, exact
+    between elements of lengths (E,); `rate` (..., E, K) at the points, None is 1, and `begin` (..., E) the integral up
+    to the elements: their arc length, where the rate is 1."""
     rate = np.ones((len(length), t.degree)) if rate is None else rate
-    begin, length = begin[:, None], length[:, None]
-    near = (begin + length * (rate @ t.matrix.T)).ravel()
-    green = np.minimum(near[:, None], near)
-    within = begin[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[:, None]) @ t.matrix.T)
-    for e, own in enumerate(within):
+    begin, length = begin[..., None], length[:, None]
+    near = begin + length * (rate @ t.matrix.T)
+    near = near.reshape(*near.shape[:-2], -1)
+    green = np.minimum(near[..., :, None], near[..., None, :])
+    within = begin[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[..., None, :]) @ t.matrix.T)
+    for e in range(len(length)):
         block = slice(e * t.degree, (e + 1) * t.degree)
-        green[block, block] = own
+        green[..., block, block] = within[..., e, :, :]
     return green
 
 

@@ -102,7 +102,7 @@ class ReducedProblem:
 
     @cached_property
     def on_pieces(self) -> tuple[Array, Array]:
-        """The same on each piece, (P, n), along which no tube varies; raises InputError where one is made of pieces."""
+        """kb_i and m_i on each piece, (P, n); raises InputError where a tube is made of pieces, which vary along it."""
         here = self.assembly.of_sections(self.mesh.section)
         return here.stiffness, here.moment
 
@@ -177,12 +177,12 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
 def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array:
     """(U, U) L of the unknowns, of which `unknowns` has point and tube: of every tube the root of its compliance."""
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
-    factor, begin = np.zeros((len(point), len(point))), reach(mesh, here)
-    ends = np.searchsorted(tube, np.arange(begin.shape[1] + 1)).tolist()  # the unknowns are sorted by tube
-    for i, (first, last) in enumerate(pairwise(ends)):
+    factor, begin = np.zeros((len(point), len(point))), reach(mesh, here)[elements].T
+    green = green_of(mesh.tableau, begin, mesh.length[elements], here.rate[elements].transpose(2, 0, 1))
+    ends = np.searchsorted(tube, np.arange(len(begin) + 1)).tolist()  # the unknowns are sorted by tube
+    for own, (first, last) in zip(green, pairwise(ends), strict=True):
         if first < last:
             mine = point[first:last]
-            own = green_of(mesh.tableau, begin[elements, i], mesh.length[elements], here.rate[elements, :, i])
             factor[first:last, first:last] = np.linalg.cholesky(own[mine[:, None], mine])
     return factor
 

@@ -74,7 +74,7 @@ class CureSearch(Settings):
     slot: float = 0.5
     """To see that a change cures, duties are kept for up to this long, s."""
     swing: float = 0.1
-    """Where half a count warms by no more than this share of the window in that time."""
+    """Share of the window's width by which half a count may warm in that time, for duties to be kept so long."""
 
     _none: ClassVar[tuple[str, ...]] = ("most",)
 

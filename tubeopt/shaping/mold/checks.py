@@ -9,12 +9,9 @@ from dataclasses import dataclass
 from ...errors import InputError
 from ...robots.tubes import Tube
 from .groove import Point
-from .nesting import Blank
+from .nesting import SLACK, Blank
 from .setting import bend_direction, tube_in_mold
 from .spec import EndMill, MoldSpec
-
-SLACK = 1e-12
-"""Lengths (m) and strains are compared with this slack, so that a plate exactly thick enough passes."""
 
 OVERRUN = 1e-3
 """The cutter's edge clears the plate by this much (m) before it goes down or up."""

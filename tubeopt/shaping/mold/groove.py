@@ -30,8 +30,9 @@ class Arc:
     @classmethod
     def between(cls, start: Array | Point, end: Array | Point) -> Arc:
         """The line from one point (2,) to another."""
-        (x, y), way = start, np.subtract(end, start)
-        return cls((float(x), float(y)), math.atan2(way[1], way[0]), math.hypot(*way))
+        x, y = _point(start)
+        dx, dy = float(end[0]) - x, float(end[1]) - y
+        return cls((x, y), math.atan2(dy, dx), math.hypot(dx, dy))
 
     @property
     def sweep(self) -> float:

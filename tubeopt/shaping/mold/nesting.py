@@ -17,6 +17,9 @@ from .groove import Arc, Centreline, Point, bounds, crosses_itself, leads_to_edg
 from .heat import ColdEnd
 from .spec import EndMill, MoldSpec
 
+SLACK = 1e-12
+"""Lengths (m) and strains are compared with this slack, so that a plate exactly thick enough passes."""
+
 DIRECTIONS = ((0.0, 1.0), (1.0, 0.0))
 """In which grooves stand in a row: one above the other, side by side."""
 
@@ -40,7 +43,7 @@ class Blank:
     bend: tuple[Arc, ...]
     """With its top at y = 0."""
     least_lead: float
-    """m."""
+    """Least length of the lead at either end, from the bend to the edge of the plate, m."""
 
     @cached_property
     def core(self) -> Centreline:
@@ -134,7 +137,7 @@ def _placed(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) ->
     wall = math.inf
     for (first, a), (second, b) in combinations(zip(curves, blanks, strict=True), 2):
         wall = min(wall, least_distance(first, second) - (a.width + b.width) / 2)
-        if wall < spec.groove.wall:
+        if wall < spec.groove.wall - SLACK:
             return None
     return Layout(size, tuple(curves), wall)
 
@@ -161,12 +164,11 @@ def _extent(blanks: Sequence[Blank], shifts: Sequence[Array]) -> tuple[Array, Ar
 
 def _inside(blanks: Sequence[Blank], shifts: Sequence[Array], origin: Array, size: Point, spec: MoldSpec) -> bool:
     """Whether the bends keep a wall from the edge, and the ends of the least leads lie on the plate."""
-    slack = 1e-12
     for blank, shift in zip(blanks, shifts, strict=True):
         rim = blank.width / 2 + spec.groove.wall
         for box, room in zip(blank.boxes, (rim, 0.0), strict=True):
             low, high = box + shift - origin
-            if (low < room - slack).any() or (high > np.array(size) - room + slack).any():
+            if (low < room - SLACK).any() or (high > np.array(size) - room + SLACK).any():
                 return False
     return True
 
