@@ -211,3 +211,9 @@ def test_no_joint_is_faster_than_its_rate_however_long_the_step(objective: str) 
             after = servo.step(Command(velocity=random.normal(size=3)), dt).equilibrium
             assert np.abs(after.rotations - before.rotations).max() <= turn * dt * (1 + 1e-12) + 1e-15
             assert np.abs(after.translations - before.translations).max() <= shift * dt * (1 + 1e-12) + 1e-15
+
+
+def test_options_keep_numbers_however_they_are_written() -> None:
+    assert ServoOptions(speed="0.1", push=1).speed == 0.1  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="speed is 'fast'; it must be a number"):
+        ServoOptions(speed="fast")  # type: ignore[arg-type]

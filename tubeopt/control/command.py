@@ -75,7 +75,7 @@ class ServoOptions:
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
-            positive(name, getattr(self, name), zero=True)
+            object.__setattr__(self, name, positive(name, getattr(self, name), zero=True))
         if not 0 < self.min_margin < 1:
             raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
         named = [name for group in self.priorities for name in group.split("+")]

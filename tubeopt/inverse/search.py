@@ -29,7 +29,7 @@ class Way:
     points: Array | None
     """(k, m) whose straight motions hold."""
     how: str
-    """They were found: "straight", "detour", "search"."""
+    """How they were found: "straight", "detour", "search", or "roadmap"."""
     motions: int
     """That were checked."""
     closest: Array | None = None

@@ -40,9 +40,9 @@ class GoalSearch(Settings):
     """Which joint values are tried where several meet what is asked for."""
 
     most: int = 12
-    """The nearest to the start first."""
+    """Tried at most, the nearest to the start first."""
     turns: int = 3
-    """Whole turns of one tube."""
+    """Whole turns of one tube that are tried at most, the nearest to the start."""
     places: int = 2
     """Of a region whose other postures are looked for."""
     apart: float = 1e-3
@@ -51,7 +51,7 @@ class GoalSearch(Settings):
     """Equilibria at joint values are all looked for with so few tubes, or while `seconds` are left; else the one that
     forward kinematics finds is tried."""
     seconds: float = 30.0
-    """Since nothing can cut that short, s."""
+    """Left of the time, s, from which that is done for more tubes too: nothing can cut it short."""
     points: int = 8
     """Of a roadmap from which joint values for a goal of the tip are looked for, those with the nearest tips first."""
     answers: int = 2
@@ -234,9 +234,9 @@ class ProofSearch(Settings):
     agreement: float = 1e-6
     """Largest difference of a tip from its re-integration, over the length of the robot."""
     seconds: float = 0.1
-    """That a proof takes at most on most machines, s, and beside it"""
+    """That a proof takes at most on most machines, beside `sample_seconds`, s."""
     sample_seconds: float = 1e-3
-    """per sample of the motion."""
+    """The same per sample of the motion, s."""
 
     _none: ClassVar[tuple[str, ...]] = ("halvings",)
 
