@@ -233,8 +233,9 @@ def test_seen_in_a_mirror(pose: Pose) -> None:
     # The mirror x -> -x holds the direction in which tubes bend at rotation 0, and turns every rotation around.
     robot, rotations, shift = pose
     one = forward_kinematics(robot, rotations, shift)
-    names = ("rotations", "rotation", "torsion", "point_rotation")
-    image = replace(one, **{name: -getattr(one, name) for name in names})
+    arm = replace(one.arm, rotation=-one.rotation, torsion=-one.torsion)
+    points = replace(one.points, point_rotation=-one.point_rotation)
+    image = replace(one, rotations=-one.rotations, arm=arm, points=points)
     other = forward_kinematics(robot, -rotations, shift, guess=image)
     assert other.rotation == pytest.approx(-one.rotation, abs=1e-9)
     assert other.position == pytest.approx(one.position * [-1, 1, 1], abs=1e-10)
