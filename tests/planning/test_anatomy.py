@@ -229,7 +229,7 @@ def test_a_case_of_one_image_per_structure_is_that_of_all_its_labels(tmp_path: P
     case = {
         "structures": [{"file": "airway.nii.gz", "keep": "in"}, {"file": "nodule.nii.gz", "keep": "target"}],
         "landmarks": {"file": "target1.txt", "axes": "RAS"},
-        "base": {"pose": "start1.txt"},
+        "base": {"pose": "start1.txt", "axes": "RAS"},
     }
     (tmp_path / "case.yaml").write_text(yaml.safe_dump({"anatomy": case}))
     found = load_anatomy(tmp_path / "case.yaml")
@@ -258,17 +258,19 @@ def test_a_case_of_one_image_per_structure_is_that_of_all_its_labels(tmp_path: P
 
 WRONG = [
     ({"structures": [{"file": "no.nii"}]}, "no.nii: there is no such file"),
-    ({"points": [{"file": "c.csv", "radius_mm": 1}], "base": {"pose": "c.csv"}}, "c.csv: it must hold a matrix"),
+    ({"points": [{"file": "c.csv", "radius_mm": 1, "axes": "RAS"}], "base": {"pose": "c.csv"}},
+     "c.csv: it must hold a matrix"),
+    ({"points": [{"file": "c.csv", "radius_mm": 1}]}, "c.csv: the file does not state its axes, and none are given"),
     ({}, "anatomy has no image, structures, meshes or points; it must have one of them"),
     ({"points": [{"file": "c.csv", "radius_mm": 0}]}, r"anatomy.points\[0\].radius_mm is 0; it must be greater than 0"),
     ({"points": [{"file": "no.csv", "radius_mm": 1}]}, "no.csv"),
-    ({"meshes": [{"file": "no.stl"}]}, "no.stl: no mesh can be read from it"),
+    ({"meshes": [{"file": "no.stl"}]}, "no.stl: there is no such file"),
     ({"lumen": [1]}, "anatomy chooses labels or a region without an image"),
     ({"points": [{"file": "c.csv", "radius_mm": 1}], "base": {"position_mm": [0, 0, 0]}},
      "anatomy.base must give one of direction and towards"),
-    ({"points": [{"file": "c.csv", "radius_mm": 1}], "base": {"at": "x", "direction": [0, 0, 1]}},
+    ({"points": [{"file": "c.csv", "radius_mm": 1, "axes": "RAS"}], "base": {"at": "x", "direction": [0, 0, 1]}},
      "'x' is no landmark of the anatomy; there are none"),
-    ({"points": [{"file": "c.csv", "radius_mm": 1}],
+    ({"points": [{"file": "c.csv", "radius_mm": 1, "axes": "RAS"}],
       "base": {"position_mm": [0, 0, 0], "direction": [0, 0, 0]}}, "it must point somewhere"),
 ]  # fmt: skip
 

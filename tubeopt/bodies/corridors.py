@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,11 +18,14 @@ from ..files.csv_file import read_csv
 from ..files.marks import POSITIVE, unit
 from ..files.units import MM
 from ..typing import Array
+from .axes import agreed
 from .distance_field import DistanceField
 from .frames import Frame, ras
 from .obstacles import Point3, RoundCone, as_points, distance_of_numbers, greater
 from .scene import Scene
 from .triangles import Triangles, oriented
+
+LOGGER = logging.getLogger(__name__)
 
 CELLS = 24
 """Cells along the longest side of a mesh in the lattice on which its distance is known beforehand."""
@@ -102,16 +107,18 @@ def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
 
 @dataclass(frozen=True)
 class MeshObstacle:
-    """A body bounded by triangles, which the library trimesh reads and closes.
+    """A surface of triangles. A closed one bounds a body; an open one is avoided by the distance from its triangles.
 
     Raises:
-        InputError: tables of wrong shape, a surface that is not closed, trimesh is not installed.
+        InputError: tables of wrong shape, no triangles, trimesh is not installed.
     """
 
     vertices: tuple[Point3, ...] = field(repr=False)
     """(k, 3) m."""
     faces: tuple[tuple[int, int, int], ...] = field(repr=False)
     """(f, 3) corners of every triangle, from 0."""
+    name: str = "the mesh"
+    """What messages call it."""
 
     def __post_init__(self) -> None:
         try:
@@ -120,20 +127,40 @@ class MeshObstacle:
             raise InputError("vertices and faces of the mesh must be tables of numbers") from None
         if vertices.ndim != 2 or vertices.shape[1:] != (3,) or not np.isfinite(vertices).all():
             raise InputError("vertices of the mesh must be a table of finite numbers, x, y, z in m")
-        if faces.ndim != 2 or faces.shape[1:] != (3,) or faces.min(initial=0) < 0 or faces.max() >= len(vertices):
+        if faces.ndim != 2 or faces.shape[1:] != (3,) or not ((faces >= 0) & (faces < len(vertices))).all():
             raise InputError("faces of the mesh must be a table of three numbers of vertices each, from 0")
         object.__setattr__(self, "vertices", tuple(map(tuple, vertices.tolist())))
         object.__setattr__(self, "faces", tuple(map(tuple, faces.astype(int).tolist())))
-        if not self._mesh.is_watertight:
-            raise InputError("the mesh is not closed; inside and outside must be told apart")
+        if not len(faces):
+            raise InputError(f"{self.name} has no triangles; it must have at least one")
+        extra("trimesh", "planning", "meshes")
 
     @cached_property
     def _mesh(self) -> Any:
         trimesh = extra("trimesh", "planning", "meshes")
-        mesh = trimesh.Trimesh(np.array(self.vertices), np.array(self.faces))
-        if mesh.is_watertight:
-            mesh.faces = oriented(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        return mesh
+        return trimesh.Trimesh(np.array(self.vertices), np.array(self.faces))
+
+    @cached_property
+    def _outwards(self) -> Array | None:
+        """(f, 3, 3) corners of the triangles of a closed surface, their normals outwards; None for an open surface."""
+        mesh = self._mesh
+        if not mesh.is_watertight:
+            return None
+        try:
+            faces = oriented(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        except InputError:  # of a surface with one side
+            return None
+        return np.asarray(mesh.vertices)[faces]
+
+    @property
+    def closed(self) -> bool:
+        """Whether it bounds a body: each edge is that of two triangles, and the surface has two sides."""
+        return self._outwards is not None
+
+    @property
+    def stands_for(self) -> str:
+        """What its distance is from, in words, where it bounds no body; empty where it does."""
+        return "" if self.closed else open_surface(self.name, len(self.faces))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Numbers only: symbols are interpolated in `lattice`."""
@@ -162,8 +189,10 @@ class MeshObstacle:
 
     @cached_property
     def surface(self) -> Triangles:
-        """Its triangles, their normals outwards."""
-        return Triangles(np.asarray(self._mesh.triangles))
+        """Its triangles, the normals of a closed surface outwards."""
+        if self._outwards is not None:
+            return Triangles(self._outwards)
+        return Triangles(np.array(self.vertices)[np.array(self.faces)], closed=False)
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
@@ -182,36 +211,66 @@ class MeshObstacle:
         return DistanceField(distance, extent / cells, Frame(origin=first), bounded=True)
 
 
-def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str = "RAS") -> MeshObstacle:
-    """The body in an STL, PLY, OBJ (or other mesh) file, whose unit is `scale` m: by default mm; `axes` RAS or LPS.
+def open_surface(name: str, count: int) -> str:
+    """What the distance from an open surface of `count` triangles is from, in words."""
+    return f"the {count} triangle{'' if count == 1 else 's'} of {name}, an open surface: it has no inside"
+
+
+def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
+    """The surface in an STL, PLY, OBJ (or other mesh) file, whose unit is `scale` m: by default mm.
+
+    Args:
+        axes: RAS or LPS, of the file; where it states its own they must agree. Without either they are not changed.
 
     Raises:
-        InputError: no such file, one without a closed surface, or of a size that no body has; trimesh is not installed.
+        InputError: no such file, one without triangles, or of a size that no body has, axes that contradict the file's;
+            trimesh is not installed.
     """
     mesh = _loaded(path, "mesh")
-    vertices = ras(_lengths(path, mesh.vertices, scale), axes)
+    vertices = ras(_lengths(path, mesh.vertices, scale), agreed(path, axes) or "RAS")
     if not len(mesh.faces):
-        raise InputError(f"{path}: it has no triangles; it must be the closed surface of a body")
-    try:
-        return MeshObstacle(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, np.asarray(mesh.faces).tolist())))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(
+            f"{path}: it has no triangles; give a file with faces, or the points under the key points of an anatomy, "
+            "each as a ball"
+        )
+    body = _surface(path, vertices, mesh.faces)
+    if not body.closed:
+        LOGGER.warning(
+            f"{path}: its surface is open, so the arm keeps clear of its triangles and nothing is known of an inside; "
+            "close the surface to bar its inside"
+        )
+    return body
 
 
-def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str = "RAS") -> Array:
-    """(N, 3) m: the points in a PLY file (or the corners of another mesh), or in a CSV file with the columns x_mm, y_mm
-    and z_mm, in the unit and axes of `load_mesh`.
+def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> Array | MeshObstacle:
+    """(N, 3) m: the points in a PLY file, or in a CSV file with the columns x_mm, y_mm and z_mm, in the unit and axes
+    of `load_mesh`; of a file with triangles their surface, and points beside it as triangles without area.
 
     Raises:
-        InputError: no such file, no points in it, numbers that are not finite.
+        InputError: no such file, no points in it, numbers that are not finite, axes that contradict the file's.
     """
+    own = agreed(path, axes) or "RAS"
     if str(path).lower().endswith(".csv"):
         table = read_csv(path)
         table.expect(PLACE)
         points = table.numbers(PLACE, MM)
         table.check()
-        return ras(points, axes)
-    return ras(_lengths(path, _loaded(path, None).vertices, scale), axes)
+        return ras(points, own)
+    found = _loaded(path, None)
+    points, faces = ras(_lengths(path, found.vertices, scale), own), np.asarray(getattr(found, "faces", ()), dtype=int)
+    if not len(faces):
+        return points
+    alone = np.setdiff1d(np.arange(len(points)), faces)
+    return _surface(path, points, np.concatenate([faces, np.repeat(alone[:, None], 3, axis=1)]))
+
+
+def _surface(path: str | PathLike[str], vertices: Array, faces: Any) -> MeshObstacle:
+    """The surface of a file; what is wrong with it begins with its path."""
+    rows = tuple(map(tuple, np.asarray(faces).tolist()))
+    try:
+        return MeshObstacle(tuple(map(tuple, vertices.tolist())), rows, Path(path).name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 PLACE = ("x_mm", "y_mm", "z_mm")
@@ -224,7 +283,10 @@ def _loaded(path: str | PathLike[str], force: str | None) -> Any:
     """What trimesh reads."""
     trimesh = extra("trimesh", "anatomy", "meshes")
     try:
-        found: Any = trimesh.load(str(path), force=force)
+        # Of what is no mesh alone every point counts, also one that is of no triangle.
+        found: Any = trimesh.load(str(path), force=force, process=force is not None)
+        if force is None and hasattr(found, "to_geometry"):
+            found = found.to_geometry()
     except Exception as error:  # whatever it raises of a file that is not what it says
         words = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: no mesh can be read from it: {words}") from None

@@ -63,6 +63,8 @@ class DistanceField:
     name: str = "anatomy"
     source: Source | None = field(default=None, repr=False)
     """What tells gradients exactly; None where the table is all there is."""
+    stands_for: str = ""
+    """What its distance is from, in words, where the body is no solid but points or an open surface; else empty."""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.values)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, extra
+from ..errors import InputError, choice, extra
 from ..files.files import no_such_file
 from ..typing import Array, Mask
-from .frames import Frame
+from .frames import AXES, Frame
 
 LOGGER = logging.getLogger(__name__)
 
@@ -37,6 +37,9 @@ MOST_LABELS = 4096
 
 BYTES = {("64", "long", "double"): 8, ("16", "short"): 2, ("8", "char"): 1, ("32", "int", "float"): 4}
 """Of a voxel, by what is in the names that NRRD has for its kinds of numbers; the first that fits."""
+
+SIGNS = {"left": -1.0, "l": -1.0, "right": 1.0, "r": 1.0, "posterior": -1.0, "p": -1.0, "anterior": 1.0, "a": 1.0}
+"""Directions of the axes of a NRRD file, by those of RAS."""
 
 UNITS = {"mm": 1e-3, "meter": 1.0, "micron": 1e-6, "m": 1.0, "um": 1e-6, "unknown": 1e-3}
 """Names of units in headers, in m; where none is given it is mm."""
@@ -139,13 +142,20 @@ class LabelImage:
         return np.asarray(found)
 
 
-def read_image(path: str | PathLike[str]) -> LabelImage:
+def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage:
     """The image in a NIfTI (.nii, .nii.gz), FreeSurfer (.mgz, .mgh) or NRRD (.nrrd, .nhdr) file.
+
+    Args:
+        axes: RAS or LPS, along which the voxels lie, the first at the origin, where the header does not say how the
+            image lies in the patient; of a NRRD file without a space, those of its directions and its origin.
 
     Raises:
         InputError: no such file, one that cannot be read, with more than one number per voxel, axes that are not square
-            to each other, or voxels of a size that none has; nibabel or pynrrd is not installed.
+            to each other, or voxels of a size that none has; axes that neither the header nor `axes` says, or that
+            contradict each other; nibabel or pynrrd is not installed.
     """
+    if axes is not None:
+        choice("axes", axes, AXES)
     file = Path(path)
     name = file.name.lower()
     if file.is_dir():
@@ -155,13 +165,13 @@ def read_image(path: str | PathLike[str]) -> LabelImage:
     if not file.is_file():
         raise no_such_file(path)
     if name.endswith((".nii", ".nii.gz", ".mgz", ".mgh")):
-        read: Callable[[Path], tuple[Any, Array, float]] = _nifti
+        read: Callable[[Path, str | None], tuple[Any, Array, float]] = _nifti
     elif name.endswith((".nrrd", ".nhdr")):
         read = _nrrd
     else:
         raise InputError(f"{path} is no image that is known; it must be .nii, .nii.gz, .mgz, .nrrd or .nhdr")
     try:
-        values, affine, length = read(file)
+        values, affine, length = read(file, axes)
     except InputError:
         raise
     except MemoryError:
@@ -209,11 +219,23 @@ def _check_size(shape: Sequence[int], each: int, path: Path) -> None:
         )
 
 
-def _no_orientation(path: Path) -> None:
-    LOGGER.warning(f"{path}: its header does not say how the image lies in the patient; its axes are taken as RAS")
+def _signs(path: Path, stated: str, axes: str | None) -> Array:
+    """(3,) signs that bring the axes of an image to RAS, from what its header states, "" for nothing, or else `axes`.
+
+    Raises:
+        InputError: neither says anything, or they contradict each other.
+    """
+    if not stated and axes is None:
+        raise InputError(
+            f"{path}: its header does not say how the image lies in the patient; give the axes of its voxels (of the "
+            "key image as image_axes): RAS or LPS"
+        )
+    if stated and axes is not None and stated != axes:
+        raise InputError(f"{path}: axes is {axes}, but the header states {stated}; leave axes out, or correct the file")
+    return np.array([*(SIGNS[letter] for letter in (stated or str(axes)).lower()[:2]), 1.0])
 
 
-def _nifti(path: Path) -> tuple[Any, Array, float]:
+def _nifti(path: Path, axes: str | None) -> tuple[Any, Array, float]:
     """Values, affine map to RAS, and the unit of length in m."""
     nibabel = extra("nibabel", "anatomy", "NIfTI files")
     logging.getLogger("nibabel.global").setLevel(logging.CRITICAL + 1)  # what it has to say is said below
@@ -223,30 +245,33 @@ def _nifti(path: Path) -> tuple[Any, Array, float]:
         shape = shape[:-1]
     header = image.header
     _check_size(shape, int(header.get_data_dtype().itemsize), path)
-    unit = "mm"
+    unit, affine, known = "mm", np.asarray(image.affine), True
     if hasattr(header, "get_xyzt_units"):  # which those of FreeSurfer have not, nor another place than one in mm
-        _check_place(header, path)
+        known = _has_place(header, path)
         unit = header.get_xyzt_units()[0]
+    signs = _signs(path, "RAS" if known else "", axes)
+    if not known:
+        affine = np.diag([*(signs * np.asarray(header.get_zooms()[:3], dtype=float)), 1.0])
     slope, inter = image.dataobj.slope, image.dataobj.inter  # which the header of a loaded image has no more
     raw = np.asarray(image.dataobj.get_unscaled()).reshape(shape)
     slope, inter = 1.0 if slope is None else float(slope), 0.0 if inter is None else float(inter)
     if (slope, inter) != (1.0, 0.0):
         raw = np.stack([part.astype(np.float32) * np.float32(slope) + np.float32(inter) for part in raw])
-    return raw, np.asarray(image.affine), UNITS.get(unit, 1e-3)
+    return raw, affine, UNITS.get(unit, 1e-3)
 
 
-def _check_place(header: Any, path: Path) -> None:
-    """Warn where a header of NIfTI says no place of the image, or two."""
+def _has_place(header: Any, path: Path) -> bool:
+    """Whether a header of NIfTI says the place of the image; a warning where it says two."""
     said = int(header["sform_code"]), int(header["qform_code"])
-    if not any(said):
-        _no_orientation(path)
-    elif all(said):
+    if all(said):
         off = np.abs(header.get_sform() - header.get_qform()).max()
         if off > AGREE * np.linalg.norm(header.get_sform()[:3, :3], axis=0).min():
             LOGGER.warning(f"{path}: its sform and its qform say different places of the image; the sform is taken")
+    return any(said)
 
 
-def _nrrd(path: Path) -> tuple[Any, Array, float]:
+def _nrrd(path: Path, axes: str | None) -> tuple[Any, Array, float]:
+    """Values, affine map to RAS, and the unit of length in m."""
     nrrd = extra("nrrd", "anatomy", "NRRD files")
     about = nrrd.read_header(str(path))
     each = next((size for words, size in BYTES.items() if any(word in about["type"] for word in words)), 1)
@@ -257,8 +282,6 @@ def _nrrd(path: Path) -> tuple[Any, Array, float]:
     values, header = nrrd.read(str(path), index_order="F")
     values, directions = values.squeeze(lost), header.get("space directions")
     space = str(header.get("space", "")).lower()
-    if directions is None or not space:
-        _no_orientation(path)
     if directions is None:
         directions = np.diag(np.asarray(header.get("spacings", np.full(len(sizes), np.nan)), dtype=float))
         directions = np.delete(directions, lost, axis=1)
@@ -268,13 +291,15 @@ def _nrrd(path: Path) -> tuple[Any, Array, float]:
     affine = np.eye(4)
     affine[:3, :3] = rows.T
     affine[:3, 3] = np.asarray(header.get("space origin", np.zeros(3)), dtype=float)
-    signs = {"left": -1, "l": -1, "right": 1, "r": 1, "posterior": -1, "p": -1, "anterior": 1, "a": 1}
     words = space.split("-") if "-" in space else list(space)
-    if len(words) == 3 and words[2] in ("superior", "s") and all(word in signs for word in words[:2]):
-        affine[:2] *= np.array([[signs[words[0]]], [signs[words[1]]]])
-    elif space:
+    if space and not (len(words) == 3 and words[2] in ("superior", "s") and all(word in SIGNS for word in words[:2])):
         raise InputError(
             f"{path}: its space is {space!r}; it must be right-anterior-superior, or with left or posterior"
         )
+    letters, lies = "".join(word[0] for word in words).upper(), header.get("space directions") is not None
+    signs = _signs(path, letters if lies else "", axes)
+    if not lies:
+        _signs(path, letters, axes)
+    affine[:3] *= signs[:, None]
     units = header.get("space units") or ["mm"]
     return values, affine, UNITS.get(str(units[0]).strip('"'), 1e-3)

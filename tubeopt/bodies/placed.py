@@ -29,6 +29,11 @@ class Turned:
         """Whether distances are those of the body, no bounds of them."""
         return bool(getattr(self.body, "SOLID", False))
 
+    @property
+    def stands_for(self) -> str:
+        """What the distance is from, in words, where the body is no solid."""
+        return str(getattr(self.body, "stands_for", ""))
+
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance, m."""
         own = (

@@ -204,6 +204,12 @@ class Scene:
         """Whether all distances are those of bodies, not bounds of them."""
         return all(getattr(body, "SOLID", False) for body in self.bodies)
 
+    @cached_property
+    def stands_for(self) -> tuple[str, ...]:
+        """What distances are from, in words, of all bodies that are no solids but points or open surfaces."""
+        found = (getattr(body, "stands_for", "") for body in self.bodies)
+        return tuple(dict.fromkeys(filter(None, found)))
+
     def at_most(self, points: Array) -> Array:
         """(N,) what the distance of points (N, 3) from the nearest body is not above, as far as it is told at once."""
         told = [body.at_most(points) for body in self._telling]

@@ -1,4 +1,4 @@
-"""Closed meshes and clouds of points as distance fields.
+"""Surfaces of triangles and clouds of points as distance fields.
 
 Samples of a surface, the corners of its triangles after these were cut to sides of at most e, lie within r = e/sqrt(3)
 of every point p of it that is the nearest to some x, on the same face, side or corner, to which x - p is square: the
@@ -8,6 +8,7 @@ others by that bound; and which side they are on by a way to another node that n
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,11 +18,14 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, choice, positive
 from ..typing import Array
-from .corridors import MeshObstacle
+from .corridors import MeshObstacle, open_surface
 from .distance_field import UP, DistanceField
 from .frames import Frame
+from .gaps import largest_gap
 from .obstacles import unit_vectors
 from .triangles import Triangles, bisected
+
+LOGGER = logging.getLogger(__name__)
 
 KEEP = ("out", "in")
 """Ways to keep to a closed surface."""
@@ -53,31 +57,62 @@ def field_of_mesh(
     mesh: MeshObstacle, *, keep: str = "out", cell: float | None = None, name: str = "mesh"
 ) -> DistanceField:
     """The distance field of the body that a closed mesh bounds, or with keep "in" of all that it does not hold: the
-    arm then stays within it.
+    arm then stays within it. Of an open mesh it is that of the distance from its triangles.
 
     Args:
         cell: size of the cells, m; by default 0.5 mm, or more for a large body.
 
     Raises:
-        InputError: a cell that is not greater than 0, or far too small.
+        InputError: a cell that is not greater than 0, or far too small; keep "in" for an open mesh.
     """
     choice("keep", keep, KEEP)
-    corners = mesh.surface.corners
-    nodes, shape, size, origin = _lattice(corners.reshape(-1, 3), cell, name, AROUND[keep])
-    surface = Triangles((corners if keep == "out" else corners[:, ::-1]) - origin)  # from the inside, all else is body
-    least, most = _bounds(surface.corners, nodes, size)
+    if keep == "in" and not mesh.closed:
+        raise InputError(
+            f"{name}: its surface is open, so there is no inside to stay in; close the surface, or give keep: out, "
+            "by which the arm keeps clear of its triangles"
+        )
+    corners = mesh.surface.corners if keep == "out" else mesh.surface.corners[:, ::-1]  # from the inside, all is body
+    said = "" if mesh.closed else open_surface(name, len(mesh.faces))
+    return _field(Triangles(corners, mesh.closed), 0.0, AROUND[keep], cell, (name, said))
+
+
+def field_of_surface(
+    mesh: MeshObstacle, radius: float, *, cell: float | None = None, name: str = "surface"
+) -> DistanceField:
+    """The distance field of all that is no farther than `radius`, m, from the triangles of a mesh, open or closed.
+
+    Raises:
+        InputError: a radius that is not greater than 0; a cell that is not, or is far too small.
+    """
+    positive(f"radius of {name}", radius)
+    said = f"{open_surface(name, len(mesh.faces))}; it counts as {radius * 1e3:g} mm thick to either side"
+    return _field(Triangles(mesh.surface.corners, False), radius, AROUND["out"], cell, (name, said))
+
+
+def _field(
+    surface: Triangles, radius: float, around: int, cell: float | None, called: tuple[str, str]
+) -> DistanceField:
+    """The field of a surface, its distances less a radius, with nodes around it; `called`: its name, and what its
+    distances are from where it bounds no body."""
+    name, said = called
+    corners = surface.corners.reshape(-1, 3)
+    ends = corners if not radius else np.concatenate([corners - radius, corners + radius])
+    nodes, shape, size, origin = _lattice(ends, cell, name, around)
+    moved = Triangles(surface.corners - origin, surface.closed)
+    least, most = _bounds(moved.corners, nodes, size)
     near = least < BAND * size
-    exact = surface.signed_distance(nodes[near])
+    exact = moved.signed_distance(nodes[near])
     # No surface crosses the way between neighbours that are farther from it than half a cell.
     parts, count = scipy.ndimage.label(~near.reshape(shape))
     part, node = np.unique(parts.ravel(), return_index=True)
     free = np.ones(count + 1, dtype=bool)
-    free[part] = surface.signed_distance(nodes[node]) > 0
+    free[part] = moved.signed_distance(nodes[node]) > 0
     values = np.where(free[parts.ravel()], least, -most)
     values[near] = exact
     lost = float((most - least)[~near].max(initial=0.0))
-    placed = Frame(origin=origin)
-    return DistanceField(values.reshape(shape), np.full(3, size), placed, lost, keep == "out", name, surface)
+    outside = around == AROUND["out"]
+    table = values.reshape(shape) - radius
+    return DistanceField(table, np.full(3, size), Frame(origin=origin), lost, outside, name, moved, said)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +145,22 @@ def field_of_points(
     tree = scipy.spatial.cKDTree(array - origin)
     far, _ = tree.query(nodes)
     values, placed = far.reshape(shape) - radius, Frame(origin=origin)
-    return DistanceField(values, np.full(3, size), placed, 0.0, True, name, Centres(tree))
+    said = _points_in_words(array, radius, name)
+    return DistanceField(values, np.full(3, size), placed, 0.0, True, name, Centres(tree), said)
+
+
+def _points_in_words(points: Array, radius: float, name: str) -> str:
+    """What the distance from balls about points is from; a warning where an arm may pass between them."""
+    balls = f"the {len(points)} points of {name}, each a ball of {radius * 1e3:g} mm"
+    gap = largest_gap(points)
+    if gap is None:
+        return f"{balls}; how far neighbours are apart was not computed, and nothing is proved between points"
+    if gap > 2 * radius:
+        LOGGER.warning(
+            f"{name}: the largest gap between neighbouring points is {gap * 1e3:.3g} mm, and balls of radius "
+            f"{radius * 1e3:g} mm do not close it; give a file with faces, or radius_mm of {gap * 500:.3g} at least"
+        )
+    return f"{balls}; the largest gap between neighbours is {gap * 1e3:.3g} mm, and nothing is proved between points"
 
 
 def _lattice(points: Array, cell: float | None, name: str, around: int) -> tuple[Array, tuple[int, ...], float, Array]:

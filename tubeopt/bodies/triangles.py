@@ -1,4 +1,4 @@
-"""Signed distance from a closed surface of triangles, for many points at once.
+"""Distance from a surface of triangles, for many points at once; of a closed surface it has a sign.
 
 Which triangles to ask is found with a tree of their centres, after the long ones are cut; and on which side a point
 lies follows from the normals of all triangles that are equally near, weighted by their angles there (Baerentzen and
@@ -15,7 +15,9 @@ import numpy as np
 import scipy
 
 from ..errors import InputError
-from ..typing import Array, Index
+from ..typing import Array, Index, Mask
+from .distance_field import UP
+from .obstacles import unit_vectors
 
 FINEST = 6
 """Edges are cut to the longest side of the body over this, so that triangles are of similar size."""
@@ -31,6 +33,9 @@ TIE = 1e-9
 
 ON = 1e-12
 """Distance (m) up to which a point is on the surface."""
+
+THIN = 1e-12
+"""Height of a triangle over its longest side up to which it counts as its longest side."""
 
 
 def bisected(corners: Array, longest: float) -> Array:
@@ -89,11 +94,19 @@ def oriented(vertices: Array, faces: Index) -> Index:
     return faces
 
 
+def _areas(corners: Array) -> Array:
+    """(f,) twice the areas of triangles (f, 3, 3), m^2."""
+    square = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(np.linalg.norm(square, axis=1))
+
+
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A closed surface, its normals outwards: corners (f, 3, 3) of the triangles, m."""
+    """A surface by the corners (f, 3, 3) of its triangles, m."""
 
     corners: Array
+    closed: bool = True
+    """Whether it bounds a body, its normals outwards; the distance from another surface has no sign."""
 
     @cached_property
     def size(self) -> float:
@@ -104,14 +117,21 @@ class Triangles:
     def _cut(self) -> Array:
         """The same surface of smaller triangles."""
         corners = bisected(self.corners, max(self.size / FINEST, 1e-12))
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        return np.asarray(corners[area > 0])
+        # Each side of a closed surface is that of another triangle too; an open one can end in one without area.
+        return corners if not self.closed else np.asarray(corners[_areas(corners) > 0])
 
     @cached_property
     def _normals(self) -> Array:
+        """(f, 3) unit vectors; 0 for a triangle without inside, which then lies in its disc however that is turned."""
         a, b, c = (self._cut[:, k] for k in range(3))
         normal: Array = np.cross(b - a, c - a)
-        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+        return np.where(self._flat[:, None], unit_vectors(normal, np.zeros(3)), 0.0)
+
+    @cached_property
+    def _flat(self) -> Mask:
+        """(f,) whether a triangle has an inside, to which there are perpendiculars."""
+        side = np.linalg.norm(np.roll(self._cut, -1, axis=1) - self._cut, axis=2).max(1)
+        return np.asarray(_areas(self._cut) > THIN * side**2)
 
     @cached_property
     def _discs(self) -> tuple[Array, Array]:
@@ -131,16 +151,17 @@ class Triangles:
         it, and its angles (f, 3)."""
         side = np.roll(self._cut, -1, axis=1) - self._cut
         into = np.cross(self._normals[:, None], side)
-        square = (side**2).sum(-1)
-        cosine = -(side * np.roll(side, 1, axis=1)).sum(-1) / np.sqrt(square * np.roll(square, 1, axis=1))
+        square = np.maximum((side**2).sum(-1), np.finfo(float).tiny)
+        cosine = -(side * np.roll(side, 1, axis=1)).sum(-1) / (square**0.5 * np.roll(square, 1, axis=1) ** 0.5)
         return side, square, into, np.arccos(np.clip(cosine, -1, 1))
 
     def signed_distance(self, points: Array) -> Array:
-        """(N,) distance of points (N, 3), m; negative inside."""
+        """(N,) distance of points (N, 3), m; negative inside a closed surface."""
         return self.nearest(points)[0]
 
     def nearest(self, points: Array) -> tuple[Array, Array, Array]:
-        """(N,) distance of points (N, 3), m, negative inside; their nearest places (N, 3), and normals there (N, 3)."""
+        """(N,) distance of points (N, 3), m, negative inside a closed surface; their nearest places (N, 3), and normals
+        there (N, 3)."""
         parts = [self._chunk(points[k : k + CHUNK]) for k in range(0, len(points), CHUNK)]
         empty = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
         distance, place, normal = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
@@ -151,7 +172,8 @@ class Triangles:
         several places are equally near, along the way from one of them."""
         distance, nearest, normal = self.nearest(points)
         far = np.abs(distance)[:, None] > ON
-        return np.asarray(np.where(far, (points - nearest) / np.where(far, distance[:, None], 1.0), normal))
+        at = unit_vectors(normal, UP)
+        return np.asarray(np.where(far, (points - nearest) / np.where(far, distance[:, None], 1.0), at))
 
     def _chunk(self, points: Array) -> tuple[Array, Array, Array]:
         tree, radius = self._tree
@@ -180,7 +202,8 @@ class Triangles:
         facing = (self._normals[face] * (points[row] - place)).sum(1) * angle
         side = np.bincount(row, facing, len(points))
         one = np.searchsorted(row, np.arange(len(points)))
-        return np.where(side < 0, -least, least), place[one], self._normals[face[one]]
+        inside = (side < 0) & self.closed
+        return np.where(inside, -least, least), place[one], self._normals[face[one]]
 
     def _at_least(self, points: Array, face: Array) -> Array:
         """(K,) lower bounds of the distance of points (K, 3) from triangles (K,): that of the disc around each."""
@@ -201,7 +224,7 @@ class Triangles:
         gap = ((points[:, None] - on_sides) ** 2).sum(2)
         row = np.arange(len(face))
         place = on_sides[row, gap.argmin(1)]
-        above = ((away * into[face]).sum(2) >= 0).all(1)
+        above = ((away * into[face]).sum(2) >= 0).all(1) & self._flat[face]
         normal = self._normals[face[above]]
         place[above] = points[above] - normal * (away[above, 0] * normal).sum(1)[:, None]
         return place, np.linalg.norm(points - place, axis=1)

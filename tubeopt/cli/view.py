@@ -37,7 +37,7 @@ class ViewEntry(Pushed):
     study: Annotated[tuple[str, Study], in_file(load_study, "a study file", named=True)] | None = Field(
         None, description="begin at the joint values of a study, or play its path", examples=["STUDY.yaml"]
     )
-    trajectory: Annotated[Waypoints, in_file(load_waypoints, "a CSV file", of_robot=True)] | None = Field(
+    trajectory: Annotated[Waypoints, in_file(load_waypoints, "a CSV file", of="robot")] | None = Field(
         None, description="to be played: rotation_1_deg, ..., translation_1_mm, ..., time_s", examples=["PATH.csv"]
     )
     obstacles: Bodies = Field(

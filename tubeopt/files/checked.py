@@ -82,7 +82,7 @@ def _in_si(value: Any, unit: str) -> Any:
 
 
 def in_file(
-    read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: bool = False, named: bool = False
+    read: Callable[..., Any], what: str, *, kind: Any = None, of: str = "", named: bool = False
 ) -> PlainValidator:
     """Mark a key as the path of a file, relative to the one that it stands in; its value is what is read from there.
 
@@ -90,7 +90,7 @@ def in_file(
         read: path -> what the file holds.
         what: what the path must be of.
         kind: what may be given as it is, by a sweep, which has read or changed it.
-        of_robot: whether `read` takes the robot too, whose key stands before.
+        of: a key that stands before, whose value `read` takes too.
         named: whether the value is the path too, before what is read.
     """
 
@@ -102,9 +102,9 @@ def in_file(
         path = info.context["directory"] / value if info.context else value
         if info.context:
             info.context["files"][info.field_name] = str(path)
-        if of_robot and "robot" not in info.data:  # it has problems itself; it is None where it was left out
+        if of and of not in info.data:  # it has problems itself; it is None where it was left out
             return None
-        found = read(path, info.data["robot"]) if of_robot else read(path)
+        found = read(path, info.data[of]) if of else read(path)
         return (str(path), found) if named else found
 
     return PlainValidator(_load, json_schema_input_type=str)

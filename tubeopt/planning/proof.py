@@ -112,6 +112,8 @@ class Proof(Displayed):
     `max_force`; None without that. Margin, faults and clearance are then those under any such force."""
     samples: tuple[Equilibrium, ...] = field(default=(), repr=False)
     """Equilibria at the samples up to `end`."""
+    clearance_from: tuple[str, ...] = ()
+    """What the clearance is from, in words, of obstacles that are no solids but points or open surfaces."""
 
     largest_rotation_rate, largest_translation_rate = Of[float]("paces"), Of[float]("paces")
     largest_rotation_acceleration, largest_translation_acceleration = Of[float]("paces"), Of[float]("paces")
@@ -345,6 +347,7 @@ def _judge(
         end=steps[-1],
         faults=tuple(faults),
         samples=_at_samples(passage.steps, t),
+        clearance_from=follower.scene.stands_for,
     )
 
 

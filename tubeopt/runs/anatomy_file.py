@@ -14,12 +14,13 @@ import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from ..bodies.anatomy import Anatomy, anatomy_seen, centres
-from ..bodies.corridors import PLACE, load_mesh, load_points
+from ..bodies.axes import needed
+from ..bodies.corridors import PLACE, MeshObstacle, load_mesh, load_points
 from ..bodies.distance_field import DistanceField
 from ..bodies.frames import Frame, base_frame, ras, register
 from ..bodies.images import LabelImage, read_image
 from ..bodies.labels import field_of_image
-from ..bodies.solids import field_of_mesh, field_of_points
+from ..bodies.solids import field_of_mesh, field_of_points, field_of_surface
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file
 from ..files.csv_file import read_csv
@@ -27,6 +28,7 @@ from ..files.files import read_text
 from ..files.units import MM
 from ..files.yaml_file import load_yaml
 from ..typing import Array, Mask
+from .markups_file import markups
 
 LOGGER = logging.getLogger(__name__)
 
@@ -41,47 +43,60 @@ SQUARE = 1e-3
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
-def load_landmarks(path: str | PathLike[str]) -> dict[str, Array]:
-    """Named places in a CSV file with the columns name, x_mm, y_mm and z_mm, m, in the axes of the file; or the one
-    place that the three numbers (mm) of a .txt file are, by the name of the file.
+def load_landmarks(path: str | PathLike[str], axes: str | None = None) -> dict[str, Array]:
+    """Named places (3,) in RAS, m: of a CSV file with the columns name, x_mm, y_mm and z_mm, of markups of 3D Slicer
+    (.fcsv, .mrk.json), or the one place that the three numbers (mm) of a .txt file are, by the name of the file.
+
+    Args:
+        axes: RAS or LPS, of a file that does not state its own.
 
     Raises:
-        InputError: no such file, columns or cells that are not as they must be, a name twice.
+        InputError: no such file, columns or cells that are not as they must be, a name twice; axes that are not known,
+            or contradict those of the file.
     """
-    if Path(path).suffix.lower() == ".txt":
-        return {Path(path).stem: _numbers(path, (3,), "x, y and z in mm") * 1e-3}
+    own, kind = needed(path, axes), Path(path).suffix.lower()
+    if kind == ".txt":
+        return {Path(path).stem: ras(_numbers(path, (3,), "x, y and z in mm") * 1e-3, own)}
+    if kind in (".fcsv", ".json"):
+        found = markups(path)
+        return {name: ras(place, own) for name, place in found.items()}
     table = read_csv(path)
     table.expect(("name", *PLACE))
-    places = table.numbers(PLACE, MM)
-    found: dict[str, Array] = {}
+    places, known = ras(table.numbers(PLACE, MM), own), dict[str, Array]()
     for k, place in enumerate(places):
         name = table.cell(k, "name")
-        if not name or name in found:
+        if not name or name in known:
             table.complain(k, "name", f"is {name!r}; every landmark must have a name of its own")
-        found[name] = place
+        known[name] = place
     table.check()
-    return found
+    return known
 
 
-def load_pose(path: str | PathLike[str]) -> Frame:
-    """The frame that the 4 x 4 matrix in a text file is, in the axes of the file: the axes of the plate as its first
-    three columns, the arm leaving along the third, and the position (mm) as its fourth.
+def load_pose(path: str | PathLike[str], axes: str | None = None) -> Frame:
+    """The frame in RAS that the 4 x 4 matrix in a text file is: the axes of the plate as its first three columns, the
+    arm leaving along the third, and the position (mm) as its fourth.
+
+    Args:
+        axes: RAS or LPS, of a file that does not state its own in a comment.
 
     Raises:
-        InputError: no such file, no such matrix, axes that are not those of a right-handed frame.
+        InputError: no such file, no such matrix, axes that are not those of a right-handed frame; axes of the patient
+            that are not known, or contradict those of the file.
     """
     matrix = _numbers(path, (4, 4), "a matrix of four rows of four numbers")
-    axes = matrix[:3, :3]
-    off = max(np.abs(axes.T @ axes - np.eye(3)).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
-    if off > SQUARE or np.linalg.det(axes) < 0:
+    turn = matrix[:3, :3]
+    off = max(np.abs(turn.T @ turn - np.eye(3)).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
+    if off > SQUARE or np.linalg.det(turn) < 0:
         raise InputError(f"{path}: its matrix is no pose: a right-handed rotation, a position, and the row 0 0 0 1")
-    u, _, v = np.linalg.svd(axes)
-    return Frame(u @ v, matrix[:3, 3] * 1e-3)
+    own = needed(path, axes)
+    u, _, v = np.linalg.svd(turn)
+    return Frame(ras((u @ v).T, own).T, ras(matrix[:3, 3] * 1e-3, own))
 
 
 def _numbers(path: str | PathLike[str], shape: tuple[int, ...], what: str) -> Array:
-    """All numbers of a text file, between blanks or commas."""
-    words = read_text(path).replace(",", " ").split()
+    """All numbers of a text file, between blanks or commas; lines that begin with # are comments."""
+    lines = (line for line in read_text(path).splitlines() if not line.lstrip().startswith("#"))
+    words = " ".join(lines).replace(",", " ").split()
     try:
         found = np.array([float(word) for word in words])
     except ValueError:
@@ -91,13 +106,13 @@ def _numbers(path: str | PathLike[str], shape: tuple[int, ...], what: str) -> Ar
     return found.reshape(shape)
 
 
-def read_structure(path: str | PathLike[str]) -> LabelImage:
-    """The voxels of an image that are not 0, as true.
+def read_structure(path: str | PathLike[str], axes: str | None = None) -> LabelImage:
+    """The voxels of an image that are not 0, as true; axes as of `read_image`.
 
     Raises:
         InputError: as `read_image`; voxels that are NaN or infinite, or no voxel but of 0.
     """
-    image = read_image(path)
+    image = read_image(path, axes)
     if not all(np.isfinite(part).all() for part in image.values):
         raise InputError(f"{path} has voxels that are NaN or infinite; every one must be a number")
     voxels = np.stack([part != 0 for part in image.values])  # a byte each: a case has many structures
@@ -106,10 +121,16 @@ def read_structure(path: str | PathLike[str]) -> LabelImage:
     return replace(image, values=voxels)
 
 
+OF_FILE = "of the patient that the file is written in; needed where it does not state them itself"
+OF_VOXELS = "along which the voxels lie; needed where the header does not say how the image lies in the patient"
+"""What axes are of."""
+
+
 class StructurePart(Entry):
     """An image of one structure: all of its voxels but those of value 0."""
 
-    file: Annotated[Any, in_file(read_structure, "a NIfTI or NRRD file")]
+    axes: Axes | None = Field(None, description=OF_VOXELS)
+    file: Annotated[Any, in_file(read_structure, "a NIfTI or NRRD file", of="axes")]
     keep: Literal["in", "out", "target"] = Field(
         "out", description="in: the arm stays within it; out: outside of it; target: it is a region for the tip"
     )
@@ -122,44 +143,54 @@ class StructurePart(Entry):
 
 
 class MeshPart(Entry):
-    """A closed surface in an STL, PLY or OBJ file."""
+    """A surface in an STL, PLY or OBJ file."""
 
     file: Annotated[Path, in_file(Path, "a mesh file")]
-    keep: Literal["in", "out"] = Field("out", description="in: the arm stays within the surface; out: outside of it")
+    keep: Literal["in", "out"] = Field(
+        "out",
+        description="in: the arm stays within the closed surface; out: outside of it, or clear of the triangles of an "
+        "open one",
+    )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="of the numbers in the file")
-    axes: Axes = Field("RAS", description="of the patient that the file is written in")
+    axes: Axes | None = Field(None, description=OF_FILE)
     cell_mm: Positive | None = Field(None, description="size of the cells of its distance field; 0.5 where that can be")
 
     def build(self) -> DistanceField:
         """Its distance field in the patient, RAS."""
-        mesh = load_mesh(self.file, scale=UNITS[self.unit], axes=self.axes)
+        mesh = load_mesh(self.file, scale=UNITS[self.unit], axes=needed(self.file, self.axes))
         return field_of_mesh(mesh, keep=self.keep, name=self.file.name, **self.in_si("cell_mm"))
 
 
 class PointsPart(Entry):
-    """A cloud of points in a PLY or CSV file, each the centre of a ball."""
+    """Points in a PLY or CSV file, each the centre of a ball; of a file with faces all that is near these."""
 
     file: Annotated[Path, in_file(Path, "a PLY or CSV file")]
-    radius_mm: Positive = Field(description="of the balls: no less than half of how far apart the points are")
+    radius_mm: Positive = Field(
+        description="of the balls: no less than half of how far apart the points are; of faces, how thick they count "
+        "to either side"
+    )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="of the numbers in the file")
-    axes: Axes = Field("RAS", description="of the patient that the file is written in")
+    axes: Axes | None = Field(None, description=OF_FILE)
     cell_mm: Positive | None = Field(None, description="size of the cells of its distance field; 0.5 where that can be")
 
     def build(self) -> DistanceField:
         """Its distance field in the patient, RAS."""
-        points = load_points(self.file, scale=UNITS[self.unit], axes=self.axes)
-        return field_of_points(points, name=self.file.name, **self.in_si("radius_mm", "cell_mm"))
+        found = load_points(self.file, scale=UNITS[self.unit], axes=needed(self.file, self.axes))
+        make: Any = field_of_surface if isinstance(found, MeshObstacle) else field_of_points
+        field: DistanceField = make(found, name=self.file.name, **self.in_si("radius_mm", "cell_mm"))
+        return field
 
 
 class LandmarksPart(Entry):
     """Named places in the patient."""
 
-    file: Annotated[Any, in_file(load_landmarks, "a CSV file of landmarks")]
-    axes: Axes = Field(description="of the patient that the file is written in")
+    axes: Axes | None = Field(None, description=OF_FILE)
+    file: Annotated[Any, in_file(load_landmarks, "a file of landmarks: .csv, .fcsv, .mrk.json or .txt", of="axes")]
 
     def build(self) -> dict[str, Array]:
         """The places in RAS, m."""
-        return {name: ras(place, self.axes) for name, place in self.file.items()}
+        places: dict[str, Array] = self.file
+        return places
 
 
 class BasePart(Entry):
@@ -167,13 +198,15 @@ class BasePart(Entry):
 
     position_mm: Triple | None = Field(None, description="in the patient")
     direction: Triple | None = Field(None, description="along which the arm leaves the plate, of any length")
-    pose: Annotated[Any, in_file(load_pose, "a text file with a 4 x 4 matrix, mm")] = Field(
+    axes: Axes | None = Field(
+        None, description="of position_mm and direction, RAS where not given; of pose, needed where it states none"
+    )
+    pose: Annotated[Any, in_file(load_pose, "a text file with a 4 x 4 matrix, mm", of="axes")] = Field(
         None, description="position and direction as a matrix: its third column is the direction, its fourth the place"
     )
     at: str | None = Field(None, description="a landmark in place of position_mm")
     towards: str | None = Field(None, description="a landmark in place of direction")
     roll_deg: Number = Field(Decimal(0), description="turn of the plate about that direction")
-    axes: Axes = Field("RAS", description="of position_mm, direction and pose")
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
@@ -190,9 +223,11 @@ class BasePart(Entry):
         """The plate in the patient, RAS."""
         known = Anatomy(landmarks=landmarks)
         if self.pose is not None:
-            return Frame(ras(self.pose.axes.T, self.axes).T, ras(self.pose.origin, self.axes))
-        position = ras(self.si("position_mm"), self.axes) if self.at is None else known.place(self.at)
-        aim = ras(self.si("direction"), self.axes) if self.towards is None else known.place(self.towards) - position
+            frame: Frame = self.pose
+            return frame
+        own = self.axes or "RAS"
+        position = ras(self.si("position_mm"), own) if self.at is None else known.place(self.at)
+        aim = ras(self.si("direction"), own) if self.towards is None else known.place(self.towards) - position
         return base_frame(position, aim, self.si("roll_deg"))
 
 
@@ -206,7 +241,10 @@ class RegistrationPart(Entry):
 class AnatomyPart(Entry):
     """What is around the robot in a patient."""
 
-    image: Annotated[LabelImage, in_file(read_image, "a NIfTI or NRRD file", kind=LabelImage)] | None = None
+    image_axes: Axes | None = Field(None, description=OF_VOXELS)
+    image: (
+        Annotated[LabelImage, in_file(read_image, "a NIfTI or NRRD file", kind=LabelImage, of="image_axes")] | None
+    ) = None
     lumen: list[Whole] = Field([], description="labels of the image within which the arm stays")
     lumen_between: Pair | None = Field(None, description="in place of labels: least and greatest value of voxels")
     forbidden: list[Whole] = Field([], description="labels that the arm keeps out of")

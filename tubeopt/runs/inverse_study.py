@@ -24,7 +24,7 @@ from .obstacle_file import Place, Surrounded
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
-    tuple[Array, Array], in_file(load_joints, "a YAML file with rotations_deg, translations_mm", of_robot=True)
+    tuple[Array, Array], in_file(load_joints, "a YAML file with rotations_deg, translations_mm", of="robot")
 ]
 
 

@@ -123,7 +123,7 @@ class FollowStudy(LoadedStudy):
     robot: RobotPath
     path: Annotated[
         Waypoints,
-        in_file(load_waypoints, "a CSV file", of_robot=True),
+        in_file(load_waypoints, "a CSV file", of="robot"),
         Field(description="path of the CSV file of waypoints, relative to this file"),
     ]
     shaken: bool = Field(False, description="without the friction of the robot's file, as if the robot were shaken")

@@ -29,7 +29,7 @@ from .measurement_file import load_measurements
 
 MeasurementsPath = Annotated[
     Measurements,
-    in_file(load_measurements, "a CSV file, or of YAML", of_robot=True),
+    in_file(load_measurements, "a CSV file, or of YAML", of="robot"),
     Field(description="path of the CSV file of measured tips, or of the YAML that maps one, relative to this file"),
 ]
 """Measurements of the study's robot, given as the path of their file."""

@@ -49,11 +49,11 @@ class VerifyStudy(Surrounded, LoadedStudy):
     robot: RobotPath | None = Field(
         None, description="robot file; by default the one that the trajectory names", examples=["ROBOT.yaml"]
     )
-    trajectory: Annotated[
-        tuple[str, TimedJoints], in_file(load_trajectory, "a CSV file", of_robot=True, named=True)
-    ] = Field(
-        description="path of a CSV file with columns time_s, rotation_1_deg, ... and, where tubes slide, "
-        "translation_1_mm, ..."
+    trajectory: Annotated[tuple[str, TimedJoints], in_file(load_trajectory, "a CSV file", of="robot", named=True)] = (
+        Field(
+            description="path of a CSV file with columns time_s, rotation_1_deg, ... and, where tubes slide, "
+            "translation_1_mm, ..."
+        )
     )
     min_margin: NotNegative | None = Field(
         None, lt=1, description="least stability margin, below 1; by default 0", examples=["MU"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,6 +46,11 @@ def _bound(pair: PairProof) -> str:
         return f"{i + 1} and {j + 1}: none is shown ({pair.measured_clearance * TO_MM:.3f} mm measured)"
     measured = f"{pair.measured_clearance * TO_MM:.3f} mm measured at {pair.when:.2f} s"
     return f"{i + 1} and {j + 1}: at least {at_least(pair.least_clearance):.3f} mm at all times ({measured})"
+
+
+def _clearance_from(plan: ArmsPlan) -> str | None:
+    """What the clearance of the arms is from, of obstacles that are no solids; None where all are."""
+    return "; ".join(dict.fromkeys(chain(*(proof.clearance_from for proof in plan.proof.proofs)))) or None
 
 
 def _called(arm: _Arm) -> str:
@@ -91,6 +97,7 @@ ARMS: tuple[Quantity[ArmsPlan], ...] = (
              words=lambda p: ", ".join(str(k + 1) for k in p.made_way) or None),
     line("arms", lambda p: "; ".join(_moves(arm) for arm in _arms(p))),
     line("distances between arms", lambda p: "; ".join(_bound(pair) for pair in p.proof.pairs)),
+    line("clearance from", lambda p: _clearance_from(p)),
     Quantity("faults", "what does not hold, in words", lambda p: p.proof.faults),
     Quantity("arms", "each of the arms", _arms, of=ARM),
     Quantity("pairs", "what is known of two arms each", lambda p: p.proof.pairs, of=PAIR),

@@ -52,6 +52,9 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("margin", "margin", form=".3f"),
     Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
              words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
+    Quantity("clearance_from", "what that is from, of obstacles that are no solids but points or open surfaces; absent "
+             "without", lambda s: s.scene.stands_for or None, optional=True, label="clearance from",
+             words=lambda s: "; ".join(s.scene.stands_for) or None),
     Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
     Quantity("cold_start_agrees", "whether a cold start ends in the same equilibrium"),
     Quantity("straight_from_start", "whether the straight way from the start is one", lambda s: s.straight_from_seed),

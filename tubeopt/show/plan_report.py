@@ -87,6 +87,14 @@ PROOF: tuple[Quantity[Proof], ...] = (
     Quantity("snap_at_percent", "where it snaps", lambda p: p.snap),
     Quantity("least_margin", "least margin", form=".4f"),
     Quantity("least_clearance_mm", "proved distance of the arm from obstacles", label="clearance", words=_clearance),
+    Quantity(
+        "clearance_from",
+        "what the clearance is from, of obstacles that are no solids but points or open surfaces; absent without",
+        lambda p: p.clearance_from or None,
+        optional=True,
+        label="clearance from",
+        words=lambda p: "; ".join(p.clearance_from) or None,
+    ),
     Quantity("clearance_bound_mm", "bound of the distance between the instants that were looked at"),
     Quantity("measured_clearance_mm", "least distance at the instants that were looked at"),
     *within(FORCED, lambda p: p.forced),
@@ -247,9 +255,9 @@ class TrajectoryReport(Report[Trajectory]):
 
 
 def _pose(base: Frame) -> str:
-    """A frame as a matrix of four rows, mm, as `base: {pose: base.txt}` of an anatomy reads it."""
+    """A frame in RAS as a matrix of four rows, mm, as `base: {pose: base.txt}` of an anatomy reads it."""
     rows = [*np.column_stack([base.axes, base.origin * TO_MM]), np.array([0.0, 0.0, 0.0, 1.0])]
-    return "".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows)
+    return "# SPACE=RAS\n" + "".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows)
 
 
 CHECKED: tuple[Quantity[Checked], ...] = (

@@ -9,6 +9,7 @@ from ...bodies.corridors import load_mesh
 from ...bodies.images import read_image
 from ...bodies.labels import field_of_image
 from ...bodies.obstacles import Obstacle
+from ...bodies.scene import scene_of
 from ...errors import InputError
 from ...files.yaml_file import load_yaml
 from ...runs.anatomy_file import load_anatomy
@@ -62,7 +63,8 @@ def load_bodies(path: Path) -> tuple[tuple[Obstacle, ...], str]:
     """
     name = path.name.lower()
     if name.endswith(MESHES):
-        return (load_mesh(path),), "a mesh where its file has it"
+        mesh = load_mesh(path)
+        return (mesh,), mesh.stands_for or "a mesh where its file has it"
     if name.endswith((*IMAGES, ".gz")):
         image = read_image(path)
         if not image.labels:
@@ -72,4 +74,4 @@ def load_bodies(path: Path) -> tuple[tuple[Obstacle, ...], str]:
         return (field,), f"all that has a label ({labels}), where the file has it"
     content = load_yaml(path)
     bodies = load_anatomy(path).bodies if isinstance(content, dict) and "anatomy" in content else load_obstacles(path)
-    return bodies, f"obstacles, {len(bodies)}"
+    return bodies, "; ".join([f"obstacles, {len(bodies)}", *scene_of(bodies).stands_for])

@@ -1,0 +1,165 @@
+"""Open surfaces and clouds of points: the distance from triangles, not from their corners, and what is said of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+import yaml
+
+import tubeopt
+from tests.command_line import CRL, Run
+from tubeopt import InputError
+from tubeopt.bodies.corridors import MeshObstacle, load_mesh, load_points
+from tubeopt.bodies.gaps import largest_gap
+from tubeopt.bodies.scene import scene_of
+from tubeopt.bodies.solids import field_of_mesh, field_of_points, field_of_surface
+from tubeopt.runs.anatomy_file import load_anatomy
+from tubeopt.show.viewer.given import load_bodies
+from tubeopt.typing import Array, Index
+
+trimesh = pytest.importorskip("trimesh")
+
+RNG = np.random.default_rng(7)
+
+
+def to_triangle(point: Array, corners: Array) -> float:
+    """Distance of a point from a triangle: the least of |p - sum w c| over weights w >= 0 that sum to 1, of all faces,
+    sides and corners."""
+    best = np.linalg.norm(corners - point, axis=1).min()
+    for chosen in ((0, 1), (1, 2), (2, 0), (0, 1, 2)):
+        first, *others = corners[list(chosen)]
+        axes = np.array(others) - first
+        weight = np.linalg.lstsq(axes.T, point - first, rcond=None)[0]
+        if (weight >= 0).all() and weight.sum() <= 1:
+            best = min(best, np.linalg.norm(first + weight @ axes - point))
+    return float(best)
+
+
+def surface(vertices: Any, faces: Any) -> MeshObstacle:
+    return MeshObstacle(tuple(map(tuple, np.asarray(vertices).tolist())), tuple(map(tuple, np.asarray(faces).tolist())))
+
+
+def cup() -> tuple[Array, Index]:
+    """A ball of 30 mm without its top, a triangle that is a segment, and a point alone as a triangle without area."""
+    ball = trimesh.creation.icosphere(1, 0.015)
+    faces = np.array(ball.faces)[ball.triangles_center[:, 2] < 5e-3]
+    more = np.array([[0, 0, 0.03], [0.01, 0, 0.03], [0.02, 0, 0.03], [-0.02, 0.01, 0.04]])
+    k = len(ball.vertices)
+    return np.concatenate([ball.vertices, more]), np.concatenate([faces, [[k, k + 1, k + 2], [k + 3, k + 3, k + 3]]])
+
+
+def test_the_distance_from_an_open_surface_is_that_from_its_nearest_triangle() -> None:
+    vertices, faces = cup()
+    body = surface(vertices, faces)
+    assert not body.closed
+    points = RNG.uniform(-0.03, 0.05, (120, 3))
+    true = np.array([min(to_triangle(point, vertices[face]) for face in faces) for point in points])
+    assert body.surface.signed_distance(points) == pytest.approx(true, abs=1e-12)
+    assert (true > 0).all()
+    away = 1e-7 * body.gradient(points)
+    assert body.surface.signed_distance(points + away) - true == pytest.approx(1e-7, abs=1e-9)
+    fields = field_of_mesh(body, cell=2e-3), field_of_surface(body, 2e-3, cell=2e-3), body.lattice
+    for field, thick in zip(fields, (0.0, 2e-3, 0.0), strict=True):
+        told = field.signed_distance(points)
+        outside = true > thick
+        assert (told[outside] <= (true - thick)[outside]).all()
+        inside = (np.abs(field.frame.seen(points) / field.spacing - (np.array(field.values.shape) - 1) / 2)
+                  <= (np.array(field.values.shape) - 1) / 2).all(1)  # fmt: skip
+        assert ((true - thick) - told)[inside & outside].max() <= field.error
+        assert (field.at_most(points) >= true - thick).all()
+
+
+def test_nothing_slips_between_the_corners_of_a_triangle(tmp_path: Path) -> None:
+    """A sheet of two triangles, 80 mm wide, whose corners alone are 40 mm and more from the arm that goes through."""
+    sheet = np.array([[-40, -40, 0], [40, -40, 0], [40, 40, 0], [-40, 40, 0]], dtype=float)
+    mesh = trimesh.Trimesh(sheet + np.array([0, 0, 30]), [[0, 1, 2], [0, 2, 3]], process=False)
+    place = np.array([3e-3, -2e-3, 30e-3])
+    for name in ("sheet.ply", "sheet.obj", "sheet.stl", "sheet.off"):
+        mesh.export(tmp_path / name)
+        found = load_points(tmp_path / name)
+        assert isinstance(found, MeshObstacle)
+        assert found.signed_distance(place) == pytest.approx(0, abs=1e-12)
+        written: dict[str, Any]
+        for written in ({"points": [{"file": name, "radius_mm": 1, "axes": "RAS", "cell_mm": 4}]},
+                        {"meshes": [{"file": name, "axes": "RAS", "cell_mm": 4}]}):  # fmt: skip
+            (tmp_path / "a.yaml").write_text(yaml.safe_dump({"anatomy": written}))
+            (body,) = load_anatomy(tmp_path / "a.yaml").bodies
+            assert body.signed_distance(place) <= 0
+            assert "open surface" in scene_of([body]).stands_for[0]
+    robot = tubeopt.load_robot(CRL)
+    shift = np.array([robot.home_translations * 0 + [-0.033, -0.092, -0.096], robot.home_translations])
+    through = tubeopt.verify_trajectory(
+        robot, [0.0, 1.0], np.zeros((2, 3)), shift, obstacles=[load_mesh(tmp_path / "sheet.stl")]
+    )
+    assert not through.holds
+    assert through.clearance_from == ("the 2 triangles of sheet.stl, an open surface: it has no inside",)
+
+
+def test_an_open_surface_has_no_inside_to_stay_in(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    vertices, faces = cup()
+    trimesh.Trimesh(vertices * 1e3, faces[:-2]).export(tmp_path / "cup.stl")
+    load_mesh(tmp_path / "cup.stl")
+    assert "its surface is open, so the arm keeps clear of its triangles" in caplog.text
+    inside = {"meshes": [{"file": "cup.stl", "axes": "RAS", "keep": "in"}]}
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump({"anatomy": inside}))
+    with pytest.raises(InputError, match=r"surface is open, so there is no inside to stay in; close .* keep: out"):
+        load_anatomy(tmp_path / "a.yaml")
+    assert "an open surface: it has no inside" in load_bodies(tmp_path / "cup.stl")[1]
+    for nothing in ((), ((0, 1, 999),)):
+        with pytest.raises(InputError, match=r"triangles|faces of the mesh"):
+            MeshObstacle(tuple(map(tuple, vertices.tolist())), nothing)
+
+
+def test_points_of_no_triangle_count_as_well(tmp_path: Path) -> None:
+    vertices = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0], [30, 0, 0]], dtype=float)
+    text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    text += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = "".join(" ".join(map(str, row)) + "\n" for row in vertices.tolist())
+    (tmp_path / "a.ply").write_text(f"{text}{rows}3 0 1 2\n")
+    found = load_points(tmp_path / "a.ply")
+    assert isinstance(found, MeshObstacle)
+    places = np.array([[30, 0, 2], [3, 3, 2], [20, 0, 0]]) * 1e-3
+    assert found.surface.signed_distance(places) == pytest.approx([2e-3, 2e-3, 1e-2], abs=1e-9)
+
+
+@pytest.mark.parametrize("count", [2, 60, 700])
+def test_the_largest_gap_is_the_longest_edge_of_the_shortest_tree(count: int) -> None:
+    for points in (RNG.normal(size=(count, 3)), np.repeat(RNG.normal(size=(count, 3)), 2, axis=0),
+                   np.concatenate([RNG.random((count, 3)), RNG.random((count, 3)) + np.array([9, 0, 0])])):  # fmt: skip
+        far = scipy.spatial.distance_matrix(*[np.unique(points, axis=0)] * 2)
+        true = scipy.sparse.csgraph.minimum_spanning_tree(far).data.max()
+        assert largest_gap(points) == pytest.approx(true, rel=1e-12)
+    rings = [[5 * np.cos(a), 5 * np.sin(a), 20 * k] for k in range(4) for a in np.linspace(0, 6, 60)]
+    assert largest_gap(np.array(rings)) == pytest.approx(20)
+    assert largest_gap(np.zeros((3, 3))) == 0
+
+
+def test_what_is_proved_about_a_cloud_is_said(run: Run, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    grid = np.array([[x, y, 60] for x in (20, 32, 44) for y in (20, 32, 44)], dtype=float)
+    rows = "".join(",".join(map(str, row)) + "\n" for row in grid.tolist())
+    (tmp_path / "wall.csv").write_text(f"# SPACE=RAS\nx_mm,y_mm,z_mm\n{rows}")
+    (tmp_path / "a.yaml").write_text("anatomy: {points: [{file: wall.csv, radius_mm: 1}]}")
+    words = (
+        "the 9 points of wall.csv, each a ball of 1 mm; the largest gap between neighbours is 12 mm, and nothing is "
+        "proved between points"
+    )
+    assert load_anatomy(tmp_path / "a.yaml").bodies[0].stands_for == words  # type: ignore[attr-defined]
+    assert "give a file with faces, or radius_mm of 6 at least" in caplog.text
+    caplog.clear()
+    field_of_points(grid * 1e-3, 6.1e-3)
+    assert not caplog.text
+    anatomy = str(tmp_path / "a.yaml")
+    rows = "0,0,0,0,-33,-92,-96\n1,5,0,0,-30,-89,-93\n"
+    columns = [f"{name}_{k}_{unit}" for name, unit in (("rotation", "deg"), ("translation", "mm")) for k in (1, 2, 3)]
+    (tmp_path / "t.csv").write_text(f"time_s,{','.join(columns)}\n{rows}")
+    asked = "verify", str(tmp_path / "t.csv"), "--robot", CRL, "--anatomy", anatomy
+    assert json.loads(run(*asked, "--json").out)["clearance_from"] == [words]
+    table = " ".join(run(*asked).out.split())
+    assert "clearance from the 9 points of wall.csv" in table
+    solved = run("ik", CRL, "--target-mm=0,-3,40", "--anatomy", anatomy, "--json")
+    assert json.loads(solved.out)["solutions"][0]["clearance_from"] == [words]
