@@ -47,6 +47,8 @@ class Columns:
     table: CsvTable
     known: Mapping[str, tuple[str, Decimal]]
     """Meaning -> column, and what one of its unit is in SI, sign included."""
+    reference: int | None = None
+    """Number of the sensor in whose frame all others are, row by row; None for that of the device."""
 
     def has(self, *meanings: str) -> bool:
         """Whether there is a column for each of these."""
@@ -70,13 +72,44 @@ class Columns:
         return found
 
     def sensors(self) -> list[int]:
-        """Numbers of the sensors that have a position."""
-        return sorted({int(m[1]) for meaning in self.known if (m := re.fullmatch(r"[xyz]_(\d+)", meaning))})
+        """Numbers of the sensors that have a position, the reference left out."""
+        found = {int(m[1]) for meaning in self.known if (m := re.fullmatch(r"[xyz]_(\d+)", meaning))}
+        return sorted(found - {self.reference})
 
     def positions(self) -> Array:
-        """(rows, S, 3) positions, m; NaN where a sensor was not seen, which takes all three cells."""
-        parts = [self.numbers([f"{axis}_{k}" for axis in "xyz"], missing=True) for k in self.sensors()]
-        for k, part in zip(self.sensors(), parts, strict=True):
+        """(rows, S, 3) positions, m; NaN where a sensor was not seen, which takes all three cells, or the reference."""
+        found = self._positions(self.sensors())
+        if self.reference is None:
+            return found
+        turn, place = self._orientation(self.reference), self._positions([self.reference])
+        assert turn is not None
+        return np.asarray(np.einsum("rji,rsj->rsi", turn, found - place))
+
+    def unseen_reference(self) -> Mask:
+        """(rows,) where there is no pose of the reference."""
+        if self.reference is None:
+            return np.zeros(len(self.table.rows), dtype=bool)
+        turn, place = self._orientation(self.reference), self._positions([self.reference])
+        assert turn is not None
+        return np.isnan(turn[:, 0, 0]) | np.isnan(place[:, 0, 0])
+
+    def orientation(self, sensor: int) -> Array | None:
+        """(rows, 3, 3) frames of a sensor, NaN where it or the reference was not seen; None where no columns tell."""
+        turn = self._orientation(sensor)
+        if turn is None or self.reference is None:
+            return turn
+        base = self._orientation(self.reference)
+        assert base is not None
+        return np.asarray(np.swapaxes(base, 1, 2) @ turn)
+
+    def turns(self, sensor: int) -> bool:
+        """Whether columns tell the orientation of a sensor."""
+        return self._orientation(sensor) is not None
+
+    def _positions(self, sensors: Sequence[int]) -> Array:
+        """(rows, S, 3) positions of sensors in the frame of the device, m."""
+        parts = [self.numbers([f"{axis}_{k}" for axis in "xyz"], missing=True) for k in sensors]
+        for k, part in zip(sensors, parts, strict=True):
             for row in np.flatnonzero(np.isnan(part).any(1) & ~np.isnan(part).all(1)).tolist():
                 for axis in "xyz":
                     column = self.known[f"{axis}_{k}"][0]
@@ -84,8 +117,8 @@ class Columns:
                         self.table.complain(row, column, "is missing; a sensor has x, y and z, or none of them")
         return np.stack(parts, axis=1)
 
-    def orientation(self, sensor: int) -> Array | None:
-        """(rows, 3, 3) frames of a sensor, NaN where it was not seen; None where no columns tell."""
+    def _orientation(self, sensor: int) -> Array | None:
+        """(rows, 3, 3) frames of a sensor in that of the device, NaN where it was not seen; None for no columns."""
         q = [f"{name}_{sensor}" for name in ("qx", "qy", "qz", "qw")]
         v = [f"{name}_{sensor}" for name in ("rx", "ry", "rz")]
         m = [f"r{i}{j}_{sensor}" for i in "123" for j in "123"]

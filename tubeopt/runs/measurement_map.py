@@ -7,8 +7,9 @@ that cannot be right are told.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -17,11 +18,12 @@ import numpy as np
 from pydantic import Field
 
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Positive, check
+from ..files.checked import Entry, NotNegative, Positive, Whole, check
 from ..files.yaml_file import load_yaml
+from ..robots.eccentric import SheathedRobot, sheath_inner_diameter
 from ..robots.robot import Robot
 from ..typing import Array, Mask
-from ..validation.measurements import JointLog, Measurements
+from ..validation.measurements import SAME_PLACE, JointLog, Measurements
 from ..validation.timeline import Timeline, runs_of
 from .measurement_columns import Columns, columns_of
 from .tracker_file import read_recorded
@@ -36,6 +38,9 @@ SMALL, LARGE = 0.02, 8.0
 
 MOVES = 0.3
 """rad: a robot whose tubes turn by more against each other moves its tip."""
+
+STEADY = 2e-3
+"""m: the distance of two sensors on one piece of the arm changes by no more, noise of trackers included."""
 
 SLOW = 1.0
 """s: recorders of a moving arm are faster."""
@@ -53,6 +58,11 @@ class MeasurementMap(Entry):
     columns: dict[str, str] = Field({}, description="column: meaning, unit; an export of a tracker needs none")
     joint_columns: dict[str, str] | None = Field(None, description="the same for joints; `columns` where not given")
     frame_rate_Hz: Positive | None = Field(None, description="of an export that counts frames")
+    reference: Whole | str | None = Field(
+        None,
+        description="tool, by its number or name, in whose frame all others are taken row by row; it must have an "
+        "orientation, and is no sensor of the tip",
+    )
     behind_mm: list[NotNegative] | None = Field(None, description="distance of each sensor behind the tip; all 0")
     axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = Field(
         None, description="axis of the tip's sensor along the tube, towards the tip; found out where not given"
@@ -75,6 +85,9 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     meanings = {**recorded.meaning, **mine}
     tips = columns_of(recorded.table, meanings, str(path), robot.n_tubes)
     joints = tips
+    if entry.reference is not None:
+        tips = replace(tips, reference=_reference(path, entry.reference, tips, recorded.tools))
+        joints = tips
     if entry.joints is not None:
         table = read_recorded(folder / entry.joints).table
         own = entry.joint_columns or {k: v for k, v in entry.columns.items() if k in table.columns}
@@ -89,6 +102,21 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
         axis=None if entry.axis is None else np.array(AXES[entry.axis], dtype=float),
     )
     return replace(found, remarks=(*recorded.remarks, *found.remarks))
+
+
+def _reference(path: str | PathLike[str], wanted: int | str, tips: Columns, tools: Sequence[str]) -> int:
+    """The number of the reference tool; raises InputError for one that is not there, or has no pose."""
+    sensors = tips.sensors()
+    number = wanted if isinstance(wanted, int) else tools.index(wanted) + 1 if wanted in tools else None
+    if number not in sensors:
+        named = f", or the names {', '.join(tools)}" if any(tools) else ""
+        known = f"the tools of {tips.table.path} are {', '.join(map(str, sensors)) or 'none'}{named}"
+        raise InputError(f"{path}: reference is {wanted!r}; {known}")
+    if not all(tips.has(f"{axis}_{number}") for axis in "xyz") or not tips.turns(number):
+        raise InputError(f"{path}: reference is {wanted!r}, which has no pose; it must have position and orientation")
+    if len(sensors) < 2:
+        raise InputError(f"{path}: reference is {wanted!r}, the only tool; there must be another one, at the tip")
+    return number
 
 
 def _complete(path: str | PathLike[str], entry: MeasurementMap, tips: Columns, joints: Columns, robot: Robot) -> None:
@@ -135,10 +163,13 @@ def measured(
     frames = tips.orientation(tips.sensors()[0 if behind is None else int(np.argmin(behind))])
     for columns in (tips, joints):
         columns.table.check()
-    kept = np.asarray(np.isfinite(positions[..., 0]).any(1))
+    kept, lost = np.asarray(np.isfinite(positions[..., 0]).any(1)), tips.unseen_reference()
     if not kept.any():
-        raise InputError(f"{where[0]}: no row has a measured position")
-    _count(words, ~kept, "have no measured position and were left out")
+        raise InputError(
+            f"{where[0]}: no row has a measured position{' and a pose of the reference' if lost.any() else ''}"
+        )
+    _count(words, lost, "have no pose of the reference tool and were left out")
+    _count(words, ~kept & ~lost, "have no measured position and were left out")
     turning = time if stamps is None else stamps
     if turning is not None:
         rotations = _unwrapped(turning, rotations, words)
@@ -221,7 +252,29 @@ def _doubts_of(found: Measurements, robot: Robot) -> list[str]:
     reach = np.abs(found.translations).max()
     if 0 < reach < 1e-3 * length and np.ptp(found.translations) > 0:
         words.append(f"no translation is beyond {1e3 * reach:.2g} mm: are they in m, in columns that say mm?")
-    return words + _doubts_of_clock(found) + _doubts_of_time(found)
+    return words + _doubts_of_sensors(found, robot) + _doubts_of_clock(found) + _doubts_of_time(found)
+
+
+def _doubts_of_sensors(found: Measurements, robot: Robot) -> list[str]:
+    """Remarks on sensors at one station that cannot be on one piece of the arm."""
+    thick = max(tube.outer_diameter for tube in robot.tubes)
+    if isinstance(robot, SheathedRobot):
+        thick = sheath_inner_diameter(thick)
+    behind, words = found.behind if found.behind is not None else np.zeros(found.sensors.shape[1]), []
+    for i, j in combinations(range(len(behind)), 2):
+        apart = np.linalg.norm(found.sensors[:, i] - found.sensors[:, j], axis=1)
+        apart = apart[np.isfinite(apart)]
+        if abs(behind[i] - behind[j]) > SAME_PLACE or not len(apart):
+            continue
+        low, middle, high = np.quantile(apart, (0.05, 0.5, 0.95)).tolist()
+        faults = [f"are {1e3 * middle:.3g} mm apart, and the arm is {1e3 * thick:.3g} mm thick"] * (middle > thick)
+        faults += [f"have distances from {1e3 * low:.3g} to {1e3 * high:.3g} mm"] * (high - low > STEADY)
+        if faults:
+            words.append(
+                f"sensors {i + 1} and {j + 1} of the tip {' and '.join(faults)}: they are averaged all the same; if "
+                "one is a reference tool, name it by reference in a file of kind measurements"
+            )
+    return words
 
 
 def _doubts_of_clock(found: Measurements) -> list[str]:

@@ -42,6 +42,8 @@ class Recorded:
     """Name of a column -> "meaning, unit": the header says it, or nothing does."""
     remarks: tuple[str, ...] = ()
     """What was noticed when it was read."""
+    tools: tuple[str, ...] = ()
+    """Names of the tools or rigid bodies, in the order of their numbers from 1; empty where the file has none."""
 
 
 def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) -> Recorded:
@@ -82,7 +84,17 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
     names = ["time", *(f"{name}_{i + 1}" for i in range(len(tools)) for name in (*QUATERNION, "x", "y", "z"))]
     if not rows or not rows[0][0]:  # nothing to tell the time by
         rows, names = [row[1:] for row in rows], names[1:]
-    return _recorded(path, names, rows, lines, {"time": "s", "x": "mm", "y": "mm", "z": "mm"})
+    found = _recorded(path, names, rows, lines, {"time": "s", "x": "mm", "y": "mm", "z": "mm"})
+    return replace(found, tools=tuple(_ndi_name(cells[0], cells[1:], header, k) for k in tools))
+
+
+def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequence[str], k: int) -> str:
+    """What the columns of a tool before its quaternion call it: text in the column that begins them, or its title."""
+    frame = _before(header, k, ("frame",))
+    if not frame:
+        return ""
+    cell = next((row[frame - 1].strip() for row in rows if len(row) >= frame), "")
+    return cell or titles[frame - 1].strip()
 
 
 def _is_pose(cells: Sequence[str]) -> bool:
@@ -149,6 +161,7 @@ def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
     rows = [[row[k].strip() if k < len(row) else "" for k, _ in wanted] for _, row in kept]
     lines = [number for number, _ in kept]
     found = _recorded(path, [name for _, name in wanted], rows, lines, {"time": "s", "x": unit, "y": unit, "z": unit})
+    found = replace(found, tools=tuple(tools))
     turned = any(cell.strip().lower() == "rotation" for cell in quantity)
     if not turned or any(name.startswith("q") for _, name in wanted):
         return found
