@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import sys
+import warnings as python_warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TextIO
 
 import typer
 from rich.console import Console
@@ -43,14 +44,32 @@ class Messages(logging.Handler):
             sys.stderr.write(told.get())  # which a bar, where one is shown, puts above it
 
 
+def _heard(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Log what Python warns of: in a sentence where it is ours, else for who debugs."""
+    if category.__module__.partition(".")[0] == LIBRARY.name:
+        LOGGER.warning(str(message))
+    else:
+        LOGGER.debug(f"{filename}:{lineno}: {category.__name__}: {message}")
+
+
 @contextmanager
 def listening(*, quiet: bool) -> Iterator[None]:
-    """Hear what the library logs until the end of the block."""
+    """Hear what the library logs, and what Python warns of, until the end of the block."""
     heard, before, level = Messages(quiet), LIBRARY.handlers[:], LIBRARY.level
     LIBRARY.handlers[:] = [heard]
+    shown = python_warnings.showwarning
+    python_warnings.showwarning = _heard
     try:
         yield
     finally:
+        python_warnings.showwarning = shown
         LIBRARY.handlers[:] = before
         LIBRARY.setLevel(level)
 

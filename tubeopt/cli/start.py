@@ -12,6 +12,9 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+BINDINGS = "ompl", "manifold3d"
+"""Packages by nanobind, which tell on stderr what of them is left when Python has gone."""
+
 GARBAGE = 50_000, 20, 20
 """Thresholds of the garbage collector: to look through all that is imported takes a tenth of a short command."""
 
@@ -35,4 +38,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         # Python remembers an interrupt that fell into text that it ran as code, as dataclasses are made of, and would
         # end by the signal in place of the code: running other text makes it forget.
         exec("")
-        gc.freeze()  # nor need Python look through all that there is for what to take down: the system takes it whole
+        if not any(name in sys.modules for name in BINDINGS):
+            # Nor need Python look through all that there is for what to take down: the system takes it whole.
+            gc.freeze()

@@ -12,6 +12,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -145,6 +146,7 @@ def _begin(packed: bytes) -> None:
     """Start of a worker process: its parent handles interrupts, and it does not outlive its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger("tubeopt").setLevel(logging.ERROR)  # what is to be warned of, the parent has seen
+    warnings.simplefilter("ignore")
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
