@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from tubeopt.bodies.gaps import largest_gap
 from tubeopt.bodies.scene import scene_of
 from tubeopt.bodies.solids import field_of_mesh, field_of_points, field_of_surface
 from tubeopt.runs.anatomy_file import load_anatomy
+from tubeopt.show.arms_report import ARMS
 from tubeopt.show.viewer.given import load_bodies
 from tubeopt.typing import Array, Index
 
@@ -125,6 +127,13 @@ def test_points_of_no_triangle_count_as_well(tmp_path: Path) -> None:
     assert isinstance(found, MeshObstacle)
     places = np.array([[30, 0, 2], [3, 3, 2], [20, 0, 0]]) * 1e-3
     assert found.surface.signed_distance(places) == pytest.approx([2e-3, 2e-3, 1e-2], abs=1e-9)
+
+
+def test_a_plan_of_several_arms_says_what_its_clearance_is_from() -> None:
+    proofs = [SimpleNamespace(clearance_from=words) for words in (("wall", "sheet"), ("sheet",), ())]
+    (row,) = (quantity for quantity in ARMS if quantity.name == "clearance from")
+    assert row.text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs)), {}) == "wall; sheet"  # type: ignore[arg-type]
+    assert row.text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs[2:])), {}) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("count", [2, 60, 700])

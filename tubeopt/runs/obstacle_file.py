@@ -24,7 +24,7 @@ Place = Annotated[Triple, Usual(1e-3, 10.0)]
 
 
 class MeshEntry(Part):
-    """A body bounded by the closed surface in a mesh file, in mm."""
+    """The surface in a mesh file, in mm: a closed one bounds a body, an open one is avoided by its triangles."""
 
     kind: Literal["mesh"]
     file: Annotated[MeshObstacle, in_file(load_mesh, "a mesh file in mm")]
