@@ -374,7 +374,7 @@ def test_every_translation_has_the_derivative_of_its_own_side_where_breakpoints_
     start = binding.Start(at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation, np.zeros(3), shift)
     step, told = 1e-5, []
     for sides in ((1, 1, 1), (1, -1, 1)):
-        found = binding.slopes_compiled(THESIS, alpha, shift, start, sides)
+        found = binding.slopes_compiled(THESIS, alpha, shift, start, binding.Moved(sides, THESIS.moving_together))
         assert found is not None
         assert found.compliance is None
         told.append(found.margin[4])
@@ -395,7 +395,8 @@ def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pyt
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
     start = binding.Start(*arm, np.zeros(3), at.translations)
     for sides in ((1, 1, 1), (-1, 1, -1)):
-        assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, sides) is not None
+        moved = binding.Moved(sides, THESIS.moving_together)
+        assert binding.slopes_compiled(THESIS, at.rotations, at.translations, start, moved) is not None
 
 
 @compiler

@@ -61,14 +61,13 @@ def moving_breakpoints(assembly: Assembly, between: bytes, movers: tuple[Mover, 
     cuts = np.frombuffer(between)
     n, nudge = assembly.n_tubes, side * ROUND_OFF
     begin, end = assembly.transition.tolist(), assembly.end.tolist()
-    least = -nudge if len(cuts) > 1 else np.inf
     column, place, gained, lost = [], [], [], []
     for c, first, last in movers:
         own = sorted([end[i] for i in last] + [begin[i] for i in first if end[i] - begin[i] > ROUND_OFF])
         begins = [s + 2 * nudge * (i in first) for i, s in enumerate(begin)]
         ends = [s + 2 * nudge * (i in last) for i, s in enumerate(end)]
         for k, s in enumerate(own):
-            if s > least and not (k and s - own[k - 1] <= ROUND_OFF):
+            if s > -nudge and not (k and s - own[k - 1] <= ROUND_OFF):
                 after, before = _there(begins, ends, s + nudge), _there(begin, end, s + nudge)
                 if after != before:
                     column.append(c)

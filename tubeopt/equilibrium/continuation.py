@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
 
+SHORT_ARM = 0.1
+"""Length of an arm, over that of the longest tube, up to which its tubes hardly couple."""
+
 
 def largest_twist(margin: float) -> float:
     """Largest change (rad) of the twist at a point in one step from an equilibrium of this margin.
@@ -25,9 +29,16 @@ def largest_twist(margin: float) -> float:
     return min(max(2 * abs(margin) * CONTINUATION.largest_twist, CONTINUATION.soft_twist), CONTINUATION.largest_twist)
 
 
+@lru_cache(maxsize=64)
+def shortest_arm(robot: Robot) -> float:
+    """Length (m) of an arm such that shifts which are small for it are small for every shorter one, be it of length
+    zero."""
+    return SHORT_ARM * max(tube.length for tube in robot.tubes)
+
+
 def small_motion(turn: Array, shift: Array, length: float) -> bool:
-    """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
-    farthest = CONTINUATION.largest_shift * max(length, 1e-300)
+    """Whether a motion is so small that one step of Newton from an arm of this length (m) stays on its branch."""
+    farthest = CONTINUATION.largest_shift * length
     turned, moved = turn.tolist(), shift.tolist()
     return all(abs(by) <= CONTINUATION.largest_turn for by in turned) and all(abs(by) <= farthest for by in moved)
 
@@ -116,6 +127,8 @@ def _twist(point: Point, arc_length: Array) -> Array:
     solution = point.solution
     if arc_length is solution.problem.arc_length:
         return np.asarray(solution.result.state.theta - solution.rotations)
+    if not len(solution.problem.mesh.length):  # nothing twists an arm of length zero
+        return np.zeros((len(arc_length), len(solution.rotations)))
     return arms.interpolate(solution.problem, solution.arm, arc_length) - solution.rotations
 
 

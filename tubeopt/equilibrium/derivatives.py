@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..block.transcription.buffered import section_function
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.linear import (
     Slopes,
@@ -112,7 +113,7 @@ class Derivatives(ArmChange):
         longest = {i for i, end in enumerate(self.assembly.end.tolist()) if abs(end - whole) <= ROUND_OFF}
         for column, _, tubes in self.movers:
             mine = longest.intersection(tubes)
-            if mine and (self.side > 0 or mine == longest):
+            if mine and (self.side > 0 or (mine == longest and self.arm.n_pieces)):
                 out[:, column] = self.arm.frame[-1][:, 2]
         return out
 
@@ -197,12 +198,24 @@ class Derivatives(ArmChange):
     def margin(self) -> Array:
         """(Q,) of the margin; NaN where it is a double eigenvalue."""
         if not self.arm.n_pieces:
-            return self.per_tube(np.zeros(self.size))
+            return self.per_tube(-self._softened @ self.jumps.spread)
         if not self.arm.place:
             return self.quotient(self.value, AtSolution())
         if self.value >= FLAT or self.problem is None:
             return self.per_tube(np.zeros(self.size))
         return self.per_tube(offset_change(self, self.problem()))
+
+    @property
+    def _softened(self) -> Array:
+        """(J,) by how much the margin of an arm of length zero falls per length of what leaves the plate: the largest
+        eigenvalue of -V'' over the stiffness kt / |beta| of the transmissions, which alone twist there, or 0."""
+        jumps, n, place = self.jumps, self.arm.n_tubes, self.arm.place
+        theta = jumps.twice(self.arm.states[0])
+        slope = section_function("balance", len(theta), n, bool(place))(theta, jumps.solid, jumps.moment, *place)[1]
+        root = np.sqrt(self.arm.transmission / self.arm.torsional_stiffness)
+        second = -root[:, None] * jumps.gain(slope.reshape(-1, n, n)) * root
+        symmetric = (second + second.swapaxes(1, 2)) / 2
+        return np.asarray(np.linalg.eigvalsh(symmetric).max(1, initial=0.0))
 
     def quotient(self, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
         """(Q,) of a least Rayleigh quotient, the margin or the certificate; see `quotient_change`."""

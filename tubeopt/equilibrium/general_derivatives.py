@@ -115,7 +115,7 @@ class Linearised:
             self.direction.reshape(-1, n), sections.stiffness, sections.moment
         )
         u, bending = (part.copy() for part in out[2:4])
-        by = [part.reshape(pieces, count, 3 * n, -1).swapaxes(2, 3).copy() for part in out[4:8]]
+        by = [part.reshape(pieces, count, 3 * n, part.shape[1]).swapaxes(2, 3).copy() for part in out[4:8]]
         self.moment_slope, self.u_slope, self.bending_slope = by[0], by[2], by[3][:, :, 0]
         self.u, self.bending = u.reshape(pieces, count, 2), bending.reshape(pieces, count)
         mesh, assembly = self.problem.mesh, self.problem.assembly
@@ -129,7 +129,7 @@ class Linearised:
         dkb, dkt, dx, dy, _ = (v.reshape(self.shape) for v in rates[:5])
         there = sections.stiffness.reshape(self.shape) > 0
         size = np.hypot(x, y)
-        self.place, self.values = s.reshape(self.shape), values.reshape(-1, *self.shape)
+        self.place, self.values = s.reshape(self.shape), values.reshape(len(values), *self.shape)
         solid = np.where(size > 0, size, 1.0)
         # Per length of the tube, of what moves past a point.
         self.passing = (

@@ -142,7 +142,8 @@ class GeneralMotion:
         rows = []
         for part, rate in ((out, at.arm.frame[..., 2]), (turned, bend)):
             fixed = part - rate * ahead
-            found = np.column_stack([np.interp(own, s, column[:-1]) for column in fixed.T])
+            columns = (np.interp(own, s, column[:-1]) if len(s) else 0 * own for column in fixed.T)
+            found = np.column_stack([*columns])
             found[-1] = part[-1]
             rows.append(found)
         return rows[0], rows[1], np.where(np.arange(len(own)) < len(own) - 1, 0.0, ahead[-1])[:, None]

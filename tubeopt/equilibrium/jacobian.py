@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import SolveError
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
-from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
+from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
@@ -31,7 +31,7 @@ def derivatives_of(
     wrt: Sequence[str] = JOINTS,
     *,
     side: int = 1,
-    carriages: tuple[tuple[int, ...], ...] | None = None,
+    carriages: Carriages | None = None,
 ) -> Derivatives | GeneralMotion:
     """Derivatives of an equilibrium without load, computed where they are asked for; see `Derivatives`. Its `carriages`
     are by default those of the robot."""
@@ -55,19 +55,27 @@ def derivatives_of(
     )
 
 
-def compiled_slopes(at: Equilibrium, sides: tuple[int, ...] | None = None, **asked: bool) -> Slopes | None:
-    """The derivatives of an equilibrium by the compiled kernel, of translations that move towards `sides` (n,), 1 where
-    not given; None where it has none. What is `asked` are flags of `slopes_compiled`."""
+def compiled_slopes(
+    at: Equilibrium, sides: tuple[int, ...] | None = None, carriages: Carriages | None = None, **asked: bool
+) -> Slopes | None:
+    """Derivatives of an equilibrium by the compiled kernel; None where it has none, as of an arm of length zero.
+
+    Translations move towards `sides` (n,), 1 where not given, and tubes of one of the `carriages` together; what is
+    `asked` are flags of `slopes_compiled`.
+    """
+    if len(at.arc_length) < 2:
+        return None
     still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
     start = Start(*arm, still, at.translations)
-    return slopes_compiled(at.robot, at.rotations, at.translations, start, sides, **asked)
+    moved = Moved(sides, at.robot.moving_together if carriages is None else carriages)
+    return slopes_compiled(at.robot, at.rotations, at.translations, start, moved, **asked)
 
 
 def _by_kernel(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | None:
     """The Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel; None where that has none, or
     what it finds from here is not this equilibrium to the last digits."""
-    if not set(wrt) <= set(PARAMETERS) or side not in (1, -1) or len(equilibrium.arc_length) < 2:
+    if not set(wrt) <= set(PARAMETERS) or side not in (1, -1):
         return None
     n = equilibrium.robot.n_tubes
     found = compiled_slopes(equilibrium, (side,) * n, either=False, dimensions=not set(wrt) <= set(JOINTS))

@@ -30,7 +30,7 @@ from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
-from .continuation import JointPath, Point, follow_to, largest_twist, small_motion
+from .continuation import JointPath, Point, follow_to, largest_twist, shortest_arm, small_motion
 from .load_continuation import LoadedPoint, Member
 from .load_problem import check_load
 from .loaded import loaded_kinematics, solved_by_ipopt, to_tolerance
@@ -198,8 +198,8 @@ def _compiled(
         _check_translations(robot, shift)
     start, translations = None, np.array(shift)
     if guess is not None:
-        turn = rotations - guess.rotations
-        if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, float(guess.arc_length[-1])):
+        turn, length = rotations - guess.rotations, max(float(guess.arc_length[-1]), shortest_arm(robot))
+        if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, length):
             return None
         arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
         start = Start(*arm, turn, guess.translations)
@@ -334,7 +334,8 @@ def _near(
     method is not at ease, or the motion is not small."""
     problem = reduced_problem(robot, shift, discretisation)
     turn = rotations - guess.rotations
-    if not small_motion(turn, shift - guess.translations, problem.assembly.total_length):
+    length = max(problem.assembly.total_length, shortest_arm(robot))
+    if not small_motion(turn, shift - guess.translations, length):
         return None
     theta = sample_rotation(guess, problem.arc_length) + turn
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)

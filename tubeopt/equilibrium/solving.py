@@ -134,11 +134,11 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
 def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
     """The same (..., len(arc_length), n) of arms (..., 2, m, n), rotation and torsion at arc lengths s (m,)."""
     rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
+    phi = rotation - robot.assembly(translations).wound(s) if is_general(robot) else rotation
     if len(s) < 2:
-        return np.repeat(rotation, len(arc_length), axis=-2)
+        return np.repeat(phi, len(arc_length), axis=-2)
     if is_general(robot):
         # The polynomial through the shape points of each piece: its rate jumps between.
-        phi = rotation - robot.assembly(translations).wound(s)
         piece = np.clip(np.searchsorted(s[::STEPS], arc_length, side="right") - 1, 0, len(s) // STEPS - 1)
         x = np.clip((arc_length - s[piece * STEPS]) / (s[(piece + 1) * STEPS] - s[piece * STEPS]), 0.0, 1.0)
         basis = np.vander(x, STEPS + 1) @ np.linalg.inv(np.vander(ENDS, STEPS + 1))

@@ -9,6 +9,7 @@ from math import ceil
 import numpy as np
 
 from ..bodies.scene import Scene
+from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
@@ -76,7 +77,7 @@ class Posture:
 
     def _slopes(self, sides: tuple[int, ...]) -> _Slopes:
         """Those that are asked for all the time, by the compiled kernel where it has them."""
-        found = compiled_slopes(self.equilibrium, sides)
+        found = compiled_slopes(self.equilibrium, sides, self.space.carriages)
         if found is not None and found.along is not None:
             parts: list[Array] = [found.position, found.turn, found.margin, found.along]
         else:
@@ -142,7 +143,7 @@ class Posture:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
         so close to it that steps of ordinary length do not tell."""
         here, moved = self.equilibrium, np.abs(q - self.q)
-        longest = CONTINUATION.largest_shift * max(float(here.arc_length[-1]), 0.1 * self.space.length)
+        longest = CONTINUATION.largest_shift * max(float(here.arc_length[-1]), shortest_arm(self.space.robot))
         turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
         steps = max(1, ceil(max(turn / CONTINUATION.largest_turn, shift / longest) - 1e-9))
         try:

@@ -64,10 +64,12 @@ class Assembly:
     def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
         """The tubes at arc lengths (X,), m; `inside` (X,) lie in the same sections, away from their ends, which tells
         what is meant where a breakpoint lies."""
+        section = np.searchsorted(self.start, inside, side="right") - 1
         if self.lengthwise is None:
-            return self.of_sections(np.searchsorted(self.start, inside, side="right") - 1)
+            return self.of_sections(section)
         place, near = (s[:, None] + self.transmission for s in (arc_length, inside))
-        return self.lengthwise.at(place, near, inside[:, None] < self.end)
+        # By section, for what lies inside a very short one rounds to where it ends.
+        return self.lengthwise.at(place, near, self.present[section])
 
     def of_sections(self, section: Index) -> CrossSections:
         """The tubes in sections (X,), where none is made of pieces."""
@@ -105,8 +107,8 @@ class Assembly:
 
     @property
     def total_length(self) -> float:
-        """Arc length of the tip, m."""
-        return max(0.0, float(self.end.max()))
+        """Arc length of the tip, m; 0 where no tube stands out of the plate by more than ROUND_OFF."""
+        return float(self.end.max()) if self.n_sections else 0.0
 
     @cached_property
     def eccentric(self) -> bool:

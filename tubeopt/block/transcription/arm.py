@@ -98,8 +98,6 @@ def twisted_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...])
 def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
     """theta (len(arc_length), n), phi with tubes made of pieces, at any arc length; constant beyond the ends."""
     mesh = problem.mesh
-    if not len(mesh.length):
-        return np.tile(arm.rotation.sum(0), (len(arc_length), 1))
     piece, x = _places(mesh, arc_length)
     h = mesh.length[piece][:, None]
     theta = x[:, None] * h * arm.twist[piece] + h**2 * _inside(mesh, arm.moment, (piece, x), 2)

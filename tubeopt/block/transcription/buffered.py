@@ -41,26 +41,44 @@ class Buffered:
         return self.outputs
 
 
+class Empty:
+    """A function mapped over no points, as on an arm of length zero, which CasADi has no map for: empty outputs."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.outputs = [np.zeros((0, function.size1_out(i))) for i in range(function.n_out())]
+
+    def __call__(self, *arguments: Any) -> list[Array]:
+        """Outputs (0, rows), whatever the arguments."""
+        return self.outputs
+
+
+def _bind(function: ca.Function, count: int, chained: bool = False) -> Buffered | Empty:
+    """A function over `count` points, each on its own or, if `chained`, from the first output of the one before."""
+    if not count:
+        return Empty(function)
+    return Buffered(function.mapaccum(count) if chained else function.map(count))
+
+
 @lru_cache(maxsize=256)
-def _section(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) -> Buffered:
-    return Buffered(section_functions(n_tubes, eccentric)[kind].map(count))
+def _section(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) -> Buffered | Empty:
+    return _bind(section_functions(n_tubes, eccentric)[kind], count)
 
 
-def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered:
+def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered | Empty:
     """`physics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
     return _section(kind, count, n_tubes, eccentric, threading.get_ident())
 
 
 @lru_cache(maxsize=320)
-def _bound(function: ca.Function, count: int, chained: bool, thread: int) -> Buffered:
-    return Buffered(function.mapaccum(count) if chained else function.map(count))
+def _bound(function: ca.Function, count: int, chained: bool, thread: int) -> Buffered | Empty:
+    return _bind(function, count, chained)
 
 
-def mapped(function: ca.Function, count: int) -> Buffered:
+def mapped(function: ca.Function, count: int) -> Buffered | Empty:
     """A function mapped over `count` points, bound to arrays of this thread."""
     return _bound(function, count, False, threading.get_ident())
 
 
-def chained(function: ca.Function, count: int) -> Buffered:
+def chained(function: ca.Function, count: int) -> Buffered | Empty:
     """A function whose first output is its next first input, `count` times in a row, bound to arrays of this thread."""
     return _bound(function, count, True, threading.get_ident())

@@ -98,16 +98,12 @@ class Slopes:
 def slopes_at(arm: Arm, theta: Array) -> Slopes:
     """Cross-sections at theta (P, X, n), by CasADi."""
     pieces, count, n = theta.shape
-    if not pieces:
-        tubes, slopes = np.zeros((0, count, n)), np.zeros((0, count, n, 3 * n))
-        u, bend = np.zeros((0, count, 2)), np.zeros((0, count, 2, 3 * n))
-        return Slopes(tubes, slopes, tubes, slopes, u, bend, np.zeros((0, count)), np.zeros((0, count, 3 * n)))
     function = section_function("linear", pieces * count, n, bool(arm.place))
     kb, m = arm.flat[1:] if theta is arm.inner else arm.repeated(count)
     out = [part.copy() for part in function(theta.reshape(-1, n), kb, m, *arm.place)]
     # CasADi stores (rows, 3n) by columns: (points, 3n, rows).
-    moment, stretch, u, bending = (out[k].reshape(pieces, count, -1) for k in range(4))
-    by = [out[k].reshape(pieces, count, 3 * n, -1).swapaxes(2, 3) for k in range(4, 8)]
+    moment, stretch, u, bending = (part.reshape(pieces, count, part.shape[1]) for part in out[:4])
+    by = [part.reshape(pieces, count, 3 * n, part.shape[1]).swapaxes(2, 3) for part in out[4:8]]
     kt = arm.torsional_stiffness
     return Slopes(moment / kt, by[0] / kt[:, None], stretch, by[1], u, by[2], bending[..., 0], by[3][:, :, 0])
 
@@ -323,9 +319,9 @@ def along(matrix: Array, values: Array) -> Array:
 def cumulate(t: Tableau, values: Array) -> Array:
     """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points, per piece."""
     inner = np.einsum("jk,pk...->pj...", t.lagrange(ENDS, integrals=1), values)
-    before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
-    table = before[:, None] + inner
-    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])
+    ends = np.concatenate([np.zeros((1, *inner.shape[2:])), np.cumsum(inner[:, -1], axis=0)])
+    table = ends[:-1, None] + inner[:, 1:]
+    return np.concatenate([ends[:1], table.reshape(-1, *table.shape[2:])])
 
 
 _CROSS = np.array([[0.0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]])

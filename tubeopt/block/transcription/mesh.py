@@ -61,8 +61,6 @@ def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
     """(m,) bound sqrt(c) of the fastest growth or oscillation of torsion, 1/m, in cross-sections with kb_i, m_i (m, n)
     and kt (n,) or (m, n)."""
     count, n = stiffness.shape
-    if not count:
-        return np.zeros(0)
     return mapped(coupling_rate_function(n), count)(stiffness, moment, torsional_stiffness)[0][:, 0].copy()
 
 

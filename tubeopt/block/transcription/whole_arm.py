@@ -43,7 +43,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     mesh, n = problem.mesh, problem.assembly.n_tubes
     pieces = len(mesh.length)
     if not pieces:
-        still, zero = rotations[:, None].copy(), np.zeros((1, 3))
+        still, zero = rotations[:, None] + problem.assembly.wound(np.zeros(1)).T, np.zeros((1, 3))
         return Arm(np.zeros(1), still, np.zeros((n, 1)), zero[:, :2], zero, np.eye(3)[None], 0.0, 0.0, 0.0)
     if problem.assembly.general:
         return _general_arm(problem, state, torsion)

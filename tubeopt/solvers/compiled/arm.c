@@ -37,7 +37,7 @@ static double even_out(const Unknowns *q, Profile *arm, int p, int i) {
 #endif
 
 /* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and what the twist' gains at the
-   beginnings of pieces and at the tip, or NULL. */
+   beginnings of pieces and at the tip, or NULL. Of an arm of length zero, theta and theta' at the plate. */
 static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N], Profile *arm) {
     const Layout *l = q->layout;
     const Tableau *t = q->tableau;
@@ -67,7 +67,10 @@ static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N
 #else
     const double *held = l->transmission;
 #endif
-    for (int i = 0; i < N; i++) at[i] = alpha[i] + held[i] * (l->pieces ? at[i] : 0);
+    for (int i = 0; i < N; i++) {
+        if (!l->pieces) arm->twist[0][i] = at[i];
+        at[i] = alpha[i] + held[i] * at[i];
+    }
     for (int p = 0; p <= l->pieces; p++)
         for (int i = 0; i < N; i++) {
             arm->rotation[p][i] = at[i];
@@ -279,6 +282,22 @@ static void tips_and_lever(const Unknowns *q, const double *pulls, Answer *out, 
     }
 }
 
+/* The one shape point of an arm of length zero. */
+static void at_plate(const Unknowns *q, const Profile *arm, Answer *out) {
+    out->arc_length[0] = 0;
+    memset(out->torsion[0], 0, sizeof out->torsion[0]);
+    memset(out->curvature[0], 0, sizeof out->curvature[0]);
+    memcpy(out->rotation[0], arm->rotation[0], sizeof out->rotation[0]);
+#if GENERAL
+    for (int i = 0; i < N; i++) {
+        double held = q->layout->transmission[i];
+        out->rotation[0][i] += section_of(q->tubes->pieces, i, panel_of(q->tubes->pieces, i, held), held, 0).wound;
+    }
+#else
+    (void)q;
+#endif
+}
+
 /* Everything along the arm, and what mesh and steps get wrong; out->energy is that of the elements already. */
 static void finish(const Unknowns *q, const State *state, const Profile *arm, Answer *out) {
     const Layout *l = q->layout;
@@ -286,6 +305,7 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
     for (int k = 0; k < 24; k += 12) poses[k] = poses[k + 4] = poses[k + 8] = 1;
     memset(out->position[0], 0, sizeof out->position[0]);
     memcpy(out->frame[0], poses, sizeof out->frame[0]);
+    if (!l->pieces) at_plate(q, arm, out);
     out->elements = 0;
     for (int p = 0; p < l->pieces; p++) {
 #if GENERAL

@@ -22,6 +22,16 @@ from .library import MOST_TUBES, Kernel, library
 
 SOLVED = 0
 
+Carriages = tuple[tuple[int, ...], ...]
+"""Tubes, from 0, that each of them moves."""
+
+
+class Moved(NamedTuple):
+    """How translations move: each tube towards its side, 1 or -1, and those of one carriage together."""
+
+    sides: tuple[int, ...]
+    carriages: Carriages
+
 
 class _Guess(ctypes.Structure):
     _fields_ = (
@@ -238,16 +248,15 @@ def slopes_compiled(
     rotations: Array,
     translations: Array,
     start: Start,
-    sides: tuple[int, ...],
+    moved: Moved,
     *,
     compliance: bool = False,
     either: bool = True,
     dimensions: bool = False,
 ) -> Slopes | None:
     """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, where breakpoints
-    coincide those of translations that move towards their `sides` (n,), 1 or -1, and of ends of tubes that move towards
-    the first of these; of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines
-    or has none.
+    coincide those of translations as they are `moved`, and of ends of tubes that move towards the first of its sides;
+    of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines or has none.
     """
     prepared = with_kernel(robot, 0)
     if prepared is None or not prepared[0].differentiable:
@@ -266,7 +275,7 @@ def slopes_compiled(
     out = np.empty(more + 5 * n * (8 + n) * dimensions)
     at = _place(out)
     places = at, at + 8 * whole, at + 8 * more if dimensions else None
-    if not kernel.functions.differentiate(_asked(robot, sides, compliance, either)[1], *room.at, *places):
+    if not kernel.functions.differentiate(_asked(moved, compliance, either)[1], *room.at, *places):
         return None
     table = out[: whole - 36].reshape(8 + n, 2 * n)
     if dimensions:
@@ -284,13 +293,13 @@ def slopes_compiled(
 
 
 @lru_cache(maxsize=256)
-def _asked(robot: Robot, sides: tuple[int, ...], compliance: bool, either: bool) -> tuple[NDArray[np.int64], int]:
+def _asked(moved: Moved, compliance: bool, either: bool) -> tuple[NDArray[np.int64], int]:
     """(2 n + 2,) the C struct Asked, and where it is."""
-    n = len(sides)
+    n = len(moved.sides)
     out = np.zeros(2 * n + 2, dtype=np.int64)
-    for k, tubes in enumerate(robot.moving_together):
+    for k, tubes in enumerate(moved.carriages):
         out[list(tubes)] = k
-    out[n:-2], out[-2:] = sides, (compliance, either)
+    out[n:-2], out[-2:] = moved.sides, (compliance, either)
     return out, address(out)
 
 

@@ -252,7 +252,7 @@ static int pushes(const Unknowns *q, const Answer *out, const int *ends, int sid
         else
             others = 1;
     }
-    return mine && (side > 0 || !others);
+    return mine && (side > 0 || (!others && q->layout->pieces));
 }
 
 /* Where a tube ends: the piece that begins there. */
