@@ -49,7 +49,7 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
 def finite(name: str, value: Any) -> float:
     """Return `value` as a finite float, else raise InputError naming it."""
     try:
-        number = float(value)
+        number = float(_only_numbers(value))
     except OverflowError:
         raise InputError(f"{name} is an integer beyond 1e308; it must be a finite number") from None
     except (TypeError, ValueError):
@@ -57,6 +57,18 @@ def finite(name: str, value: Any) -> float:
     if not math.isfinite(number):
         raise InputError(f"{name} is {number}; it must be a finite number")
     return number
+
+
+def _only_numbers(value: Any) -> Any:
+    """`value`, or TypeError where a truth value or a text stands in it, which Python would take for a number."""
+    if isinstance(value, bool | np.bool_ | str | bytes) or (
+        isinstance(value, np.ndarray) and value.dtype.kind in "bSU"
+    ):
+        raise TypeError("no number")
+    if isinstance(value, list | tuple):
+        for each in value:
+            _only_numbers(each)
+    return value
 
 
 def whole(name: str, value: Any, least: int | None = None) -> int:
@@ -115,7 +127,7 @@ def numbers(name: str, value: Any) -> tuple[float, ...]:
 def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -> NDArray[np.float64]:
     """Return `value` as a finite float array of shape (size,), else raise InputError naming it."""
     try:
-        array = np.array(value, dtype=float)
+        array = np.array(_only_numbers(value), dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} is {value!r}; it must be {size} numbers ({what})") from None
     if array.shape != (size,):
@@ -130,8 +142,8 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
 def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     """`value` as a float array with so many dimensions, else InputError naming the first bad place."""
     try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        array = np.array(_only_numbers(value), dtype=float)
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} are not an array of numbers") from None
     if array.ndim != dimensions:
         raise InputError(f"{name} have shape {array.shape}; they must have {dimensions} dimensions")

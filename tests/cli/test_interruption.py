@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import json
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -101,3 +105,39 @@ def interrupted(process: subprocess.Popen[str]) -> tuple[float, int, str, str]:
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     return time.monotonic() - began, process.returncode, out, COLOUR.sub("", err)
+
+
+@contextlib.contextmanager
+def served() -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
+    """A robot that is served, with its address and token, as soon as it tells them."""
+    pytest.importorskip("websockets")
+    with started(["serve", THESIS, "--port", "0", "--translations-mm=-50,-30,-20", "--json"]) as process:
+        try:
+            assert process.stdout is not None
+            lines = [process.stdout.readline()]
+            while lines[-1] and lines[-1] != "}\n":
+                lines.append(process.stdout.readline())
+            yield process, json.loads("".join(lines))
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("delay", [0.0, 1e-3])
+def test_ctrl_c_ends_a_server_from_its_ready_line_on(delay: float) -> None:
+    with served() as (process, _):
+        time.sleep(delay)
+        took, code, _, err = interrupted(process)
+    assert (code, err) == (0, "")
+    assert took < MOST
+
+
+def test_ctrl_c_ends_a_server_whose_client_does_not_read() -> None:
+    with served() as (process, known):
+        client = importlib.import_module("websockets.sync.client").connect(known["url"], compression=None)
+        client.send(json.dumps({"op": "hello", "token": known["token"], "role": "commander"}))
+        client.recv(5)
+        time.sleep(0.3)
+        took, code, _, err = interrupted(process)
+        client.socket.close()
+    assert (code, err) == (0, "")
+    assert took < MOST

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.examples import THESIS
-from tubeopt import InputError, forward_kinematics
+from tubeopt import InputError, SolveError, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.c_binding import CServo, servo_of
 from tubeopt.control.command import ServoOptions
@@ -186,11 +186,11 @@ def test_what_makes_no_sense_changes_nothing() -> None:
         ServerOptions(host="0.0.0.0")
 
 
-def run(talk: Callable[[RobotServer], Awaitable[None]], **options: Any) -> RobotServer:
+def run(talk: Callable[[RobotServer], Awaitable[None]], *, of: CrtkRobot | None = None, **options: Any) -> RobotServer:
     """Serve a robot while something talks to it."""
 
     async def both() -> RobotServer:
-        server = RobotServer(robot(), ServerOptions(port=0, period=2e-3, **options))
+        server = RobotServer(of or robot(), ServerOptions(port=0, period=2e-3, **options))
         ready = asyncio.Event()
         serving = asyncio.create_task(server.serve(ready.set))
         await asyncio.wait({asyncio.create_task(ready.wait()), serving}, return_when=asyncio.FIRST_COMPLETED)
@@ -305,5 +305,137 @@ def test_the_clients_of_both_languages_lead_the_robot() -> None:
             done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=30)
             assert done.stdout.strip() == "ENABLED", done.stderr
             break
+
+    run(talk)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("of CasADi"), np.linalg.LinAlgError("singular"), SolveError("a snap")])
+@pytest.mark.parametrize("place", ["step", "command", "report"])
+def test_any_error_holds_the_robot_is_reported_and_the_next_command_is_served(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, place: str
+) -> None:
+    async def talk(server: RobotServer) -> None:
+        commander, watcher = await client(server), await client(server, "watcher")
+        await told(commander, "welcome")
+        await told(watcher, "welcome")
+        await commander.send(json.dumps({"op": "state_command", "command": "enable"}))
+        while server.robot.state != "ENABLED":
+            await asyncio.sleep(1e-3)
+        broken: Any = server.robot.servo if place == "step" else server.robot
+        whole, failures = getattr(broken, place), [error]
+
+        def fail(*given: Any) -> Any:
+            if failures:
+                raise failures.pop()
+            return whole(*given)
+
+        monkeypatch.setattr(broken, place, fail)
+        there = [0.0, 1.0, 2.0], [-0.05, -0.03, -0.019]
+        move = json.dumps({"op": "move_jp", "rotations": there[0], "translations": there[1]})
+        await commander.send(move)
+        words = (await told(commander, "error"))["words"]
+        assert words.startswith("the robot is held: ")
+        assert str(error) in words
+        if place != "command":  # what a message of another client does is not theirs to know
+            assert (await told(watcher, "error"))["words"] == words
+        watcher.transport.abort()
+        if place == "step":
+            assert not server.robot.busy
+            assert np.array_equal(server.robot.servo.equilibrium.translations, SEED.translations)
+        await commander.send(move)
+        for _ in range(40):
+            state = await told(commander, "state")
+        assert state["setpoint_js"]["position"][5] == pytest.approx(-0.019, abs=1e-6)
+
+    run(talk)
+
+
+def test_a_server_at_the_plate_serves_commands_out_of_it() -> None:
+    async def talk(server: RobotServer) -> None:
+        commander = await client(server)
+        await told(commander, "welcome")
+        await commander.send(json.dumps({"op": "state_command", "command": "enable"}))
+        for _ in range(8):
+            await commander.send(json.dumps({"op": "servo_cv", "linear": [0, 0, 0.02]}))
+            state = await told(commander, "state")
+        assert state["measured_cp"]["position"][2] > 1e-4
+
+    at = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-tube.curved_length for tube in THESIS.tubes])
+    run(talk, of=CrtkRobot(Servo(THESIS, at)))
+
+
+def test_what_is_no_number_or_word_is_answered() -> None:
+    arm = enabled()
+    place, joints = [0.0, 0.0, 0.1], {"rotations": [0, 1, 2], "translations": [-0.05, -0.03, -0.02]}
+    for message in (
+        {"op": "state_command", "command": ["enable"]},
+        {"op": "state_command", "command": {"enable": 1}},
+        {"op": "state_command", "command": True},
+        {"op": "state_command"},
+        {"op": ["servo_cp"], "position": place},
+        {"op": "servo_cp", "position": [True, False, True]},
+        {"op": "servo_cp", "position": ["0", "0", "0.1"]},
+        {"op": "servo_cp", "position": "0.1"},
+        {"op": "servo_cp", "position": [[0.0, 0.0, 0.1]]},
+        {"op": "servo_cp", "position": [None, 0, 0]},
+        {"op": "servo_cp", "position": [10**400, 0, 0]},
+        {"op": "servo_cp", "position": place, "direction": [1e-320, 0, True]},
+        {"op": "servo_cv", "linear": [1, 2, False]},
+        {"op": "move_jp", **joints, "rotations": [0, 1, True]},
+        {"op": "move_jp", **joints, "rotations": [0, 1, "2"]},
+    ):
+        with pytest.raises(InputError) as refused:
+            arm.command(message, 0.0)
+        assert str(refused.value)
+    assert arm.state == "ENABLED"
+    assert not arm.busy
+
+
+@pytest.mark.parametrize("fast", [False, pytest.param(True, marks=NEEDS_COMPILER)])
+def test_no_joint_moves_faster_than_its_rate_in_the_time_that_passed(fast: bool) -> None:
+    """Periods that are late and early, and steps that take more or less time: what was sent, over when."""
+    arm = CrtkRobot(servo_of(THESIS, SEED) if fast else Servo(THESIS, SEED))
+    arm.command({"op": "state_command", "command": "enable"}, 0.0)
+    options, random, period = arm.servo.options, np.random.default_rng(1), 1e-3
+    now = due = 0.0
+    times, joints = [], []
+    for k in range(1500):
+        far = 1.0 if k // 500 % 2 == 0 else -1.0
+        message = {"op": "servo_jp", "rotations": [far, 1 + far, 2 - far], "translations": [-0.05 - far * 0.02] * 3}
+        if k % 3 == 0:
+            message = {"op": "servo_cp", "position": [0.03 * far, 0.02, 0.12]}
+        arm.command(message, now)
+        late = random.choice([0.0, 1e-5, 4e-4, 9e-4, 3e-3], p=[0.4, 0.3, 0.15, 0.1, 0.05])
+        takes = random.choice([2e-5, 1e-4, 7e-4], p=[0.4, 0.4, 0.2])
+        begun = now = max(due + late, now)
+        due = max(due + period, now)
+        reads = iter([begun, *(begun + takes * (j + 1) for j in range(5))])
+        last: list[float] = []
+
+        def clock(reads: Any = reads, last: list[float] = last) -> float:
+            last.append(next(reads))
+            return last[-1]
+
+        before = arm.sent
+        arm.tick(clock, period)
+        now = max(now, last[-1])
+        if arm.sent != before:
+            assert arm.sent == last[-1]
+            times.append(arm.sent)
+            joints.append(np.concatenate([arm.servo.equilibrium.rotations, arm.servo.equilibrium.translations]))
+    rates = np.abs(np.diff(joints, axis=0)) / np.diff(times)[:, None]
+    most = np.repeat([options.turn_rate, options.shift_rate], 3)
+    assert len(times) > 1000
+    assert (rates <= most * (1 + 1e-9)).all(), (rates / most).max()
+    assert (rates / most).max() > 0.99
+
+
+def test_a_client_that_leaves_before_it_is_welcome_leaves_room_for_a_commander() -> None:
+    async def talk(server: RobotServer) -> None:
+        for _ in range(20):
+            gone = await client(server)
+            gone.transport.abort()
+        await asyncio.sleep(0.2)
+        assert (await told(await client(server), "welcome"))["role"] == "commander"
 
     run(talk)

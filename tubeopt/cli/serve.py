@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import sys
+import threading
+from collections.abc import Callable
 from contextlib import suppress
 from decimal import Decimal
 from typing import Annotated
@@ -75,7 +78,7 @@ def serve(study: ServeEntry, output: Output) -> None:
         told(Served(robot, address, robot.name or "robot", server.token), output)
 
     with left_alone(), suppress(KeyboardInterrupt):
-        asyncio.run(server.serve(_ready))
+        asyncio.run(_until_interrupted(server, _ready))
     if not (output.as_json or output.quiet):
         pace, (took, _) = server.pace, server.pace.quantiles(0.999)
         missed = pace.missed / max(pace.steps + pace.missed, 1)
@@ -84,3 +87,15 @@ def serve(study: ServeEntry, output: Output) -> None:
             f"{took * 1e3:.2g} ms of the processor at 99.9 %",
             file=sys.stderr,
         )
+
+
+async def _until_interrupted(server: RobotServer, ready: Callable[[], object]) -> None:
+    """Serve until Ctrl-C, which the event loop hears between its own steps: raised within one of them,
+    KeyboardInterrupt may end up in a task that nobody waits for."""
+    serving = asyncio.create_task(server.serve(ready))
+    listens = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+    if listens and threading.current_thread() is threading.main_thread():
+        with suppress(NotImplementedError):  # on Windows it is KeyboardInterrupt
+            asyncio.get_running_loop().add_signal_handler(signal.SIGINT, serving.cancel)
+    with suppress(asyncio.CancelledError):
+        await serving

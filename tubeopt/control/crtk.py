@@ -3,7 +3,8 @@
 Names and meanings are those of the Collaborative Robotics Toolkit (Su et al., IEEE ISMR 2020): servo_cp, servo_cv and
 servo_jp want a stream and go at once where they say; move_cp and move_jp go there and stay busy until they have
 arrived. Times are those of a monotonic clock that is given. It is asked before a step and again once the step is
-there: what a process that was put aside in between would send too late is never sent.
+there: what a process that was put aside in between would send too late is never sent, and no joint moves farther than
+its rate allows in the time that has passed since the last step was there.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from ..errors import InputError, nearest, vector
 from ..files.units import TO_MM
+from ..inverse.joints import configuration
 from ..typing import Array
 from .c_binding import CServo
 from .command import Command, Why
@@ -32,8 +34,15 @@ ends."""
 WARNING = 0.1
 """Margin above the floor below which a snap is warned of."""
 
+SURE = 0.8
+"""Share of the time which the quicker of the last two steps took that the next one is sure to take as well. What is
+missing to the truth a joint does not move, so that steps need not be taken back."""
+
 ROUND_OFF = 1e-9
 """Length (m) and angle (rad) by which a target may be beyond what is allowed."""
+
+LATE = "no command has come in time: held"
+"""What is said where the watchdog bites."""
 
 KEYS = {
     "servo_cp": ("position", "direction"),
@@ -89,7 +98,7 @@ class CrtkRobot:
         self._why = Why(0)
         self._words = ""
         self._before = servo.equilibrium
-        self._moved = 0.0
+        self._moved, self._took = 0.0, (0.0, 0.0)
         self.sent: float | None = None
         """By the clock, when the last step was there; None before the first."""
 
@@ -105,7 +114,7 @@ class CrtkRobot:
             InputError: it makes no sense, or not in this state; nothing changes.
         """
         name = message.get("op")
-        if not isinstance(name, str) or name not in KEYS:
+        if not (isinstance(name, str) and name in KEYS):
             raise InputError(f"op is {name!r}; it must be one of {', '.join(KEYS)}")
         _check_keys(name, message)
         if name == "state_command":
@@ -120,29 +129,45 @@ class CrtkRobot:
         """Whoever commanded has gone: hold."""
         self._goal = None
 
+    def hold(self, words: str) -> None:
+        """Hold, and say why."""
+        self._goal, self._why, self._words = None, Why(0), words
+
     def tick(self, clock: Callable[[], float], dt: float) -> None:
-        """Go on by one step of `dt` seconds. A stream without news is held; so is one whose watchdog bites while the
-        step is made, which is then taken back."""
+        """Go on by one step of at most `dt` seconds, and of the time that has passed since the last one where that is
+        less. A stream without news is held; so is one whose watchdog bites while the step is made, which is then taken
+        back."""
         goal = self._goal
         self._before, self._moved = self.servo.equilibrium, dt
         if goal is None or self.state != "ENABLED":
             return
-        if goal.stale(clock(), self.watchdog):
-            self._hold()
-            return
-        why = self.servo.step(goal.command, dt).why
         now = clock()
         if goal.stale(now, self.watchdog):
-            self.servo.undo()
-            self._hold()
+            self.hold(LATE)
             return
+        if self.sent is not None and now < self.sent:  # the clock has gone back
+            self.sent = now
+        why, begun = None, now
+        span = min(dt, self._passed(now) + SURE * min(self._took))
+        while why is None and span > 0:
+            why, now = self.servo.step(goal.command, span).why, clock()
+            if goal.stale(now, self.watchdog):
+                self.servo.undo()
+                self.hold(LATE)
+                return
+            if span > self._passed(now) * (1 + 1e-12):  # it took less time than steps do
+                self.servo.undo()
+                why, span = None, self._passed(now)
+        if why is None:
+            return
+        self._took, self._moved = (self._took[1], now - begun), span
         self.sent, self._why, self._words = now, why, why.words
         if not goal.stream:
             self._arrive(goal, now)
 
-    def _hold(self) -> None:
-        """What the watchdog does."""
-        self._goal, self._why, self._words = None, Why(0), "no command has come in time: held"
+    def _passed(self, now: float) -> float:
+        """Seconds since the last step was there; infinite before the first."""
+        return math.inf if self.sent is None else now - self.sent
 
     def _arrive(self, goal: _Goal, now: float) -> None:
         """End a move that has arrived, or comes no closer."""
@@ -168,7 +193,7 @@ class CrtkRobot:
         return turn, 0.0 if command.position is None else math.dist(command.position, arm.tip_position)
 
     def _change(self, wanted: Any) -> None:
-        if wanted not in TRANSITIONS:
+        if not (isinstance(wanted, str) and wanted in TRANSITIONS):
             raise InputError(f"command is {wanted!r}; it must be one of {', '.join(TRANSITIONS)}")
         if wanted == "resume" and self.state != "PAUSED":
             raise InputError(f"resume is refused: the robot is {self.state}")
@@ -188,6 +213,7 @@ class CrtkRobot:
                     f"{high[tubes][i]:g} {unit}"
                 )
             joints.append(values)
+        configuration(self.servo.space, "joints", (joints[0], joints[1]))  # raises InputError for what no joint gives
         return Command(joints=(joints[0], joints[1]))
 
     def _pose(self, message: Mapping[str, Any]) -> Command:

@@ -2,7 +2,8 @@
 
 Messages are JSON objects with "op". The first of every client is {"op": "hello", "token": ..., "role": "commander" or
 "watcher"}; then a commander sends what `CrtkRobot.command` knows. Everybody gets {"op": "state", ...} at the rate of
-publishing, the newest one only: who reads slowly misses some, and costs no memory.
+publishing, the newest one only: who reads slowly misses some, and costs no memory. Whatever goes wrong holds the robot
+and is reported as {"op": "error", "words": ...}; the next command is served.
 """
 
 from __future__ import annotations
@@ -29,6 +30,12 @@ LOGGER = logging.getLogger("tubeopt")
 
 REMEMBERED = 100_000
 """Steps of the loop whose times are kept."""
+
+CLOSING = 1.0
+"""Seconds that a client has to close its connection once the server ends."""
+
+LONGEST_WORDS = 300
+"""Characters of an error that is reported."""
 
 TURNS = 2e-4
 """Seconds for which one thread of Python may keep the others waiting: a small part of a period."""
@@ -71,12 +78,13 @@ class ServerOptions:
 
 @dataclass(eq=False)
 class _Client:
-    """A connection: how many messages it may still send, as of a time."""
+    """A connection: how many messages it may still send, as of a time, and the error that it is to be sent."""
 
     socket: Any
     left: float
     since: float
     commander: bool = False
+    failure: str = ""
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
 
@@ -129,7 +137,8 @@ class RobotServer:
         self.pace = Pace()
         self._clients: set[_Client] = set()
         self._commander: _Client | None = None
-        self._state = ""
+        self._state = self._failure = ""
+        self._logged = ""
         self._robot_in_hand = threading.Lock()
         self._ended = threading.Event()
 
@@ -147,7 +156,12 @@ class RobotServer:
         place = options.host, options.port
         try:
             listening = await serve(
-                self._welcome, *place, max_size=options.longest_message, max_queue=16, compression=None
+                self._welcome,
+                *place,
+                max_size=options.longest_message,
+                max_queue=16,
+                compression=None,
+                close_timeout=CLOSING,
             )
         except OSError as error:
             raise InputError(f"port {options.port} cannot be used: {error.strerror or error}") from None
@@ -156,15 +170,15 @@ class RobotServer:
             self._ended.clear()
             # In a thread of its own: to wait for a socket takes whole milliseconds, and many messages take longer.
             tasks = [asyncio.create_task(asyncio.to_thread(self._loop)), asyncio.create_task(self._publish())]
-            with _turns(TURNS):
-                if ready is not None:
-                    ready()
-                try:
+            try:
+                with _turns(TURNS):
+                    if ready is not None:
+                        ready()
                     await asyncio.gather(*tasks)
-                finally:
-                    self._ended.set()
-                    for task in tasks:
-                        task.cancel()
+            finally:  # whatever ends it, be it an interrupt in `ready`
+                self._ended.set()
+                for task in tasks:
+                    task.cancel()
 
     def _loop(self) -> None:
         """A step per period. What is late is not made up for: joints never go faster than their rates."""
@@ -174,30 +188,51 @@ class RobotServer:
             try:
                 with self._robot_in_hand:
                     self.robot.tick(self._clock, period)
-            except (InputError, SolveError) as error:
-                LOGGER.warning("the robot holds: %s", error)
-                with self._robot_in_hand:
-                    self.robot.release()
+            except Exception as error:  # no command may end the loop
+                self._failure = self._held(error)
             self.pace.add(time.thread_time() - began, late, int(late / period))
             due = max(due + period, time.perf_counter())
             time.sleep(max(due - time.perf_counter(), 0.0))
 
+    def _held(self, error: Exception) -> str:
+        """Hold the robot after an error, and return what is reported of it: a sentence."""
+        words = str(error) if isinstance(error, InputError | SolveError) else f"{type(error).__name__}: {error}"
+        words = f"the robot is held: {words}"[:LONGEST_WORDS]
+        with self._robot_in_hand:
+            self.robot.hold(words)
+        if words != self._logged:
+            known = isinstance(error, InputError | SolveError)
+            LOGGER.warning(words, exc_info=None if known else error)
+            self._logged = words
+        return words
+
     async def _publish(self) -> None:
         while True:
             await asyncio.sleep(1 / self.options.publish)
-            if self._clients:
+            failure, self._failure = self._failure, ""
+            if not self._clients:
+                continue
+            try:
                 with self._robot_in_hand:
                     told = self.robot.report(self._clock())
-                self._state = json.dumps(told | {"steps": self.pace.steps, "missed_periods": self.pace.missed})
-                for client in self._clients:
-                    client.news.set()
+                told |= {"steps": self.pace.steps, "missed_periods": self.pace.missed}
+                self._state = json.dumps(told, allow_nan=False)
+            except Exception as error:  # nor may what a state holds
+                failure = failure or self._held(error)
+            for client in self._clients:
+                client.failure = failure or client.failure
+                client.news.set()
 
     async def _tell(self, client: _Client) -> None:
-        """The newest state, again and again, as fast as the client reads."""
+        """The newest error and state, again and again, as fast as the client reads."""
         while True:
             await client.news.wait()
             client.news.clear()
-            await client.socket.send(self._state)
+            words, client.failure = client.failure, ""
+            if words:
+                await client.socket.send(_error(words))
+            if self._state:
+                await client.socket.send(self._state)
 
     async def _welcome(self, socket: Any) -> None:
         """One client from its hello to its end."""
@@ -212,14 +247,15 @@ class RobotServer:
             except (InputError, TimeoutError) as error:
                 await socket.close(1008, str(error)[:120] or "no hello came")
                 return
-            self._clients.add(client)
-            await socket.send(json.dumps({"op": "welcome", "role": "commander" if client.commander else "watcher"}))
-            telling = asyncio.create_task(self._tell(client))
             try:
+                await socket.send(json.dumps({"op": "welcome", "role": "commander" if client.commander else "watcher"}))
+                self._clients.add(client)
+                telling = asyncio.create_task(self._tell(client))
                 async for message in socket:
                     await self._hear(client, message)
             finally:
-                telling.cancel()
+                if telling is not None:
+                    telling.cancel()
                 self._leave(client)
 
     def _admit(self, client: _Client, hello: str | bytes) -> None:
@@ -228,7 +264,7 @@ class RobotServer:
         token = told.get("token")
         if told.get("op") != "hello" or not isinstance(token, str):
             raise InputError("the first message must be a hello with the token")
-        if not hmac.compare_digest(token.encode(), self.token.encode()):
+        if not hmac.compare_digest(*(word.encode(errors="surrogatepass") for word in (token, self.token))):
             raise InputError("the token is another one")
         if len(self._clients) >= self.options.clients:
             raise InputError(f"there are {self.options.clients} clients already")
@@ -259,7 +295,13 @@ class RobotServer:
             with self._robot_in_hand:
                 self.robot.command(told, self._clock())
         except InputError as error:
-            await client.socket.send(json.dumps({"op": "error", "words": str(error)[:300]}))
+            await client.socket.send(_error(str(error)))
+        except Exception as error:  # no command may end the server
+            await client.socket.send(_error(self._held(error)))
+
+
+def _error(words: str) -> str:
+    return json.dumps({"op": "error", "words": words[:LONGEST_WORDS]})
 
 
 def _read(message: str | bytes) -> dict[str, Any]:
