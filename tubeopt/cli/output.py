@@ -42,9 +42,10 @@ class Output:
         typer.Option("--out", metavar="DIR", help="Save the results into this directory.", show_default=False),
     ] = None
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors, and with --json the object.")] = (
-        False
-    )
+    quiet: Annotated[
+        bool,
+        typer.Option("--quiet", help="Print nothing but errors; with --json the object, of a server its address."),
+    ] = False
     formats: Annotated[
         str,
         typer.Option(

@@ -107,7 +107,8 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
 def _reference(path: str | PathLike[str], wanted: int | str, tips: Columns, tools: Sequence[str]) -> int:
     """The number of the reference tool; raises InputError for one that is not there, or has no pose."""
     sensors = tips.sensors()
-    number = wanted if isinstance(wanted, int) else tools.index(wanted) + 1 if wanted in tools else None
+    named_so = [k for k, name in enumerate(tools, start=1) if name == str(wanted)]
+    number = wanted if wanted in sensors else named_so[0] if len(named_so) == 1 else None
     if number not in sensors:
         named = f", or the names {', '.join(tools)}" if any(tools) else ""
         known = f"the tools of {tips.table.path} are {', '.join(map(str, sensors)) or 'none'}{named}"
