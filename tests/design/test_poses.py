@@ -23,6 +23,7 @@ from tubeopt import (
 )
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere
+from tubeopt.bodies.solids import field_of_points
 from tubeopt.design import (
     Avoid,
     Coverage,
@@ -179,6 +180,10 @@ def test_reach_at_depth_avoids_a_sphere_and_sits_on_a_kink() -> None:
     assert ball.signed_distance(pose.position).min() >= 1e-3
     # binding: the certificate, and the strain of the outer tube
     assert {price.limit.words for price in design.sensitivities} >= {"certified margin"}
+    assert not any("the clearance is from" in words for words in design.remarks)
+    cloud = Avoid((field_of_points(np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.31]]), 6e-3, name="wall.csv"),))
+    of_points = replace(design, task=replace(design.task, requirements=(cloud,)))
+    assert any("the clearance is from the 2 points of wall.csv" in words for words in of_points.remarks)
 
 
 def test_workspace_box_is_covered() -> None:

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError, choice, instance, whole
@@ -24,7 +25,7 @@ from .program import Added, Program, compile_task, recompiled
 from .rechecks import Check
 from .relaxation import InfeasibleDesignError, best_of
 from .remarks import Dimension, remarks
-from .requirements import SnapFree, of_kind
+from .requirements import Avoid, SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
 from .solve import METHODS, Ranking, multistart, rank, solve
@@ -89,8 +90,11 @@ class DesignSolution(Displayed):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is worth knowing of it: dimensions on a bound, tubes that hardly bend the arm."""
-        return remarks(self.robot, self.dimensions)
+        """What is worth knowing of it: dimensions on a bound, tubes that hardly bend the arm, obstacles that are no
+        solids."""
+        kept = of_kind(self.task.requirements, Avoid)
+        said = (words for one in kept for words in scene_of(one.obstacles).stands_for)
+        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in said))
 
     @property
     def status(self) -> DesignStatus:
