@@ -40,8 +40,11 @@ def test_follow_takes_the_friction_of_the_file(run: Run, files: tuple[str, str])
     assert all(0 < a < 1.1 * most for a, most in zip(off, band, strict=True))
 
 
-def test_no_load_beside_friction(run: Run, files: tuple[str, str]) -> None:
-    outcome = run("follow", *files, "--tip-force-mN", "1,0,0")
-    assert outcome.code == 2
-    assert "beside which no load can be given; give shaken too" in outcome.err
-    assert run("follow", *files, "--tip-force-mN", "1,0,0", "--shaken").code == 0
+def test_follow_takes_friction_and_load_together(run: Run, files: tuple[str, str]) -> None:
+    both, shaken, free = (
+        json.loads(run("follow", *files, *more, "--json").out)["waypoints"][2]
+        for more in (("--tip-force-mN", "30,0,0"), ("--tip-force-mN", "30,0,0", "--shaken"), ())
+    )
+    assert both["friction_heat_mJ"] > 0
+    assert both["tip_position_mm"] != pytest.approx(shaken["tip_position_mm"], abs=1e-3)
+    assert both["tip_position_mm"][0] > free["tip_position_mm"][0] + 0.5

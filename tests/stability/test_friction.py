@@ -20,7 +20,6 @@ from tubeopt import (
     EccentricRobot,
     Friction,
     InputError,
-    Load,
     Tube,
     follow,
     forward_kinematics,
@@ -316,8 +315,6 @@ def test_wrong_input() -> None:
         Friction((1.0, 1.0), plate=(1.0, 1.0, 1.0))
     with pytest.raises(InputError, match="refinement of friction is 9"):
         Friction(1.0, refinement=9)
-    with pytest.raises(InputError, match="friction and a load are given"):
-        follow(THESIS, np.zeros((2, 3)), friction=Friction(1.0), load=Load((0.1, 0, 0)))
     eccentric = EccentricRobot(Tube(1.0 * MM, 0.75 * MM, 100 * MM, 80 * MM, 8.0, NITINOL))
     with pytest.raises(InputError, match="known of concentric tubes only"):
         follow(eccentric, np.zeros((2, 3)), friction=Friction(1.0))

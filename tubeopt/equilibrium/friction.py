@@ -13,24 +13,41 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from ..block.transcription import arm as arms
+from ..block.transcription import loaded
 from ..block.transcription.buffered import section_function
-from ..block.transcription.contact import Contact, evaluate_contact, make_contact, rubbing_profile, unknowns_of
+from ..block.transcription.contact import (
+    DEGREE,
+    Contact,
+    bent_of,
+    evaluate_contact,
+    make_contact,
+    rubbing_profile,
+    unknowns_of,
+)
 from ..block.transcription.green import sections_at
-from ..block.transcription.reduced import to_unknowns
+from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, load_problem
+from ..block.transcription.loaded_arm import loaded_arm
+from ..block.transcription.reduced import reduce, to_unknowns
 from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau
 from ..block.transcription.whole_arm import EXTRA_POINTS
 from ..errors import InputError, SolveError
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction
+from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.compiled.loaded import LoadedAnswer
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
-from ..solvers.newton import NewtonResult, newton
+from ..solvers.newton import NewtonResult, full_steps
 from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import CONTINUATION, NEWTON
 from ..typing import Array, Index
+from .load_answer import from_answer
+from .load_continuation import Member, interpolate
+from .load_problem import check_load, loading_of
+from .loaded import at_points
 from .result import Equilibrium, FrictionState, Status
-from .solving import Solution, sample_rotation, to_equilibrium
+from .solving import Discretisation, Solution, lever, sample_rotation, to_equilibrium
 
 ROUND_OFF = 1e-13
 """Of a least eigenvalue."""
@@ -87,9 +104,13 @@ class Held:
 
 
 @lru_cache(maxsize=64)
-def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction) -> Contact:
-    """The rows of friction of a robot at translations, built once for all rotations."""
-    return make_contact(robot.assembly(np.array(translations)), friction)
+def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction, load: Load | None = None) -> Contact:
+    """The rows of friction of a robot at translations under a load or none, built once for all rotations."""
+    if load is None:
+        return make_contact(robot.assembly(np.array(translations)), friction)
+    check_load(robot, load, translations)
+    assembly, loading = loading_of(robot, translations, load)
+    return make_contact(assembly, friction, loading)
 
 
 def check_rubbing(robot: Robot, friction: Friction) -> None:
@@ -103,22 +124,20 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
     """An equilibrium as the start of a motion with friction: its own history goes on, or begins, where it has none.
 
     Raises:
-        InputError: an equilibrium with another friction, or under load.
+        InputError: an equilibrium with another friction.
         SolveError: it is no equilibrium of this robot.
     """
     own = equilibrium.friction
     if own is not None and own.friction != friction:
         raise InputError("start bears another friction; go on with the same, or start from an equilibrium without")
     shift = equilibrium.translations
-    contact = contact_of(robot, tuple(shift.tolist()), friction)
+    contact = contact_of(robot, tuple(shift.tolist()), friction, equilibrium.load)
     if own is None:
         return shaken(contact, equilibrium)
-    bare = replace(equilibrium, friction=None)
-    points = sample_rotation(bare, contact.problem.arc_length)
-    between = sample_rotation(bare, contact.place)[np.arange(len(contact.place)), contact.tube]
-    state = evaluate_contact(
-        contact, equilibrium.rotations, unknowns_of(contact, equilibrium.rotations, points, between)
-    )
+    points, bent = _sampled(contact, equilibrium)
+    between = sample_rotation(equilibrium, contact.place)[np.arange(len(contact.place)), contact.tube]
+    x = unknowns_of(contact, equilibrium.rotations, points, between, bent)
+    state = evaluate_contact(contact, equilibrium.rotations, x)
     torque = np.array(own.torque)
     if len(torque) != len(contact.capacity) or imbalance(contact, state, torque) > 1e-6:
         raise SolveError("start bears friction that does not balance it: it is of another robot")
@@ -134,20 +153,41 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> Held:
     Raises:
         SolveError: it is no equilibrium of the contact's robot.
     """
-    problem, alpha = contact.problem, equilibrium.rotations
-    z = to_unknowns(problem, alpha, sample_rotation(equilibrium, problem.arc_length))
-    relaxed = newton(problem, alpha, z)
+    alpha = equilibrium.rotations
+    points, bent = _sampled(contact, equilibrium)
+    parts = [to_unknowns(contact.problem, alpha, points), np.zeros(contact.loose.shape[1])]
+    if contact.loaded is not None and bent is not None:
+        parts.insert(1, (bent / contact.loaded.softness[:, None]).ravel())
+    relaxed = full_steps(
+        evaluate_contact(contact, alpha, np.concatenate(parts)),
+        lambda state, change: evaluate_contact(contact, alpha, state.x + change),
+        lambda _, change: contact.turn_of(change),
+        lambda state: contact.turn_of(state.gradient),
+        NEWTON,
+        NEWTON.iterations,
+    )
     if not relaxed.converged:
         raise SolveError("start is no equilibrium that Newton's method finds on the mesh of friction")
-    x = np.concatenate([relaxed.state.z, np.zeros(contact.loose.shape[1])])
-    state, nothing = evaluate_contact(contact, alpha, x), np.zeros(len(contact.capacity))
-    found = Increment(state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
+    nothing = np.zeros(len(contact.capacity))
+    found = Increment(relaxed.state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
     return Held(contact, alpha, equilibrium.translations, found, 0.0)
 
 
-def step(robot: Robot, held: Held, rotations: Array, translations: Array) -> Held | None:
-    """The state after an increment to other joint values (n,), by Newton's method; None where it is not at ease."""
-    contact, before, x = carried(robot, held, rotations, translations)
+def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array | None]:
+    """Elastic rotations (N, n) of an equilibrium at the points of a contact; under a load also the curvature (N, 2)
+    there beyond that without load, 1/m."""
+    problem = contact.loaded
+    if problem is None:
+        return sample_rotation(equilibrium, contact.problem.arc_length), None
+    theta, curvature = at_points(equilibrium, problem)
+    x = loaded.unknowns(problem, equilibrium.rotations, theta, curvature)
+    return theta, bent_of(contact, x)
+
+
+def step(robot: Robot, held: Held, rotations: Array, translations: Array, load: Load | None = None) -> Held | None:
+    """The state after an increment to other joint values (n,) and another load, by Newton's method; None where that is
+    not at ease."""
+    contact, before, x = carried(robot, held, rotations, translations, load)
     same = contact is held.contact
     slid = None if same or not contact.friction.sliding else _slid(robot, contact, translations - held.translations)
     turned = rotations - held.rotations
@@ -176,12 +216,15 @@ def _slid(robot: Robot, contact: Contact, moved: Array) -> Array:
     return np.where(slid > HONEST, slid, 0.0)
 
 
-def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> tuple[Contact, Array, Array]:
-    """At other joint values: the contact, the relative rotations (R,) before the increment, and a first guess of x."""
+def carried(
+    robot: Robot, held: Held, rotations: Array, translations: Array, load: Load | None = None
+) -> tuple[Contact, Array, Array]:
+    """At other joint values, under another load: the contact, the relative rotations (R,) before the increment, and a
+    first guess of x."""
     moved = translations - held.translations
-    if not moved.any():
+    if not moved.any() and load == held.contact.load:
         return held.contact, held.found.state.turned, held.found.state.x
-    contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction)
+    contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
     where = (points, contact.place, s - moved[pair], s - moved[pair + 1])
     theta = held.theta(np.concatenate(where))
@@ -189,19 +232,33 @@ def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> 
     row, spot = np.arange(len(pair)), np.arange(len(contact.place))
     before = outer[row, pair + 1] - inner[row, pair]
     turned = rotations - held.rotations
-    x = unknowns_of(contact, rotations, at + turned, (between + turned)[spot, contact.tube])
+    x = unknowns_of(contact, rotations, at + turned, (between + turned)[spot, contact.tube], bent_at(held, contact))
     return contact, before, x
+
+
+def bent_at(held: Held, contact: Contact) -> Array | None:
+    """(N, 2) curvature of a state beyond that without load, 1/m, at the points of a contact; None where that has no
+    load."""
+    own = bent_of(held.contact, held.found.state.x)
+    if contact.loaded is None or held.contact is contact:
+        return own if contact.loaded is not None else None
+    if own is None or held.contact.loaded is None:
+        return np.zeros((len(contact.loaded.softness), 2))
+    return interpolate(held.contact.loaded, own, contact.loaded)
 
 
 def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
     """A state with friction as an equilibrium, with its shape, energy and error estimates."""
     contact, state, problem = held.contact, held.found.state, held.contact.problem
-    size = problem.size
-    torsion = replace(state.torsion, gradient=(state.gradient + contact.rows.T @ held.found.torque)[:size])
-    result = NewtonResult(torsion, held.found.converged, 0, held.found.contraction)
-    error = _smooth_error(held) + _front_error(held)
-    solution = Solution(problem, held.rotations, result, held.margin, (held.profile, error))
-    plain = to_equilibrium(robot, solution, tuple(held.translations.tolist()), ("increment", start, 0.0))
+    shift, error = tuple(held.translations.tolist()), _smooth_error(held) + _front_error(held)
+    if isinstance(state.elastic, LoadedState):
+        plain = _under_load(robot, held, state.elastic, start, error)
+    else:
+        balance = (state.gradient + contact.rows.T @ held.found.torque)[: problem.size]
+        torsion = replace(state.elastic, gradient=balance, energy=state.energy)
+        result = NewtonResult(torsion, held.found.converged, 0, held.found.contraction)
+        solution = Solution(problem, held.rotations, result, held.margin, (held.profile, error))
+        plain = to_equilibrium(robot, solution, shift, ("increment", start, 0.0))
     friction = FrictionState(
         friction=contact.friction,
         arc_length=tuple(contact.arc_length.tolist()),
@@ -213,7 +270,61 @@ def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
         violation=held.found.violation,
     )
     status = Status.STABLE if held.margin > 0 else (Status.HELD if held.held_margin > 0 else Status.UNSTABLE)
-    return replace(plain, status=status, friction=friction)
+    found = replace(plain, status=status, friction=friction)
+    if contact.loaded is not None and isinstance(state.elastic, LoadedState):
+        # Kept with the state: what recomputes it from the shape knows no friction.
+        vars(found)["base_wrench"] = base_wrench(contact.loaded, state.elastic)
+    return found
+
+
+def _under_load(robot: Robot, held: Held, state: LoadedState, start: str, error: float) -> Equilibrium:
+    """The equilibrium of a state under a load, whose rotations may be off by `error`, rad, over the margin."""
+    problem = held.contact.loaded
+    assert problem is not None
+    off = error / max(min(1.0, abs(held.margin)), 1e-6)
+    found = LoadedAnswer(
+        theta=state.theta,
+        curvature=state.curvature,
+        margin=held.margin,
+        residual=imbalance(held.contact, held.found.state, held.found.torque),
+        energy=held.found.state.energy + state.work,
+        work=state.work,
+        iterations=0,
+        errors=(off, off * lever(problem.torsion) + _bending_error(held), float("nan")),
+        compliance=None,
+        base_wrench=base_wrench(problem, state),
+        arm=loaded_arm(problem, held.profile, state),
+    )
+    index = 0 if held.margin > 0 else int((np.linalg.eigvalsh(held.found.state.hessian) < 0).sum())
+    shift = tuple(held.translations.tolist())
+    member = Member(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
+    plain = from_answer(member, found, (start, 0.0, index))
+    return replace(plain, statistics=replace(plain.statistics, method="increment"))
+
+
+def _bending_error(held: Held) -> float:
+    """How far the tip is off, m, by what the equations of bending miss at the points of a finer rule."""
+    contact, finer = held.contact, _finer(held.contact)
+    bent = bent_of(contact, held.found.state.x)
+    assert bent is not None
+    assert contact.loaded is not None
+    s = finer.torsion.arc_length
+    z = to_unknowns(finer.torsion, held.rotations, arms.interpolate(contact.problem, held.profile, s))
+    q = interpolate(contact.loaded, bent, finer) / finer.softness[:, None]
+    state = loaded.evaluate(finer, held.rotations, np.concatenate([z, q.ravel()]))
+    missed = np.linalg.norm(state.gradient[finer.torsion.size :].reshape(-1, 2), axis=1)
+    return float((finer.torsion.weight * finer.softness * missed) @ (finer.torsion.assembly.total_length - s))
+
+
+@lru_cache(maxsize=8)
+def _finer(contact: Contact) -> LoadedProblem:
+    """The loaded problem of a contact with EXTRA_POINTS more on each piece."""
+    torsion, mesh, loading = contact.problem, contact.problem.mesh, contact.loading
+    assert loading is not None
+    unknown = np.zeros((torsion.assembly.n_sections, torsion.assembly.n_tubes), dtype=bool)
+    unknown[mesh.section[torsion.point // mesh.tableau.degree], torsion.tube] = True
+    rule = replace(mesh, tableau=tableau(mesh.tableau.family, mesh.tableau.degree + EXTRA_POINTS))
+    return load_problem(reduce(torsion.assembly, rule, unknown), loading.load, loading.density)
 
 
 def _smooth_error(held: Held) -> float:
@@ -225,8 +336,13 @@ def _smooth_error(held: Held) -> float:
     nodes, chosen, phase, arm = _between(held.contact)
     theta = arms.rotations_at(problem, held.profile, nodes)[mesh.collocated]
     direction = theta.reshape(-1, n) + phase
-    moment = section_function("moment", len(direction), n, False)(direction, *chosen)[0].reshape(theta.shape)
-    own = held.found.state.torsion.moment.reshape(-1, t.degree, n)
+    moment = section_function("moment", len(direction), n, False)(direction, *chosen)[0].copy()
+    bent = bent_of(held.contact, held.found.state.x)
+    if bent is not None:  # M_i = m_i (u_x sin theta_i - u_y cos theta_i) of the whole curvature u
+        x, y = (t.basis(nodes, 0) @ bent.reshape(-1, t.degree, 2)).reshape(-1, 2).T[:, :, None]
+        moment += chosen[1] * (x * np.sin(direction) - y * np.cos(direction))
+    moment = moment.reshape(theta.shape)
+    own = held.found.state.elastic.torque.reshape(-1, t.degree, n)
     return float((np.abs(moment - t.basis(nodes, 0) @ own).max(1) * arm).sum(0).max())
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..block.transcription.arm import CollocationPoints
 from ..block.transcription.loaded import base_wrench, compliance, tip_position, tip_slopes
-from ..block.transcription.loaded_arm import loaded_arm
+from ..block.transcription.loaded_arm import loaded_arm, loaded_profile
 from ..solvers.compiled.loaded import LoadedAnswer
 from ..solvers.newton import loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
@@ -38,7 +38,7 @@ def to_loaded(
         # What follows from the solved state at once need not be solved for again.
         compliance=None if abs(point.margin) < CONTINUATION.least_stiffness else compliance(problem, state),
         base_wrench=base_wrench(problem, state),
-        arm=loaded_arm(problem, member.rotations, state),
+        arm=loaded_arm(problem, loaded_profile(problem, member.rotations, state), state),
     )
     unstable = not (point.margin > 0 or np.isnan(point.margin))
     index = int((np.linalg.eigvalsh(state.hessian) < 0).sum()) if unstable else 0

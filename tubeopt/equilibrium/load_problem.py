@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..block.transcription.loaded import LoadedProblem, load_problem
+from ..block.transcription.loaded import LoadedProblem, Loading, load_problem
 from ..block.transcription.mesh import loaded_counts, loaded_mesh
 from ..block.transcription.reduced import ReducedProblem, reduce
 from ..errors import InputError
@@ -57,12 +57,18 @@ def loaded_problem(
     robot: Robot, translations: tuple[float, ...], load: Load, discretisation: Discretisation = LOADED_DISCRETISATION
 ) -> LoadedProblem:
     """The problem of a robot at given translations under a load, built once for all rotations."""
+    _, loading = loading_of(robot, translations, load)
+    counts = loading.counts * 2**discretisation.refinement
+    torsion = _torsion(robot, translations, tuple(load.cuts().tolist()), tuple(counts.tolist()), discretisation)
+    return load_problem(torsion, load, loading.density)
+
+
+@lru_cache(maxsize=64)
+def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tuple[Assembly, Loading]:
+    """The tubes at given translations, in sections that end where the load jumps, and what the load is on them."""
     density = masses(robot.tubes, load)
-    cuts = load.cuts()
-    assembly = _cut(robot, translations, tuple(cuts.tolist()))
-    counts = loaded_counts(assembly, *_bounds(assembly, load, density), discretisation.refinement)
-    torsion = _torsion(robot, translations, tuple(cuts.tolist()), tuple(counts.tolist()), discretisation)
-    return load_problem(torsion, load, density)
+    assembly = _cut(robot, translations, tuple(load.cuts().tolist()))
+    return assembly, Loading(load, density, loaded_counts(assembly, *_bounds(assembly, load, density)))
 
 
 @lru_cache(maxsize=64)

@@ -69,7 +69,9 @@ def unloaded_point(
 
 
 def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
-    """A loaded equilibrium as the beginning of a family; raises SolveError where it is a fold."""
+    """An equilibrium as the beginning of a family; raises SolveError where it is a fold, InputError under friction."""
+    if equilibrium.friction is not None:
+        raise InputError("the equilibrium bears friction, which is not supported here; give one without friction")
     if equilibrium.load is None:
         check_load(equilibrium.robot, Load(), tuple(equilibrium.translations.tolist()))
         return unloaded_point(equilibrium, Load())
@@ -146,7 +148,7 @@ def compiled(start: Equilibrium, there: Member, tolerance: float, began: float, 
             return None
         given, word = (sample_rotation(start, problem.torsion.arc_length), None), "the load before, from none"
     elif small_motion(turn, shift - start.translations, float(start.arc_length[-1])):
-        given, word = _at_points(start, problem), "guess"
+        given, word = at_points(start, problem), "guess"
     else:
         return None
     found = solve_loaded_compiled(loaded_rules(robot, shift, load), (rotations, turn), given, start.margin)
@@ -202,7 +204,7 @@ def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float, s
     return margin > settings.margin_tolerance or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
 
 
-def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
+def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
     """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
     problem."""
     theta, n = sample_rotation(start, start.point), len(start.rotations)

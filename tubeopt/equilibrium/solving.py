@@ -221,7 +221,7 @@ def to_equilibrium(
         margin=solution.margin,
         index=0 if solution.margin > 0 else unstable_directions(problem, state),
         energy=arm.energy,
-        accuracy=Accuracy(residual(problem, state), error, arm.shape_error + error * _lever(problem)),
+        accuracy=Accuracy(residual(problem, state), error, arm.shape_error + error * lever(problem)),
         status=Status.STABLE if solution.margin > 0 else Status.UNSTABLE,
         statistics=Statistics(
             method=method,
@@ -237,7 +237,7 @@ def to_equilibrium(
 
 
 @lru_cache(maxsize=16)
-def _lever(problem: ReducedProblem) -> float:
+def lever(problem: ReducedProblem) -> float:
     """By how much a tip can move with a wrong theta, m per rad: |dp| <= int |du / dtheta| |dtheta| (L - s) ds.
 
     The curvature u itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum

@@ -11,7 +11,6 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_v
 from ..display import Displayed
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError
 from ..files.checked import Positive, Whole, in_file
 from ..robots.concentric import friction_of
 from ..robots.path_file import Waypoints, load_waypoints
@@ -135,8 +134,6 @@ class FollowStudy(LoadedStudy):
         step = None if progress is None else lambda waypoint: progress(waypoint, last)
         joints = to_model(self.robot, self.path.rotations, self.path.translations)
         friction = None if self.shaken else friction_of(self.robot)
-        if friction is not None and self.pushing() is not None:
-            raise InputError("the robot's file tells of friction, beside which no load can be given; give shaken too")
         return follow(self.robot, *joints, load=self.pushing(), friction=friction, progress=step)
 
 

@@ -156,7 +156,7 @@ def increment(
             return None
         torque, now = found
         step = model.step - model.response @ torque
-        size = turn_of(contact, step)
+        size = contact.turn_of(step)
         if not np.isfinite(size) or size > np.pi:
             return None
         state = evaluate_contact(contact, rotations, state.x + step)
@@ -191,16 +191,9 @@ def _told(
     return Increment(state, torque, signs, heat, violation <= HONEST, contraction, violation)
 
 
-def turn_of(contact: Contact, step: Array) -> float:
-    """Largest change of a rotation that a step in x makes, rad."""
-    inside = contact.problem.factor @ step[: contact.problem.size]
-    between = contact.known @ step[: contact.problem.size] + contact.loose @ step[contact.problem.size :]
-    return float(max(np.abs(inside).max(initial=0.0), np.abs(between).max(initial=0.0)))
-
-
 def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
     """Largest violation of the equations of equilibrium, as an error of a rotation, rad."""
-    return turn_of(contact, state.gradient + contact.rows.T @ torque)
+    return contact.turn_of(state.gradient + contact.rows.T @ torque)
 
 
 def held_margin(contact: Contact, state: Rubbing, signs: Signs) -> float:
@@ -226,7 +219,7 @@ def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
     """Direction (X,) in which a state is softest without slip of what sticks; its largest turn is 1 rad."""
     free = _free(contact, signs)
     direction = free @ np.linalg.eigh(free.T @ state.hessian @ free)[1][:, 0]
-    return np.asarray(direction / turn_of(contact, direction))
+    return np.asarray(direction / contact.turn_of(direction))
 
 
 def slide(
@@ -241,7 +234,7 @@ def slide(
     starts = [x] if push is None else [x + push, x - push]
     sides = [evaluate_contact(contact, rotations, start) for start in starts]
     taken = [float(contact.capacity @ np.abs(side.turned - before)) for side in sides]
-    lower = min(range(len(sides)), key=lambda k: sides[k].torsion.energy + taken[k])
+    lower = min(range(len(sides)), key=lambda k: sides[k].energy + taken[k])
     state, heat = sides[lower], taken[lower] if push is not None else 0.0
     before = state.turned if push is not None else before
     delay, turn, signs = 1.0, np.inf, None
@@ -250,7 +243,7 @@ def slide(
         # creeps past a state that was lost, that finds nothing near, and the flow goes on.
         if turn < SLOW and (delay > 1e6 or count % PATIENT == 0):
             last = increment(contact, rotations, state.x, before, signs)
-            if last is not None and last.converged and turn_of(contact, last.state.x - state.x) < NEAR:
+            if last is not None and last.converged and contact.turn_of(last.state.x - state.x) < NEAR:
                 return last, heat + last.heat
         model = model_of(contact.rows, state.gradient, state.hessian + np.eye(len(x)) / delay)
         found = None
@@ -262,13 +255,13 @@ def slide(
             delay *= 0.25
             continue
         move = model.step - model.response @ found[0]
-        turn = turn_of(contact, move)
+        turn = contact.turn_of(move)
         if turn > CONTINUATION.stride:
             delay *= shortened(turn)
             continue
         trial = evaluate_contact(contact, rotations, state.x + move)
         spent, owed = (float(contact.capacity @ np.abs(at.turned - before)) for at in (trial, state))
-        if trial.torsion.energy + spent > state.torsion.energy + owed + 1e-13 * _scale(contact, state):
+        if trial.energy + spent > state.energy + owed + 1e-13 * _scale(contact, state):
             delay *= 0.25
             continue
         state, before, heat, signs = trial, trial.turned, heat + spent, found[1]
@@ -278,4 +271,5 @@ def slide(
 
 def _scale(contact: Contact, state: Rubbing) -> float:
     """The energies whose round-off is that of their sum, J."""
-    return contact.problem.energy_parts + abs(state.torsion.energy)
+    work = 0.0 if contact.loaded is None else abs(state.elastic.potential - state.elastic.energy)
+    return contact.problem.energy_parts + abs(state.energy) + work

@@ -127,7 +127,7 @@ def follow(
 
     Raises:
         InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, or an unstable
-            start; a friction for another number of tubes, of an eccentric robot, or beside a load.
+            start; a friction for another number of tubes, or of an eccentric robot.
         SolveError: descent from a fold found no stable equilibrium, or a motion with friction was lost.
 
     Examples:
@@ -139,9 +139,7 @@ def follow(
     """
     joints = np.concatenate(checked_waypoints(robot, rotations, translations), axis=1)
     if friction is not None and not friction.trivial:
-        if load is not None:
-            raise InputError("friction and a load are given; a motion is followed with one of them")
-        states, snaps = _collected(rubbing_legs(robot, joints, friction, start), progress)
+        states, snaps = _collected(rubbing_legs(robot, joints, friction, start, load), progress)
         return Path(HeldEquilibria(robot, states), snaps)
     equilibria, snaps = _collected(_legs(robot, joints, load, start), progress)
     return Path(tuple(equilibria), snaps)

@@ -93,7 +93,7 @@ def _place_slopes(equilibrium: Equilibrium, held: Held) -> Array:
     """(M, 3, U) change of the points along the arm with z: a curvature changed by du turns all beyond by R du ds."""
     problem, e = held.contact.problem, equilibrium
     n, count = problem.assembly.n_tubes, len(problem.weight)
-    theta = held.found.state.torsion.theta + problem.phase
+    theta = held.found.state.elastic.theta + problem.phase
     bent = section_function("curvature_slope", count, n, False)(theta, problem.stiffness, problem.moment)[0]
     frames, places = _poses(held)
     turn = np.einsum("nab,nib->nia", frames[:, :, :2], bent.reshape(count, n, 2)) * problem.weight[:, None, None]

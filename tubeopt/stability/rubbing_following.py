@@ -14,11 +14,12 @@ import numpy as np
 
 from ..block.transcription.contact import evaluate_contact
 from ..equilibrium.continuation import JointPath, largest_twist
-from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, sweep, swept, to_held_equilibrium
+from ..equilibrium.friction import Held, bent_at, carried, check_rubbing, rest, step, sweep, swept, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
+from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
 from ..solvers.settings import CONTINUATION
@@ -32,15 +33,35 @@ UNTOLD = 1e-9
 """Margin whose square is round-off, which tells of no fold."""
 
 
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A straight path of joint values, on which one load turns evenly into another."""
+
+    path: JointPath
+    before: Load | None
+    after: Load | None
+
+    def at(self, t: float) -> tuple[Array, Array, Load | None]:
+        """Rotations, translations and load at fraction t."""
+        rotations, translations = self.path.at(t)
+        if self.after is None or t == 1.0 or self.before == self.after:
+            return rotations, translations, self.after
+        return rotations, translations, between(self.before or Load(frame=self.after.frame), self.after, t)
+
+    def span(self) -> float:
+        """How far the joints go: largest turn, rad, or shift over the longest tube; 1 where the load changes."""
+        return max(self.path.span(), float(self.before != self.after))
+
+
 class Stride:
     """The length `size` of the next step, a fraction of a path.
 
     Towards a fold at t_f the square of the margin goes to 0 as t_f - t does: two states tell where it is.
     """
 
-    def __init__(self, path: JointPath) -> None:
-        self.longest = path.largest_step()
-        self.shortest = min(SHORTEST / max(path.span(), SHORTEST), CONTINUATION.landed_step * self.longest)
+    def __init__(self, drive: Drive) -> None:
+        self.longest = drive.path.largest_step()
+        self.shortest = min(SHORTEST / max(drive.span(), SHORTEST), CONTINUATION.landed_step * self.longest)
         self.size, self._halted, self._wall = self.longest, False, 0.0
         self._before: tuple[float, Held] | None = None
 
@@ -86,23 +107,24 @@ class RubbingSnap:
 
 
 def rubbing_legs(
-    robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None
+    robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None, load: Load | None
 ) -> Iterator[tuple[Held | Callable[[], Held], list[Snap]]]:
     """The state at every waypoint (T, 2n), or what tells it, and the snaps on the way to it."""
-    held = rubbing_start(robot, joints[0], friction, start)
-    if not np.allclose(np.concatenate([held.rotations, held.translations]), joints[0], rtol=0, atol=1e-12):
-        held, _ = rubbing_leg(robot, held, joints[0])
+    held = rubbing_start(robot, joints[0], friction, start, load)
+    at_start = np.allclose(np.concatenate([held.rotations, held.translations]), joints[0], rtol=0, atol=1e-12)
+    if not at_start or held.contact.load != load:
+        held, _ = rubbing_leg(robot, held, joints[0], load)
     yield held, []
     k = 1
     while k < len(joints):
         rows = joints[k - 1 : k + CONTINUATION.rubbing_waypoints]
-        many = sweep(robot, held, rows, NOWHERE, margins=False)
+        many = sweep(robot, held, rows, NOWHERE, margins=False) if load is None else None
         count = 0 if many is None else len(many.margin)
         if many is not None and count:
             yield from ((partial(swept, robot, held, rows, many, j), []) for j in range(1, count + 1))
             held, k = swept(robot, held, rows, many, count), k + count
         if count < len(rows) - 1:  # where the kernel gives up, a step with more care
-            held, snaps = rubbing_leg(robot, held, joints[k])
+            held, snaps = rubbing_leg(robot, held, joints[k], load)
             yield held, [_told(robot, snap, k - 1) for snap in snaps]
             k += 1
 
@@ -114,32 +136,37 @@ def _told(robot: Robot, snap: RubbingSnap, index: int) -> Snap:
     return Snap(index, snap.fraction, before, after)
 
 
-def rubbing_start(robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None) -> Held:
-    """The state in which a motion with friction begins, by default at joint values (2n,)."""
+def rubbing_start(
+    robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None, load: Load | None = None
+) -> Held:
+    """The state in which a motion with friction begins: by default at joint values (2n,) under a load."""
     check_rubbing(robot, friction)
-    first = start if start is not None else forward_kinematics(robot, *np.split(joints, 2))
+    if load is not None:
+        load.require_energy("motion with friction is not known")
+    first = start if start is not None else forward_kinematics(robot, *np.split(joints, 2), load=load)
     held = rest(robot, first, friction)
     if held.held_margin <= 0:
         raise InputError(f"start has margin {held.held_margin:.3g}; it must be a stable equilibrium (margin above 0)")
     return held
 
 
-def rubbing_leg(robot: Robot, held: Held, goal: Array) -> tuple[Held, list[RubbingSnap]]:
-    """The state at other joint values (2n,), on a straight way, and the snaps on it."""
+def rubbing_leg(robot: Robot, held: Held, goal: Array, load: Load | None = None) -> tuple[Held, list[RubbingSnap]]:
+    """The state at other joint values (2n,) and under another load, on a straight path, and the snaps on it."""
     snaps: list[RubbingSnap] = []
-    for found in _along(JointPath(robot, np.concatenate([held.rotations, held.translations]), goal), held):
+    path = JointPath(robot, np.concatenate([held.rotations, held.translations]), goal)
+    for found in _along(Drive(path, held.contact.load, load), held):
         held = found.after if isinstance(found, RubbingSnap) else found
         snaps += [found] if isinstance(found, RubbingSnap) else []
     return held, snaps
 
 
-def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
-    """States along a straight path of joint values, and snaps; the last is at its end."""
-    t, far, stride = 0.0, -1.0, Stride(path)
-    for goal in path.events():
+def _along(drive: Drive, held: Held) -> Iterator[Held | RubbingSnap]:
+    """States along a straight path of joint values and load, and snaps; the last is at its end."""
+    t, far, stride = 0.0, -1.0, Stride(drive)
+    for goal in drive.path.events():
         while t < goal:
             at = goal if t + stride.size >= goal - 1e-12 else t + stride.size
-            there = _near(path, held, at)
+            there = _near(drive, held, at)
             if there is not None:
                 yield there
                 stride.went(t, held, at, there)
@@ -149,14 +176,14 @@ def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
             # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
             # goes far, a snap lies before it.
             if held.margin <= 0 and stride.size < CONTINUATION.hop * stride.longest and t >= far:
-                there = _flowed(path, held, at, pushed=False)
+                there = _flowed(drive, held, at, pushed=False)
                 if there is None or _distance(held, there) > CONTINUATION.smooth_turn:
                     there, far = None, at
             if there is None and shorter:
                 continue
             if there is None:
                 at, far = min(goal, t + CONTINUATION.rubbing_past * stride.shortest), -1.0
-                there = _flowed(path, held, at, pushed=True)
+                there = _flowed(drive, held, at, pushed=True)
                 if there is None:
                     raise SolveError(
                         f"the motion with friction is lost {100 * at:.3f} % of the way: no state was found in which "
@@ -169,9 +196,9 @@ def _along(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
     yield held
 
 
-def _near(path: JointPath, held: Held, t: float) -> Held | None:
+def _near(drive: Drive, held: Held, t: float) -> Held | None:
     """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
-    there = step(path.robot, held, *path.at(t))
+    there = step(drive.path.robot, held, *drive.at(t))
     if there is None or there.found.contraction > CONTINUATION.largest_ratio:
         return None
     far = _distance(held, there)
@@ -179,18 +206,22 @@ def _near(path: JointPath, held: Held, t: float) -> Held | None:
 
 
 def _distance(a: Held, b: Held) -> float:
-    """Largest difference of the twist theta - alpha of two states at the points of the second, rad."""
-    points = b.contact.problem
-    before = a.found.state.torsion.theta if a.contact is b.contact else a.theta(points.arc_length)
-    change = (b.found.state.torsion.theta - b.rotations) - (before - a.rotations)
-    return float(np.abs(change.ravel()[points.flat]).max(initial=0.0))
+    """Largest difference of two states at the points of the second, rad: of the twist theta - alpha, and under a load
+    of the turn of the arm if its curvature changed alike all along it."""
+    problem = b.contact.problem
+    before = a.found.state.elastic.theta if a.contact is b.contact else a.theta(problem.arc_length)
+    change = ((b.found.state.elastic.theta - b.rotations) - (before - a.rotations)).ravel()[problem.flat]
+    bent, old = bent_at(b, b.contact), bent_at(a, b.contact)
+    if bent is not None and old is not None:
+        change = np.append(change, problem.assembly.total_length * (bent - old))
+    return float(np.abs(change).max(initial=0.0))
 
 
-def _flowed(path: JointPath, held: Held, t: float, *, pushed: bool) -> Held | None:
+def _flowed(drive: Drive, held: Held, t: float, *, pushed: bool) -> Held | None:
     """Where the robot flows to by itself, or with a push from a state that is no equilibrium any more; None where that
     is not found."""
-    rotations, translations = path.at(t)
-    contact, before, x = carried(path.robot, held, rotations, translations)
+    rotations, translations, load = drive.at(t)
+    contact, before, x = carried(drive.path.robot, held, rotations, translations, load)
     push = None
     if pushed and contact is held.contact:
         push = CONTINUATION.nudge * softest(contact, held.found.state, held.found.signs)

@@ -8,6 +8,9 @@ and friction of capacity D_r = B_a tau bears the torque lam_r, |lam_r| <= D_r. C
 jump of curvature, where a tube ends) acts between the points. What rotation the unknowns z leave open there is the
 conditional compliance of that place given the points; it is whitened too, into unknowns y that no bending energy sees:
 the energy is E(z) + y'y / 2.
+
+Under a load the arm also bends by q (see `loaded`): x = (z, q, y), and an equilibrium makes E(z, q) - W + y'y / 2
+least. The rows stay as they are, since bending changes no rotation of one tube in another.
 """
 
 from __future__ import annotations
@@ -20,9 +23,12 @@ import scipy
 
 from ...robots.assembly import ROUND_OFF, Assembly
 from ...robots.friction import PAIRWISE, Friction
+from ...robots.load import Load
 from ...typing import Array, Index, Mask
-from .arm import Profile, profile
-from .mesh import make_mesh, piece_counts
+from . import loaded
+from .arm import Profile, integrate
+from .loaded import LoadedProblem, LoadedState, Loading, load_problem
+from .mesh import loaded_mesh, make_mesh, piece_counts
 from .reduced import Evaluation, ReducedProblem, evaluate, reduce, softness, to_unknowns
 
 DEGREE = 6
@@ -37,11 +43,12 @@ LOOSE = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """R rows of friction of an assembly; U + Y unknowns x, which turn M tubes at places between the points.
+    """R rows of friction of an assembly; X unknowns x, of which the last Y turn M tubes at places between the points.
 
     Attributes:
         problem: the torsion, with the rotation of every tube that rubs unknown.   friction: as given.
-        rows: (R, U + Y) relative rotation by the unknowns, rad per sqrt(J).
+        loading, loaded: a load, and the same torsion with the bending under it; None without load.
+        rows: (R, X) relative rotation by the unknowns, rad per sqrt(J).
         capacity: (R,) N m.   arc_length: (R,) m.
         pair: (R,) the inner tube.   point: (R,) collocation point, -1 for concentrated friction.
         place, tube: (M,) arc length, m, and tube, of the rotations between the points.
@@ -50,6 +57,8 @@ class Contact:
 
     problem: ReducedProblem
     friction: Friction
+    loading: Loading | None
+    loaded: LoadedProblem | None
     rows: Array
     capacity: Array
     arc_length: Array
@@ -60,25 +69,49 @@ class Contact:
     known: Array
     loose: Array
 
+    @property
+    def elastic_size(self) -> int:
+        """Number of unknowns (z, q) of torsion and bending, ahead of the Y others."""
+        return self.problem.size if self.loaded is None else self.loaded.size
 
-def make_contact(assembly: Assembly, friction: Friction, *, everywhere: bool = False) -> Contact:
-    """The rows of friction of concentric tubes, on a mesh fine enough for them; with `everywhere`, the rotation of each
-    tube is unknown wherever it bends the arm, where no other one does too."""
+    @property
+    def load(self) -> Load | None:
+        """The load on the tubes."""
+        return None if self.loading is None else self.loading.load
+
+    def turn_of(self, step: Array) -> float:
+        """Largest turn (rad) by a step in x: of a tube, or of the arm if its curvature changed alike all along it."""
+        torsion, bending, rest = np.split(step, [self.problem.size, self.elastic_size])
+        turns = [self.problem.factor @ torsion, self.known @ torsion + self.loose @ rest]
+        if self.loaded is not None:
+            length = self.problem.assembly.total_length
+            turns.append(length * np.repeat(self.loaded.softness, 2) * bending)
+        return float(np.abs(np.concatenate(turns)).max(initial=0.0))
+
+
+def make_contact(
+    assembly: Assembly, friction: Friction, loading: Loading | None = None, *, everywhere: bool = False
+) -> Contact:
+    """The rows of friction of concentric tubes under a load or none, on a mesh fine enough for both; with `everywhere`
+    the rotation of each tube is unknown wherever it bends the arm, even where no other tube does."""
     n = assembly.n_tubes
     capacities = {name: np.array(friction.per_pair(name, n - 1)) for name in PAIRWISE}
     # (m, n - 1) sections in which a pair touches that rubs anywhere.
     rub = np.sum(list(capacities.values()), axis=0) > 0
     touching = assembly.present[:, 1:] & rub
-    unknown = assembly.curved & (assembly.coupled | everywhere)[:, None]
+    unknown = assembly.curved & (assembly.coupled | everywhere | (loading is not None))[:, None]
     unknown[:, 1:] |= touching
     unknown[:, :-1] |= touching
-    problem = _problem(assembly, friction, touching, unknown)
+    problem = _problem(assembly, friction, touching, unknown, loading)
+    under_load = None if loading is None else load_problem(problem, loading.load, loading.density)
+    bending = 0 if under_load is None else under_load.size - problem.size
     index = np.full((len(problem.weight), n), -1)
     index[problem.point, problem.tube] = np.arange(problem.size)
     spots = _spots(assembly, capacities)
     place, tube = _between(spots)
     known, loose = _open(problem, place, tube)
-    by_x = np.block([[problem.factor, np.zeros((problem.size, loose.shape[1]))], [known, loose]])
+    held = np.zeros((problem.size, bending + loose.shape[1]))
+    by_x = np.block([[problem.factor, held], [known, np.zeros((len(known), bending)), loose]])
     section = np.repeat(problem.mesh.section[problem.mesh.collocated], DEGREE)
     pair, point = np.nonzero((assembly.present[:, 1:] & (capacities["torque"] > 0))[section].T)
     rows = by_x[index[point, pair + 1]] - by_x[index[point, pair]]
@@ -96,14 +129,20 @@ def make_contact(assembly: Assembly, friction: Friction, *, everywhere: bool = F
             for column, value in zip(whole, (row, most, s, i, -1), strict=True):
                 column.append(np.array([value]))
     rows, capacity, arc_length, pair, point = (np.concatenate(column) for column in whole)
-    return Contact(problem, friction, rows, capacity, arc_length, pair, point, place, tube, known, loose)
+    return Contact(
+        problem, friction, loading, under_load, rows, capacity, arc_length, pair, point, place, tube, known, loose
+    )
 
 
-def _problem(assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask) -> ReducedProblem:
+def _problem(
+    assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask, loading: Loading | None
+) -> ReducedProblem:
     """The torsion with the rotations `unknown` (m, n), in sections that are cut finer where pairs rub (m, n - 1)."""
     overlap = assembly.length @ rubs
     longest = np.min(np.where(rubs, overlap / (PIECES * 2.0**friction.refinement), np.inf), axis=1, initial=np.inf)
     counts = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
+    if loading is not None:
+        return reduce(assembly, loaded_mesh(assembly, np.maximum(counts, loading.counts), degree=DEGREE), unknown)
     mesh = make_mesh(assembly, counts, degree=DEGREE)
     return reduce(assembly, replace(mesh, collocated=(unknown.sum(1) > 0)[mesh.section]), unknown)
 
@@ -162,38 +201,48 @@ def _open(problem: ReducedProblem, place: Array, tube: Index) -> tuple[Array, Ar
 
 @dataclass(frozen=True, eq=False)
 class Rubbing:
-    """State of a contact at unknowns x: `torsion`, whose energy (J) has that of y; gradient and Hessian in x without
-    friction; relative rotations `turned` (R,), rad."""
+    """State of a contact at unknowns x, without friction: `elastic` is that of the tubes, by (z, q); energy is that of
+    x less the work of a load, J, with its gradient and Hessian; `turned` (R,) are the relative rotations, rad."""
 
     x: Array
-    torsion: Evaluation
+    elastic: Evaluation | LoadedState
+    energy: float
     gradient: Array
     hessian: Array
     turned: Array
 
+    @property
+    def torsion(self) -> Evaluation:
+        """State of tubes that bear no load."""
+        assert isinstance(self.elastic, Evaluation)
+        return self.elastic
+
 
 def evaluate_contact(contact: Contact, rotations: Array, x: Array) -> Rubbing:
     """Energy, its derivatives, and relative rotations at x (U + Y,) for base rotations (n,)."""
-    size = contact.problem.size
-    torsion, y = evaluate(contact.problem, rotations, x[:size]), x[size:]
-    gradient, hessian = torsion.gradient, torsion.hessian
+    own, y = np.split(x, [contact.elastic_size])
+    elastic: Evaluation | LoadedState
+    if contact.loaded is None:
+        elastic = evaluate(contact.problem, rotations, own)
+    else:
+        elastic = loaded.evaluate(contact.loaded, rotations, own)
+    gradient, hessian = elastic.gradient, elastic.hessian
     if len(y):
         gradient = np.concatenate([gradient, y])
         hessian = scipy.linalg.block_diag(hessian, np.eye(len(y)))
-        torsion = replace(torsion, energy=torsion.energy + float(y @ y) / 2)
     turned = (rotations[contact.pair + 1] - rotations[contact.pair]) + contact.rows @ x
-    return Rubbing(x, torsion, gradient, hessian, turned)
+    return Rubbing(x, elastic, elastic.potential + float(y @ y) / 2, gradient, hessian, turned)
 
 
 def rubbing_profile(contact: Contact, rotations: Array, state: Rubbing, torque: Array) -> Profile:
     """theta_i(s) of a solved contact whose rows bear torques (R,), N m."""
-    problem, moment = contact.problem, state.torsion.moment.copy()
+    problem, moment = contact.problem, state.elastic.torque.copy()
     inside = np.flatnonzero(contact.point >= 0)
     point, pair, per_length = contact.point[inside], contact.pair[inside], torque[inside]
     per_length = per_length / problem.weight[point]
     np.add.at(moment, (point, pair + 1), per_length)
     np.add.at(moment, (point, pair), -per_length)
-    found = profile(problem, rotations, replace(state.torsion, moment=moment))
+    found = integrate(problem, rotations, moment)
     spots = np.flatnonzero(contact.point < 0)
     if not len(spots):
         return found
@@ -209,10 +258,22 @@ def rubbing_profile(contact: Contact, rotations: Array, state: Rubbing, torque: 
     return replace(found, rotation=turn, twist=twist)
 
 
-def unknowns_of(contact: Contact, rotations: Array, points: Array, between: Array) -> Array:
-    """x (U + Y,) of elastic rotations at the collocation points (N, n) and at the places between them (M,)."""
+def unknowns_of(contact: Contact, rotations: Array, points: Array, between: Array, bent: Array | None = None) -> Array:
+    """x (X,) of elastic rotations at the collocation points (N, n) and at the places between them (M,); under a load
+    also of `bent` (N, 2), the curvature at the points beyond that without load, 1/m."""
     z = to_unknowns(contact.problem, rotations, points)
-    if not contact.loose.shape[1]:
-        return z
-    rest = between - rotations[contact.tube] - contact.known @ z
-    return np.concatenate([z, np.linalg.lstsq(contact.loose, rest, rcond=None)[0]])
+    parts = [z]
+    if contact.loaded is not None:
+        assert bent is not None
+        parts.append((bent / contact.loaded.softness[:, None]).ravel())
+    if contact.loose.shape[1]:
+        rest = between - rotations[contact.tube] - contact.known @ z
+        parts.append(np.asarray(np.linalg.lstsq(contact.loose, rest, rcond=None)[0], dtype=float))
+    return np.concatenate(parts)
+
+
+def bent_of(contact: Contact, x: Array) -> Array | None:
+    """(N, 2) curvature beyond that without load at the collocation points, 1/m; None without a load."""
+    if contact.loaded is None:
+        return None
+    return contact.loaded.softness[:, None] * x[contact.problem.size : contact.elastic_size].reshape(-1, 2)

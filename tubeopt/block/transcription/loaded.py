@@ -26,7 +26,7 @@ import numpy as np
 
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import Load
-from ...typing import Array
+from ...typing import Array, Index
 from .buffered import section_function
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
@@ -110,6 +110,20 @@ class LoadedState:
     def potential(self) -> float:
         """Energy less work, J: what dead loads make least."""
         return self.energy - self.work
+
+
+@dataclass(frozen=True, eq=False)
+class Loading:
+    """A load on an assembly whose sections end where the load jumps.
+
+    Attributes:
+        load: as given.   density: (n,) mass per length of the tubes, kg/m.
+        counts: (m,) least number of pieces of each section.
+    """
+
+    load: Load
+    density: Array
+    counts: Index
 
 
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:

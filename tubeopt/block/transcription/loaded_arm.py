@@ -29,14 +29,13 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
     return profile
 
 
-def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> ArmShape:
-    """Everything along the arm."""
+def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:
+    """Everything along the arm, from the torsion along it."""
     torsion, mesh = problem.torsion, problem.mesh
-    t, pieces, n = mesh.tableau, len(mesh.length), len(rotations)
-    profile = loaded_profile(problem, rotations, state)
+    t, pieces = mesh.tableau, len(mesh.length)
     theta, slope, pull = tubes_along(torsion, profile)
     bent = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
-    natural = section_function("curvature", len(pull[0]), n, False)(*pull)[0]
+    natural = section_function("curvature", len(pull[0]), pull[0].shape[1], False)(*pull)[0]
     curvature = natural.reshape(pieces, len(ENDS), 2) + t.lagrange(ENDS) @ bent
     along, up_to = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
     turning = (along.rate @ along.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)

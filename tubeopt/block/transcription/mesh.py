@@ -110,7 +110,7 @@ LOADED_WAVES = 0.5
 """The same of what bends under load: the margin, close to 1 where loads are small, then is right to 1e-8."""
 
 
-def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: int = 0) -> NDArray[np.intp]:
+def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np.intp]:
     """(m,) pieces per section of an arm on whose cross-sections at most `force`, N, and at its tip `moment`, N m, act.
 
     Bending under a force n is as fast as sqrt(n / K), and bends an arm by no more than that of an elastica, twice this
@@ -122,7 +122,7 @@ def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: i
     waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES
     need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
     pieces = np.ceil(need - 1e-9)
-    return np.asarray(np.maximum(1, pieces).astype(np.intp) * 2**refinement)
+    return np.asarray(np.maximum(1, pieces).astype(np.intp))
 
 
 def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:

@@ -126,6 +126,16 @@ class Evaluation:
     moment: Array
     extra_twist: Array | None
 
+    @property
+    def potential(self) -> float:
+        """Energy that an equilibrium makes least, J: without load the elastic one."""
+        return self.energy
+
+    @property
+    def torque(self) -> Array:
+        """(N, n) torque per length on each tube, N."""
+        return self.moment
+
 
 def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> ReducedProblem:
     """Eliminate everything but theta at the collocation points of the tubes that are coupled there, or of those in
