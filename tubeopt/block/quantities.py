@@ -193,7 +193,7 @@ class Quantities:
         self.poses = tuple(PoseQuantities(look, k, n_tubes) for k in range(n_poses))
 
     def certificate(self, translations: Any = None) -> Any:
-        """Snap-free certificate mu_cert at given translations (n,), m, which are numbers; None is home."""
+        """Snap-free certificate mu_cert at given translations (n,), m, which are numbers; None is all 0."""
         given = np.zeros(self.n_tubes) if translations is None else translations
         if isinstance(given, (ca.SX, ca.MX)):
             raise InputError("translations of a certificate must be numbers")

@@ -17,7 +17,7 @@ from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
 from ..inverse.chart import Chart
-from ..inverse.joints import Configuration
+from ..inverse.configurations import Configuration
 from ..inverse.settings import InverseOptions
 from ..inverse.solving import inverse_kinematics
 from ..robots.limits import JointLimits

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, vector
-from ..inverse.joints import Configuration, joint_space
+from ..inverse.configurations import Configuration, configuration
+from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
@@ -223,7 +224,8 @@ class CServo:
 
     Raises:
         InputError: options that only the servo in Python has: bodies' clearance, priorities, an objective other than
-            the margin.
+            the margin. A seed outside the limits or the order of the tubes, or with carriages apart that lengths leave
+            no play.
         SolveError: the library finds no stable equilibrium at the seed from tubes without torsion.
     """
 
@@ -236,6 +238,8 @@ class CServo:
             raise InputError("the servo of a C library knows no bodies, no priorities, no objective but the margin")
         self.space = joint_space(library.robot)
         self._robot = CRobot(library)
+        if words := self.space.outside(configuration(self.space, "seed", seed)):
+            raise InputError(f"seed is out of range: {words}")
         self.equilibrium = self._before = self._robot.solve(*seed)
 
     @property
@@ -270,6 +274,7 @@ class CServo:
     def _straight(self, rotations: Array, translations: Array, dt: float) -> ServoStep[CPose]:
         """A step straight to joint values, as far as rates allow; none where the margin would fall below its floor."""
         here, o = self.equilibrium, self.options
+        self.space.join(rotations, translations, "joints")
         turn, shift = rotations - here.rotations, translations - here.translations
         most = max(
             np.abs(turn).max() / max(o.turn_rate * dt, 1e-300), np.abs(shift).max() / max(o.shift_rate * dt, 1e-300)

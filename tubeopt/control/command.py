@@ -10,7 +10,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, choice, positive, vector
-from ..inverse.joints import Configuration
+from ..inverse.configurations import Configuration
 from ..typing import Array, Of
 
 TASKS = ("position", "velocity", "direction", "pivot", "joints")

@@ -16,8 +16,9 @@ from ..bodies.scene import Lookout, Scene, scene_of
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
+from ..inverse.configurations import Configuration, shift_of
 from ..inverse.goal import angle
-from ..inverse.joints import Configuration, JointSpace, joint_space
+from ..inverse.joints import JointSpace, joint_space
 from ..inverse.posture import Posture, seed_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
@@ -40,15 +41,15 @@ class Guard:
         options: ServoOptions,
     ) -> None:
         self.options = options
-        self.space: JointSpace = joint_space(robot, limits)
+        self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, seed))
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
         self._lookout = Lookout(self.scene)
         self.here = self.before = seed_posture(self.space, seed)
         """Where the robot is, and where it was before the last step."""
         self.sight = 0.0
         """Distance (m) up to which bodies are looked at where a step leads: once for the guard and the next step."""
-        if not self.space.admissible(self.here.q):
-            raise InputError("seed lies outside the limits of the joints or the order of the tubes")
+        if words := self.space.outside(self.here.q):
+            raise InputError(f"seed is out of range: {words}")
         if self.here.margin < options.min_margin:
             raise InputError(
                 f"seed has margin {self.here.margin:.3g}; it must be min_margin, {options.min_margin:g}, or more"

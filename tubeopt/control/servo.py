@@ -18,7 +18,7 @@ from ..equilibrium.jacobian import compiled_slopes
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
-from ..inverse.joints import Configuration, configuration
+from ..inverse.configurations import Configuration, configuration
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.posture import Posture
 from ..inverse.settings import DEFAULT_SOLVER

@@ -107,7 +107,7 @@ class Objective:
     weight: Annotated[float, POSITIVE, "of the value in SI, where there are several"] = 1.0
     depth: Annotated[float | None, unit("mm"), "for reach_radius: height of the tip"] = None
     translations: Annotated[
-        tuple[float, ...] | None, unit("mm"), "for tip_curvature and turning_radius; home if not given"
+        tuple[float, ...] | None, unit("mm"), "for tip_curvature and turning_radius; all 0 if not given"
     ] = None
     tip_force: Annotated[
         tuple[float, float, float] | None, unit("mN"), "for tip_deflection and tip_stiffness, in axes of the plate"

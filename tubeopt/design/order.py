@@ -35,9 +35,10 @@ class Place:
 def ordered_places(
     n_tubes: int, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
 ) -> tuple[Place, ...]:
-    """Where tubes must be in order: at home, and wherever a requirement or an objective puts them."""
-    home = (0.0,) * n_tubes
-    found = [Place("at home", home, home)]
+    """Where tubes must be in order: at translations 0, which is then home, and wherever a requirement or an objective
+    puts them."""
+    zero = (0.0,) * n_tubes
+    found = [Place("at translations 0", zero, zero)]
     for one in requirements:
         match one:
             case SnapFree(translations=rows, box=box):

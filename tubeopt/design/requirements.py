@@ -34,7 +34,7 @@ class SnapFree:
     """
 
     margin: Annotated[float, "of the certificate, less than 1"] = 0.05
-    translations: Annotated[Rows | None, unit("mm"), "rows at which it must hold; by default home"] = None
+    translations: Annotated[Rows | None, unit("mm"), "rows at which it must hold; by default all 0"] = None
     box: Annotated[
         tuple[tuple[float, ...], tuple[float, ...]] | None, unit("mm"), "least and greatest translations"
     ] = None

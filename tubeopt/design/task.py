@@ -57,8 +57,8 @@ class DesignTask(Displayed):
     """What to call it."""
     ordered: bool = True
     """Whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it, none
-    withdrawn past the plate) at home, over certified boxes, and at all translations that requirements and objectives
-    name; in poses whose joint values are found they always are."""
+    withdrawn past the plate) at translations 0, over certified boxes, and at all translations that requirements and
+    objectives name; in poses whose joint values are found they always are."""
     solver: DesignSolver = DEFAULT_SOLVER
     """How hard it is searched for."""
 

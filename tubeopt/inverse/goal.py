@@ -15,8 +15,9 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot, check_robot
 from ..typing import Array, Index, Of
 from .clock import Clock
+from .configurations import Configuration, configuration, scaled_weights, shift_of
 from .extra import NOTHING, Extras, extras
-from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
+from .joints import JointSpace, joint_space
 from .outline import MOST_CONTACTS, Contacts
 from .posture import Posture
 from .settings import DEFAULT_OPTIONS, InverseOptions, InverseSolver
@@ -244,8 +245,9 @@ def pose_question(
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
-    space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     seed, reference = places
+    space = joint_space(robot, limits, options.carriage_gap, options.section_length)
+    space = space.holding(*shift_of(robot, seed, reference))
     centre = space.middle()
     for name, place in (("seed", seed), ("reference", reference)):
         centre = configuration(space, name, place) if place is not None else centre

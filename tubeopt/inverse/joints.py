@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 import scipy
 
-from ..errors import InputError, vector
+from ..errors import InputError
+from ..files.units import TO_MM
 from ..robots.assembly import ROUND_OFF
-from ..robots.eccentric import SegmentedEccentricRobot
 from ..robots.limits import JointLimits
+from ..robots.order import Demand, carriage_name, demands, translation_ranges
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
@@ -20,6 +21,12 @@ from .least_squares import constrained_least_squares
 
 CLOSE = 1e-6
 """Share of a joint's scale at which it counts as being at the end of its range."""
+
+SLACK = 1e-9
+"""Share of a joint's scale, and of the longest tube, by which round-off may leave ranges and order."""
+
+SAME_PLACE = 1e-9
+"""Distance (m) of two carriages that are at one place: round-off of translations in files, far below any drive's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +40,10 @@ class JointSpace:
     """Of which the order was made, as `joint_space` says, m."""
     section_length: float
     """The same, m."""
+    apart: tuple[tuple[int, int], ...]
+    """Nested tubes, from 0, whose inner one may end inside the outer one."""
+    fixed: tuple[Demand, ...]
+    """The part of the order that leaves no play."""
     carriages: tuple[tuple[int, ...], ...]
     """Tubes, from 0, that each translation moves."""
     lower: Array
@@ -88,20 +99,72 @@ class JointSpace:
         joint = self.joint(q)
         return joint[:n], tuple(joint[n:].tolist())
 
-    def join(self, rotations: Array, translations: Array) -> Array:
-        """Independent joint values of rotations and translations (n,)."""
+    def join(self, rotations: Array, translations: Array, name: str = "") -> Array:
+        """(m,) independent joint values of rotations and translations (n,).
+
+        Raises:
+            InputError: tubes that one joint moves are elsewhere than it would move them; the message calls them `name`.
+        """
+        q = self._independent(rotations, translations)
+        if not self.plain and np.abs(q @ self.spread.T + self.offset - [*rotations, *translations]).max() > SAME_PLACE:
+            raise InputError(self._moved_apart(np.asarray(translations), name))
+        return q
+
+    def _independent(self, rotations: Array, translations: Array) -> Array:
+        """(m,) joint values at which the first tube of every carriage is at its translation."""
         own = np.asarray(translations) - self.offset[self.robot.n_tubes :]
         return np.concatenate([rotations, own[[tubes[0] for tubes in self.carriages]]])
 
+    def _moved_apart(self, shift: Array, name: str) -> str:
+        """In words, why no joint values have the translations (n,)."""
+        for tubes in self.robot.moving_together:
+            if np.ptp(shift[list(tubes)]) > SAME_PLACE:
+                return f"{_translations(shift, tubes, name)}; they must be equal, since one carriage moves these tubes"
+        missing = [one.least - shift[one.ahead] + shift[one.behind] for one in self.fixed]
+        worst = int(np.argmax(missing))
+        one = self.fixed[worst]
+        tubes = tuple(sorted((one.ahead, one.behind)))
+        return f"{_translations(shift, tubes, name)}: {one.broken}, by {missing[worst] * TO_MM:.4g} mm"
+
+    def holding(self, *shifts: Array) -> JointSpace:
+        """The space that has the translations (n,) of each of `shifts`.
+
+        It is this one where it has them. Where the order leaves two carriages no play, and an inner tube ends inside
+        the outer one, the carriages move apart: so that the inner tube may end there.
+        """
+        apart = {
+            one.ends
+            for one in self.fixed
+            for shift in shifts
+            if one.ends is not None and shift[one.ahead] - shift[one.behind] < one.least - SAME_PLACE
+        }
+        if not apart:
+            return self
+        kept = tuple(sorted(apart.union(self.apart)))
+        return _joint_space(self.robot, self.limits, self.carriage_gap, self.section_length, kept)
+
     def admissible(self, q: Array) -> bool:
         """Whether q keeps the ranges and the order, to within round-off."""
-        slack = 1e-9
-        inside = (q >= self.lower - slack * self.scale) & (q <= self.upper + slack * self.scale)
+        inside = (q >= self.lower - SLACK * self.scale) & (q <= self.upper + SLACK * self.scale)
         return bool(inside.all() and self.ordered(q))
 
     def ordered(self, q: Array) -> Mask:
         """(...) whether q (..., m) keep the order, to within round-off."""
-        return np.asarray((q @ self.rows.T >= self.least - 1e-9 * self.length).all(-1))
+        return np.asarray((q @ self.rows.T >= self.least - SLACK * self.length).all(-1))
+
+    def outside(self, q: Array, slack: float = SLACK) -> str:
+        """In words, what is out of its range, by more than `slack` of a joint's scale, or out of order at q (m,); empty
+        where nothing is."""
+        n = self.robot.n_tubes
+        for k in np.flatnonzero((q < self.lower - slack * self.scale) | (q > self.upper + slack * self.scale)):
+            unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
+            value, low, high = (each[k] * factor for each in (q, self.lower, self.upper))
+            return f"{self.names[k]} is {value:.6g} {unit}; it must be from {low:.6g} to {high:.6g} {unit}"
+        missing = self.least - self.rows @ q
+        if missing.max(initial=0.0) <= SLACK * self.length:
+            return ""
+        worst = int(np.argmax(missing))
+        return f"the tubes leave their order by {missing[worst] * TO_MM:.4g} mm, beyond {self.row_names[worst]}"
 
     def inequalities(self, q: Array) -> tuple[Array, Array]:
         """rows (2m + k, m) and bounds of a step from q that stays admissible."""
@@ -184,7 +247,7 @@ class JointSpace:
 
     def middle(self) -> Array:
         """(m,) home where the ranges allow it, else their nearest values."""
-        return np.clip(self.join(np.zeros(self.robot.n_tubes), self.robot.home_translations), self.lower, self.upper)
+        return self.clip(self._independent(self.robot.home_rotations, self.robot.home_translations))
 
     def sample(self, count: int) -> Array:
         """(count, m) admissible joint values, spread evenly: Sobol points of the ranges that keep the order.
@@ -245,11 +308,6 @@ class JointSpace:
         return out
 
 
-def carriage_name(tubes: tuple[int, ...]) -> str:
-    """What moves: a tube, or the tubes of a segment."""
-    return f"tube {tubes[0] + 1}" if len(tubes) == 1 else f"tubes {tubes[0] + 1} to {tubes[-1] + 1}"
-
-
 def joint_space(
     robot: Robot, limits: JointLimits | None = None, carriage_gap: float = 0.0, section_length: float = 0.0
 ) -> JointSpace:
@@ -258,19 +316,25 @@ def joint_space(
     A tube is held behind the one around it, at least `carriage_gap` (m) apart, and ends beyond it, by at least
     `section_length` (m); the curved part of an eccentric segment begins beyond the end of the next outer one. No tube
     leaves its actuator, none is withdrawn past the plate. Where the order leaves two carriages no play, as for two
-    tubes of equal length, they are one joint.
+    tubes of equal length, they are one joint; see `JointSpace.holding` for those that are apart.
     """
-    return _joint_space(robot, limits if limits is not None else robot.limits, carriage_gap, section_length)
+    return _joint_space(robot, limits if limits is not None else robot.limits, carriage_gap, section_length, ())
 
 
 @lru_cache(maxsize=32)
-def _joint_space(robot: Robot, allowed: JointLimits, carriage_gap: float, section_length: float) -> JointSpace:
+def _joint_space(
+    robot: Robot,
+    allowed: JointLimits,
+    carriage_gap: float,
+    section_length: float,
+    apart: tuple[tuple[int, int], ...],
+) -> JointSpace:
     n = robot.n_tubes
     if len(allowed.rotations) != n:
         raise InputError(f"limits are given for {len(allowed.rotations)} tubes; the robot has {n}")
-    low, high = _ranges(robot, allowed)
-    demands = _order(robot, carriage_gap, section_length)
-    offset, carriages = _tied(robot, demands)
+    low, high = translation_ranges(robot.tubes, allowed)
+    order = demands(robot, carriage_gap, section_length, apart)
+    offset, carriages = _tied(robot, order)
     spread = np.zeros((2 * n, n + len(carriages)))
     spread[:n, :n] = np.eye(n)
     for k, group in enumerate(carriages):
@@ -279,20 +343,22 @@ def _joint_space(robot: Robot, allowed: JointLimits, carriage_gap: float, sectio
     lower = np.array([*turn[:, 0], *((low - offset)[list(group)].max() for group in carriages)])
     upper = np.array([*turn[:, 1], *((high - offset)[list(group)].min() for group in carriages)])
     upper = np.where(np.abs(upper - lower) <= ROUND_OFF, lower, upper)
-    rows = np.array([spread[n + ahead] - spread[n + behind] for ahead, behind, _, _ in demands])
-    least = np.array([size - offset[ahead] + offset[behind] for ahead, behind, size, _ in demands])
+    rows = np.array([spread[n + one.ahead] - spread[n + one.behind] for one in order])
+    least = np.array([one.least - offset[one.ahead] + offset[one.behind] for one in order])
     kept = np.array([bool(row.any()) for row in rows], dtype=bool)
     space = JointSpace(
         robot=robot,
         limits=allowed,
         carriage_gap=carriage_gap,
         section_length=section_length,
+        apart=apart,
+        fixed=tuple(one for one, keep in zip(order, kept, strict=True) if not keep),
         carriages=carriages,
         lower=lower,
         upper=upper,
         rows=rows.reshape(-1, len(lower))[kept],
         least=least[kept],
-        row_names=tuple(name for (_, _, _, name), keep in zip(demands, kept, strict=True) if keep),
+        row_names=tuple(one.name for one, keep in zip(order, kept, strict=True) if keep),
         spread=spread,
         offset=np.concatenate([np.zeros(n), offset]),
         scale=np.concatenate([np.ones(n), np.full(len(carriages), max(tube.length for tube in robot.tubes) / 2)]),
@@ -301,98 +367,27 @@ def _joint_space(robot: Robot, allowed: JointLimits, carriage_gap: float, sectio
     return space
 
 
-def _ranges(robot: Robot, allowed: JointLimits) -> tuple[Array, Array]:
-    """(n,) least and greatest translation of every tube, of what the limits and its lengths allow."""
-    shift = np.array(allowed.translations).reshape(-1, 2)
-    straight, curved = (
-        np.array([getattr(t, f"{part}_length") for t in robot.tubes]) for part in ("straight", "curved")
-    )
-    low, high = np.maximum(shift[:, 0], -curved), np.minimum(shift[:, 1], straight)
-    for i in np.flatnonzero(low > high):
-        raise InputError(
-            f"limits of translation {i + 1} are [{shift[i, 0]:g}, {shift[i, 1]:g}] m; they must overlap what the "
-            f"tube's lengths allow, [{-curved[i]:g}, {straight[i]:g}] m"
-        )
-    return low, high
-
-
-Demand = tuple[int, int, float, str]
-"""Tubes i, j, a length and a name: translation of i minus that of j is at least the length; at it, the name is so."""
-
-
-def _order(robot: Robot, carriage_gap: float, section_length: float) -> list[Demand]:
-    """What keeps nested tubes in order, once for all tubes that move together."""
-    tubes, group = robot.tubes, {i: tubes for tubes in robot.moving_together for i in tubes}
-    demands: list[Demand] = []
-    seen = set()
-    for i, o in robot.nested_pairs:
-        if (group[i], group[o]) in seen:
-            continue
-        seen.add((group[i], group[o]))
-        inner, outer = tubes[i], tubes[o]
-        names = carriage_name(group[i]), carriage_name(group[o])
-        # Held behind: beta_o - beta_i >= gap, with beta = translation - straight_length.
-        apart = carriage_gap + outer.straight_length - inner.straight_length
-        demands.append((o, i, apart, f"carriages of {names[0]} and {names[1]} touching"))
-        if isinstance(robot, SegmentedEccentricRobot):
-            demands.append((i, o, outer.curved_length, f"curve of {names[0]} beginning where {names[1]} end"))
-        beyond = section_length + outer.curved_length - inner.curved_length
-        demands.append((i, o, beyond, f"{names[0]} ending where {names[1]} ends"))
-    return demands
-
-
-def _tied(robot: Robot, demands: list[Demand]) -> tuple[Array, tuple[tuple[int, ...], ...]]:
+def _tied(robot: Robot, order: Sequence[Demand]) -> tuple[Array, tuple[tuple[int, ...], ...]]:
     """Translations of every tube relative to its group's joint, and the groups: carriages without play are joined."""
     offset = np.zeros(robot.n_tubes)
     groups = [list(tubes) for tubes in robot.moving_together]
-    for i, j, least, _ in demands:
-        most = min((-size for a, b, size, _ in demands if (a, b) == (j, i)), default=np.inf)
+    for one in order:
+        i, j = one.ahead, one.behind
+        most = min((-other.least for other in order if (other.ahead, other.behind) == (j, i)), default=np.inf)
         own, other = (next(g for g in groups if k in g) for k in (i, j))
-        if abs(most - least) > ROUND_OFF or own is other:
+        if abs(most - one.least) > ROUND_OFF or own is other:
             continue
         # q_i + offset_i - q_j - offset_j = least, with q_i = q_j from now on.
-        shift = least - offset[i] + offset[j]
+        shift = one.least - offset[i] + offset[j]
         offset[own] += shift
         groups.remove(own)
         other += own
     return offset, tuple(tuple(sorted(group)) for group in groups)
 
 
-Configuration = Any
-"""A pair (rotations, translations), or anything with these attributes: an Equilibrium, an InverseSolution."""
-
-
-def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
-    """(m,) joint values of a configuration; raises InputError naming it where it is none."""
-    if hasattr(value, "rotations") and hasattr(value, "translations"):
-        value = (value.rotations, value.translations)
-    try:
-        rotations, translations = value
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name} is {value!r}; it must be a pair (rotations, translations), an Equilibrium or an InverseSolution"
-        ) from None
-    n = space.robot.n_tubes
-    alpha = vector(f"rotations of {name}", rotations, n)
-    home = space.robot.home_translations if translations is None else translations
-    shift = vector(f"translations of {name}", home, n)
-    space.robot.assembly(shift)
-    return space.join(alpha, shift)
-
-
-def scaled_weights(space: JointSpace, weights: Any) -> Array:
-    """(m,) weights of the joints in a distance: given per rad and per m, else one over the scale of each."""
-    if weights is None:
-        return 1 / space.scale
-    n = space.robot.n_tubes
-    try:
-        turn, shift = weights
-    except (TypeError, ValueError):
-        raise InputError(
-            "weights must be a pair: of the rotations (n,), per rad, and of the translations, per m"
-        ) from None
-    values = [vector(f"weights of {what}", value, n) for what, value in (("rotations", turn), ("translations", shift))]
-    if min(value.min() for value in values) < 0:
-        raise InputError("weights must be at least 0")
-    together = [float(np.sqrt((values[1][list(tubes)] ** 2).sum())) for tubes in space.robot.moving_together]
-    return np.concatenate([values[0], together])
+def _translations(shift: Array, tubes: Sequence[int], name: str) -> str:
+    """What tubes, from 0, are at, in words."""
+    numbers = [f"{number:.6g} mm" for number in (shift[list(tubes)] * TO_MM).tolist()]
+    places, last = ", ".join(str(tube + 1) for tube in tubes[:-1]), tubes[-1] + 1
+    of = f" of {name}" if name else ""
+    return f"translations{of} of tubes {places} and {last} are {', '.join(numbers[:-1])} and {numbers[-1]}"

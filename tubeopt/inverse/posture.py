@@ -19,7 +19,8 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
 from ..errors import InputError, SolveError
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Of
-from .joints import Configuration, JointSpace, configuration
+from .configurations import Configuration, configuration
+from .joints import JointSpace
 from .outline import Contacts, Outline
 
 _Slopes = tuple[tuple[Array, Array, Array], Array]
@@ -181,9 +182,9 @@ def same_place(one: Posture | None, other: Posture) -> bool:
     return one is not None and bool(np.linalg.norm(one.tip - other.tip) <= SAME_TIP)
 
 
-def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
-    """The posture of an equilibrium."""
-    return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
+def posture_of(space: JointSpace, equilibrium: Equilibrium, name: str = "") -> Posture:
+    """The posture of an equilibrium; raises InputError, which calls it `name`, where the joint space has none."""
+    return Posture(space, space.join(equilibrium.rotations, equilibrium.translations, name), equilibrium)
 
 
 def seed_posture(space: JointSpace, seed: Configuration) -> Posture:

@@ -18,9 +18,9 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .clock import Clock
+from .configurations import Configuration
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, pose_question, unit_vector
-from .joints import Configuration
 from .least_squares import constrained_least_squares
 from .order import Order, breakpoint_order, crossings
 from .posture import Posture, posture_of, same_place, seed_posture
@@ -184,8 +184,8 @@ class IkSession:
 
     def _allowed(self, seed: Posture) -> Posture:
         """The seed; raises InputError where it is not allowed itself."""
-        if not self._goal.space.admissible(seed.q):
-            raise InputError("seed lies outside the limits of the joints or the order of the tubes")
+        if words := self._goal.space.outside(seed.q):
+            raise InputError(f"seed is out of range: {words}")
         if seed.margin < self._goal.floor:
             raise InputError(
                 f"seed has margin {seed.margin:.3g}; it must have more than min_margin, {self._goal.min_margin:g}"

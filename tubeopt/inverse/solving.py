@@ -24,8 +24,8 @@ from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from .answer import InverseSolution
 from .clock import Clock
+from .configurations import Configuration
 from .goal import Goal, angle, pose_question
-from .joints import Configuration
 from .multistart import Multistart, known_home
 from .outline import Outline
 from .posture import posture_of, seed_posture

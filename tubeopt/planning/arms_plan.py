@@ -23,6 +23,7 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
 from ..inverse.clock import Clock
+from ..inverse.configurations import shift_of
 from ..inverse.joints import joint_space
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -158,7 +159,7 @@ def plan_arms(
     for k, start in enumerate(starts):
         with of_arm(known, k):
             space = joint_space(known[k].robot, None, options.carriage_gap, options.section_length)
-            first.append(start_equilibrium(space, start))
+            first.append(start_equilibrium(space.holding(*shift_of(known[k].robot, start)), start))
     _check_starts(known, first, options.clearance, options.effort.arms.points)
     goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
 
@@ -261,6 +262,7 @@ def _moves(
 def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Array, Array]:
     """Joint values of an arm with its tubes withdrawn, and turned as they are."""
     space, n = joint_space(arm.robot, None, options.carriage_gap, options.section_length), arm.robot.n_tubes
+    space = space.holding(at.translations)
     q = space.join(at.rotations, at.translations)
     q[n:] += 0.9 * (space.lower[n:] - q[n:])
     rotations, translations = space.split(space.nearest(q))

@@ -136,7 +136,7 @@ def plan_from_region(
         True
     """
     instance("region", region, EntryRegion)
-    task = asked(robot, obstacles, options=options, **given)
+    task = asked(robot, obstacles, options=options, places=(start, goal), **given)
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:

@@ -150,7 +150,7 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     turns, shifts = joint_columns(own.n_tubes)
     moved = table.expect([TIME, *turns], together=shifts)
     time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)
-    home = np.tile(own.home_translations, (len(table.rows), 1))
+    home = np.tile(own.home_readings, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home
     table.check()
     return TimedJoints(own, time, *to_model(own, rotations, translations), _tips(path, comments, own.n_tubes))

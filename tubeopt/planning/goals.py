@@ -19,9 +19,10 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
+from ..inverse.configurations import configuration
 from ..inverse.descent import reach
 from ..inverse.goal import pose_question
-from ..inverse.joints import JointSpace, configuration
+from ..inverse.joints import JointSpace
 from ..inverse.outline import Outline
 from ..inverse.posture import posture_of, start_at
 from ..robots.load import Load
@@ -29,6 +30,9 @@ from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .question import PlanTask
 from .reach import check_place, least_miss
+
+ROUNDED = 1e-6
+"""Share of a joint's scale by which an end may be out of range: joint values of a file are rounded."""
 
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
@@ -317,25 +321,8 @@ def kept(task: PlanTask, floor: float, seconds: float) -> dict[str, Any]:
 
 
 def _in_range(space: JointSpace, name: str, rotations: Array, translations: Array) -> None:
-    n = space.robot.n_tubes
-    q = space.join(rotations, translations)
-    for k, (value, low, high) in enumerate(zip(q, space.lower, space.upper, strict=True)):
-        if not low - 1e-6 * space.scale[k] <= value <= high + 1e-6 * space.scale[k]:
-            turn = k < n
-            what = f"rotation of tube {k + 1}" if turn else f"translation of tube {space.carriages[k - n][0] + 1}"
-            factor, unit = (180 / np.pi, "deg") if turn else (1e3, "mm")
-            raise InputError(
-                f"{name} is out of range: {what} is {value * factor:.6g} {unit}; "
-                f"it must be from {low * factor:.6g} to {high * factor:.6g} {unit}"
-            )
-    if len(space.least):
-        gap = space.rows @ q - space.least
-        worst = int(np.argmin(gap))
-        if gap[worst] < -1e-9 * space.length:
-            raise InputError(
-                f"{name} is out of range: the tubes leave their order by {-gap[worst] * 1e3:.4g} mm, "
-                f"beyond {space.row_names[worst]}"
-            )
+    if words := space.outside(space.join(rotations, translations, name), ROUNDED):
+        raise InputError(f"{name} is out of range: {words}")
 
 
 def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:

@@ -96,7 +96,7 @@ def follow_the_leader(  # noqa: PLR0913
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
     instance("solver", solver, LeaderSolver)
-    task = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(goal,))
     with task.in_time():
         last = _goal(task, goal)
         path = [task.chart.of(last)]

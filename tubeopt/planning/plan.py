@@ -73,7 +73,7 @@ def plan_trajectory(  # noqa: PLR0913
         >>> plan.proved
         True
     """
-    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, load)
+    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, load, (start, goal))
     with task.in_time():
         return _planned(task, start, goal)
 

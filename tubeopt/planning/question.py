@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ..errors import InputError, SolveError, finite, instance, positive
 from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, check_fields, key, unit
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
+from ..inverse.configurations import shift_of
 from ..inverse.joints import JointSpace, joint_space
 from ..inverse.search import SEARCHES, Way
 from ..inverse.task import Task
@@ -137,8 +138,9 @@ def asked(
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
     load: Load | None = None,
+    places: Sequence[Any] = (),
 ) -> PlanTask:
-    """The task, its clock running from here.
+    """The task, its clock running from here; `places` are the configurations that its joint space has to have.
 
     Raises:
         InputError: arguments of another kind, or with numbers that make no sense.
@@ -155,6 +157,7 @@ def asked(
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
+    space = space.holding(*shift_of(robot, *places))
     rate_limits.of(space)
     chart = Chart(space) if load is None else _loaded(space, load, options)
     return PlanTask(

@@ -32,7 +32,7 @@ from .motion import DEFAULT_RATES
 from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import step_towards, tips_about
-from .roadmap import Roadmap, build_roadmap
+from .roadmap import Roadmap, roadmap_of
 
 SAME = 0.05
 """Difference of tip rotations (rad) up to which two equilibria at the same joint values are one."""
@@ -121,7 +121,7 @@ def evaluate_reach(
     """
     places = checked_places(targets)
     positive("tolerance", tolerance)
-    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options)
+    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     begin, n = task.chart.of(first), robot.n_tubes
@@ -129,7 +129,7 @@ def evaluate_reach(
     joints, tips = np.full((len(places), len(begin)), np.nan), np.full((len(places), n), np.nan)
     examined = 0
     with suppress(LateError, SolveError):  # what was found by then
-        roadmap = build_roadmap(robot, obstacles=obstacles, min_margin=min_margin, options=options, count=count)
+        roadmap = roadmap_of(task, count)
         examined, own = len(roadmap), task.from_to(begin, begin)
         search = _Search(own, roadmap, begin, own.arms(roadmap.points).tip)
         for k, place in enumerate(places):

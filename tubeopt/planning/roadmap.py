@@ -102,6 +102,10 @@ class Roadmap(Displayed):
         """Forget what was found of edges where another question is asked."""
         if not np.array_equal(task.chart.parameters, self.parameters):
             raise InputError("the roadmap is of another robot")
+        if self.points.shape[1] != len(task.scale):
+            raise InputError(
+                "start or goal has carriages apart that move as one in the roadmap; plan without the roadmap"
+            )
         rooms = task.margin_room, task.clearance_room
         asks = (Same(task.obstacles), task.min_margin, task.clearance, task.floor, *rooms)
         if asks != self.asked_with:
@@ -151,8 +155,14 @@ def build_roadmap(
         >>> len(tubeopt.build_roadmap(robot, count=20))
         20
     """
-    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options)
-    random, n = np.random.default_rng(options.seed), robot.n_tubes
+    return roadmap_of(asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options), count)
+
+
+def roadmap_of(task: PlanTask, count: int) -> Roadmap:
+    """A roadmap of `count` points at which the robot of a task may be, or of fewer where its clock ends the search;
+    raises SolveError where fewer than two points were found."""
+    options, n = task.options, task.chart.space.robot.n_tubes
+    random = np.random.default_rng(options.seed)
     space, found, total = task.chart.space, [], 0
     drawn = task.effort.roadmap.drawn
     shifts = space.sample(16 * drawn)[:, n:]

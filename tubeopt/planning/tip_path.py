@@ -100,7 +100,7 @@ def follow_tip_path(  # noqa: PLR0913
     """
     positive("tolerance", tolerance)
     instance("solver", solver, TipPathSolver)
-    task = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
     clock = task.clock
     curve = _curve(path, spline, solver.dense)
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())

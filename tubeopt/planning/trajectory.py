@@ -140,7 +140,7 @@ class Trajectory(Displayed):
         """Bound of how good the path is, at best 1: the straight line between the joint values at its ends, over its
         length, both in units of the joints' scales. No motion between them is shorter: even the shortest has at least
         this share of the length."""
-        space = joint_space(self.robot)
+        space = joint_space(self.robot).holding(*self.translations)
         rows = zip(self.rotations, self.translations, strict=True)
         q = np.array([space.join(*row) for row in rows]) / space.scale
         length = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())

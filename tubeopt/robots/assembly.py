@@ -139,7 +139,7 @@ def assemble(
 
     Args:
         tubes: inner to outer.
-        translations: (n,) advance of each tube from home, m.
+        translations: (n,) advance of each tube, m; at 0 it begins to curve at the plate.
         offset, offset_angle: (n,) place of each tube beside the centreline, m and rad; None is concentric.
         name: what the caller calls a translation, for the message.
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
-
 from ..errors import InputError
 from ..typing import Array
 from .assembly import Assembly, assemble
@@ -61,11 +59,6 @@ class ConcentricRobot(Robot):
         check_friction(self.friction, len(tubes))
         if self.clearance is not None:
             object.__setattr__(self, "clearance", per_pair("clearance", self.clearance, len(tubes)))
-
-    @property
-    def home_translations(self) -> Array:
-        """(n,) translations at home, where every transition from straight to curved lies at the plate: zeros, m."""
-        return np.zeros(self.n_tubes)
 
     @property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:

@@ -33,6 +33,7 @@ class SheathedRobot(Robot):
     """k telescoping segments of three equal tubes each, in a sheath at 0, 120 and -120 deg around the centreline."""
 
     offset: float | None
+    nested_curves = False
 
     @property
     @abstractmethod
@@ -58,16 +59,6 @@ class SheathedRobot(Robot):
                     f"offset is {self.distance:g} m; it must be less than a quarter of the radius of precurvature"
                     f"{which}, {0.25 / abs(tube.curvature):g} m"
                 )
-
-    @property
-    def home_translations(self) -> Array:
-        """(3 k,) translations at which every segment begins where the next outer one ends, m."""
-        return self._home.copy()
-
-    @cached_property
-    def _home(self) -> Array:
-        reach = np.cumsum([0.0] + [tube.curved_length for tube in reversed(self.held)])[:-1]
-        return np.repeat(reach[::-1], 3)
 
     @property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:

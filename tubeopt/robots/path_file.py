@@ -52,7 +52,7 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
     listed = f"{turns[0]} to {turns[-1]} and {shifts[0]} to {shifts[-1]}"
     moved = table.expect(turns, together=shifts, shown=listed)
     rotations = table.numbers(turns, DEG)
-    home = np.tile(robot.home_translations, (len(table.rows), 1))
+    home = np.tile(robot.home_readings, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home
     table.check()
     return Waypoints(rotations, translations)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import reprlib
 from abc import ABC, abstractmethod
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from os import PathLike
 from typing import Any, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
@@ -16,6 +17,7 @@ from ..typing import Array, late
 from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
+from .order import home_translations
 from .tubes import Tube
 
 Kept = TypeVar("Kept")
@@ -33,11 +35,30 @@ class Robot(Displayed, ABC):
     """Limits as given, None where the lengths imply them."""
     calibration: Calibration | None
     """How readings of the drives become joint values, None where they read true."""
+    nested_curves: bool = True
+    """Whether the curved part of a tube may lie inside the tube around it."""
 
     @property
-    @abstractmethod
     def home_translations(self) -> Array:
-        """(n,) translations at home, m."""
+        """(n,) translations at home, m: 0 wherever the limits and the order of the tubes allow that; else, from the
+        outermost tube inwards, each is moved from 0 as little as they allow."""
+        return self._home.copy()
+
+    @property
+    def home_rotations(self) -> Array:
+        """(n,) rotations at home, rad: 0, or as near as limits allow."""
+        low, high = np.array(self.limits.rotations).T
+        return np.clip(np.zeros(self.n_tubes), low, high)
+
+    @property
+    def home_readings(self) -> Array:
+        """(n,) what the drives of the carriages read at home, m, where no carriage yields."""
+        own = self.calibration
+        return self.home_translations if own is None else own.to_readings(0.0, self._home)[1]
+
+    @cached_property
+    def _home(self) -> Array:
+        return home_translations(self)
 
     @property
     @abstractmethod
@@ -68,7 +89,7 @@ class Robot(Displayed, ABC):
 
     @property
     def limits(self) -> JointLimits:
-        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
+        """Range of every joint value; by default a turn to either side, and what the lengths of the tubes allow."""
         return limits_of(self.joint_limits, self.calibration, self.tubes)
 
     def save(self, path: str | PathLike[str]) -> None:

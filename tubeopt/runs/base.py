@@ -38,7 +38,11 @@ OnePerTube = Annotated[list[Number], AfterValidator(_one_per_tube)]
 """A number for every tube of the study's robot, inner to outer."""
 
 
-SHIFTED = Field(None, description="translation of every tube, inner to outer; by default home")
+HOME = "home: 0, or as near to it as limits and the order of the tubes allow"
+"""What the word means, for helps."""
+
+
+SHIFTED = Field(None, description=f"translation of every tube, inner to outer; by default {HOME}")
 
 
 def _of_the_robot(tube: int, info: ValidationInfo) -> int:
@@ -78,7 +82,7 @@ class Posed(Entry):
 
     robot: RobotPath
     rotations_deg: OnePerTube | None = Field(
-        None, description="rotation of every tube, inner to outer; by default all 0"
+        None, description="rotation of every tube, inner to outer; by default 0, or as near as limits allow"
     )
     translations_mm: OnePerTube | None = SHIFTED
 
@@ -92,8 +96,10 @@ class Started(Entry):
     """A robot, and from where it begins."""
 
     robot: RobotPath
-    start_deg: OnePerTube | None = Field(None, description="rotations at the start; all 0 where not given")
-    start_mm: OnePerTube | None = Field(None, description="translations at the start; home where not given")
+    start_deg: OnePerTube | None = Field(
+        None, description="rotations at the start; by default 0, or as near as limits allow"
+    )
+    start_mm: OnePerTube | None = Field(None, description=f"translations at the start; by default {HOME}")
 
     @property
     def start(self) -> tuple[Array, Array]:
@@ -130,11 +136,18 @@ class Study(Entry):
 
 
 def joints_of(robot: Robot, turned: Sequence[float] | None, shifted: Sequence[float] | None) -> tuple[Array, Array]:
-    """The model's rotations (n,) rad and translations (n,) m where drives are said to read `turned` (rad) and `shifted`
-    (m), 0 and home without them: what is read is the model's where the robot has no calibration.
+    """The model's rotations (n,) rad and translations (n,) m where drives read `turned` (rad) and `shifted` (m).
+
+    Readings are the model's values where the robot has no calibration. Without `turned` the drives read 0, or what is
+    nearest in their limits; without `shifted` the carriages are at home.
 
     Raises:
         SolveError: carriages yield without end.
     """
-    rotations = np.zeros(robot.n_tubes) if turned is None else np.array(turned)
-    return to_model(robot, rotations, robot.home_translations if shifted is None else np.array(shifted))
+    given = robot.joint_limits
+    low, high = np.array(robot.limits.rotations if given is None else given.rotations).T
+    rotations = np.clip(0.0, low, high) if turned is None else np.array(turned)
+    if shifted is not None:
+        return to_model(robot, rotations, np.array(shifted))
+    own = robot.calibration
+    return rotations if own is None else own.to_model(rotations, 0.0)[0], robot.home_translations

@@ -215,7 +215,7 @@ class Designed(Entry):
     free: Annotated[list[FreeEntry], Field(min_length=1)]
     requirements: Requirements
     ordered: bool = Field(
-        True, description="whether the tubes are in order at home and at all translations that the task names"
+        True, description="whether the tubes are in order at translations 0 and at all translations that the task names"
     )
 
     def task_for(self, *aims: Objective) -> DesignTask:

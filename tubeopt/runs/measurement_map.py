@@ -159,7 +159,7 @@ def measured(
     time = tips.time()
     stamps = joints.time() if joints is not tips else None
     rotations = joints.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)]) if turned is None else turned
-    translations = joints.translations(robot.home_translations)
+    translations = joints.translations(robot.home_readings)
     positions = tips.positions()
     frames = tips.orientation(tips.sensors()[0 if behind is None else int(np.argmin(behind))])
     for columns in (tips, joints):

@@ -33,7 +33,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array, Progress
-from .base import SHIFTED, OnePerTube, Posed, RobotPath, Study, joints_of
+from .base import HOME, SHIFTED, OnePerTube, Posed, RobotPath, Study, joints_of
 from .load_file import LoadedStudy
 
 
@@ -85,9 +85,11 @@ class SnapStudy(LoadedStudy):
 
     kind: Literal["snap"]
     robot: RobotPath
-    from_deg: OnePerTube | None = Field(None, description="rotations to start from; by default 0")
+    from_deg: OnePerTube | None = Field(
+        None, description="rotations to start from; by default 0, or as near as limits allow"
+    )
     to_deg: OnePerTube | None = Field(None, description="rotations to turn to; by default those of the start")
-    from_mm: OnePerTube | None = Field(None, description="translations to start from; by default home")
+    from_mm: OnePerTube | None = Field(None, description=f"translations to start from; by default {HOME}")
     to_mm: OnePerTube | None = Field(None, description="translations to move to; by default those of the start")
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

@@ -14,7 +14,7 @@ from ..files.units import MM, RAD
 from ..files.yaml_file import load_yaml
 from ..robots.robot import Robot
 from ..typing import Array
-from .base import joints_of
+from .base import HOME, joints_of
 
 POSITION = ("x_mm", "y_mm", "z_mm")
 DIRECTION = ("direction_x", "direction_y", "direction_z")
@@ -52,7 +52,7 @@ class JointsFile(Entry):
     """One configuration of a robot."""
 
     rotations_deg: list[Number]
-    translations_mm: list[Number] | None = Field(None, description="home where not given")
+    translations_mm: list[Number] | None = Field(None, description=f"by default {HOME}")
 
 
 def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:

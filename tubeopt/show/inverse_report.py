@@ -25,7 +25,7 @@ from ..runs.target_file import DIRECTION, POSITION
 from .quantities import Quantity, line, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, two_columns
-from .words import counted, degrees, millimetres, row
+from .words import counted, degrees, millimetres, row, tip_in_words, tip_number
 
 NOTES = 10
 """Targets about which something is said; the others are counted."""
@@ -44,6 +44,9 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("translations_mm", "translations", words=lambda s: millimetres(s.translations, ".6f")),
     *readings(lambda s: s.equilibrium),
     Quantity("tip_position_mm", "tip position", lambda s: s.equilibrium.tip_position, form=".6f"),
+    Quantity("tip_tube", "which tube is the tip: the one that ends farthest from the plate, of several the innermost; "
+             "null where all are withdrawn", lambda s: tip_number(s.equilibrium), label="the tip is",
+             words=lambda s: tip_in_words(s.equilibrium.robot, s.equilibrium.tube_end) or None),
     Quantity("position_error_mm", "misses by",
              words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm"),
     Quantity("tip_direction", "pointing along", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f"),

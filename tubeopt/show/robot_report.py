@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import numpy as np
 from rich.console import Group
 from rich.text import Text
 
 from ..files.units import TO_MM
 from ..robots.file import AnyRobot
 from ..robots.fit import clearances, fit_warnings
+from ..robots.order import ends_inside
 from ..robots.robot import Robot
 from ..robots.tubes import OfCrossSection, Tube
 from .quantities import Quantity, within
 from .report import Report, grid, remarks
+from .words import ends_in_words
 
 
 def _poisson_ratio(tube: Tube) -> float | None:
@@ -49,6 +52,7 @@ NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
     Quantity("tubes", "the tubes, inner to outer", lambda robot: _nested(robot), of=NESTED),
+    Quantity("home_translations_mm", "translation of every tube at home", digits=9),
     Quantity("warnings", "what may go wrong when it is built and used", lambda robot: fit_warnings(robot)),
 )
 
@@ -67,16 +71,29 @@ class RobotReport(Report[AnyRobot]):
         return self.answer.name or "robot"
 
     def table(self) -> Group:
-        """A row per property, a column per tube; then the warnings."""
+        """A row per property, a column per tube; then why home is not at translations 0, and the warnings."""
         tubes = self.record()["tubes"]
         cells = []
         for quantity in NESTED:
             name = f"{quantity.about} ({quantity.sign})" if quantity.unit else quantity.about
             cells.append([name, *(_cell(tube[quantity.key]) for tube in tubes)])
+        carriages = self.answer.home_translations * TO_MM
+        cells.append(["translation at home (mm)", *(_cell(float(shift)) for shift in carriages)])
         numbers = [f"{i} >" for i in range(1, len(tubes) + 1)]
         lines = remarks(fit_warnings(self.answer), what="warning")
         found = grid(("tube", *numbers), cells, title=self.title(), key=True)
-        return Group(found, *(lines or [Text("no warnings", style="green")]))
+        home = [Text(words)] if (words := _home_in_words(self.answer)) else []
+        return Group(found, *home, *(lines or [Text("no warnings", style="green")]))
+
+
+def _home_in_words(robot: Robot) -> str:
+    """Why home is not at translations 0; empty where it is."""
+    if not robot.home_translations.any():
+        return ""
+    inside = ends_inside(robot, np.array([tube.curved_length for tube in robot.tubes]))
+    if inside and robot.nested_curves:
+        return f"home is not at translations 0, where {ends_in_words(inside)}"
+    return "home is not at translations 0, which limits or order of the tubes do not allow"
 
 
 def _cell(value: float | str | None) -> str:

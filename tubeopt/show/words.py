@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..equilibrium.result import Equilibrium
 from ..files.units import TO_MM
+from ..robots.order import EndInside, ends_inside, tip_tube
+from ..robots.robot import Robot
 from ..typing import Array
 
 CLOSE_TO_A_SNAP = 0.05
@@ -30,6 +35,27 @@ def in_a_word(margin: float) -> str:
 def margin_in_words(margin: float) -> str:
     """A stability margin with what it means."""
     return in_a_word(margin) if np.isnan(margin) else f"{round(margin, 3) + 0.0:.3f}, {in_a_word(margin)}"
+
+
+def ends_in_words(inside: Sequence[EndInside]) -> str:
+    """The tubes that end inside outer ones; empty where none does."""
+    return "; ".join(
+        f"tube {one.tube + 1} ends {one.depth * TO_MM:.4g} mm inside tube {one.around + 1}" for one in inside
+    )
+
+
+def tip_number(equilibrium: Equilibrium) -> int | None:
+    """Which tube is the tip, from 1; None where all are withdrawn behind the plate."""
+    tip = tip_tube(equilibrium.tube_end)
+    return None if tip is None else tip + 1
+
+
+def tip_in_words(robot: Robot, end: Array) -> str:
+    """Which tube is the tip where tubes end at arc lengths (n,), m; empty where all ends are in order."""
+    tip, inside = tip_tube(end), ends_inside(robot, end)
+    if tip is None:
+        return "at the plate, since all tubes are withdrawn"
+    return f"the end of tube {tip + 1}, since {ends_in_words(inside)}" if inside else ""
 
 
 def row(values: ArrayLike, form: str) -> str:

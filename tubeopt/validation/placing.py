@@ -186,7 +186,8 @@ def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSea
     for _ in range(search.candidates * search.draws):
         if len(found) == search.candidates:
             break
-        q = space.join(space.lower[: robot.n_tubes], random.uniform(low, np.minimum(high, straight)))
+        drawn = random.uniform(low, np.minimum(high, straight)) - space.offset[robot.n_tubes :]
+        q = np.append(space.lower[: robot.n_tubes], drawn[[tubes[0] for tubes in space.carriages]])
         shift = space.joint(q)[robot.n_tubes :]
         if space.admissible(q) and (shift + curved).max() > 0.25 * curved.max():
             found.append(shift)
@@ -249,7 +250,7 @@ def _errors(slopes: Array, parameters: int) -> Array:
 
 
 def _home(robot: Robot) -> tuple[Array, Array]:
-    return np.zeros(robot.n_tubes), robot.home_translations
+    return robot.home_rotations, robot.home_translations
 
 
 def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip: Array | None = None) -> bool:

@@ -24,7 +24,8 @@ typedef struct tubeopt_memory tubeopt_memory;
 typedef enum {
     TUBEOPT_DONE = 0,
     TUBEOPT_DECLINED = 1,   /* no stable equilibrium was found from tubes without torsion */
-    TUBEOPT_BAD_INPUT = 2,  /* a number is not finite, or a translation is not possible */
+    TUBEOPT_BAD_INPUT = 2,  /* a number is not finite, a translation is not possible, or a servo has carriages apart
+                              that the lengths of the tubes leave no play */
     TUBEOPT_NOT_STARTED = 3, /* there is no equilibrium to go on from */
     TUBEOPT_SNAP = 4,       /* the branch does not lead there, or Newton's method is not sure that it does */
     TUBEOPT_TOO_FAR = 5     /* more than one step may be: 64 of 0.3 rad or of a twentieth of the arm */

@@ -158,6 +158,10 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
     double q[JOINTS], step[JOINTS], there[JOINTS], floor;
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (!commanded(c)) return TUBEOPT_BAD_INPUT;
+    independent(&m->joints, q); /* which has one translation for all tubes without play between them */
+    dependent(q, &next);
+    for (int i = 0; i < N; i++)
+        if (fabs(next.translations[i] - m->joints.translations[i]) > CLOSE) return TUBEOPT_BAD_INPUT;
     report->solves = 0;
     report->why = TUBEOPT_HELD;
     if (look_ahead(m, 0)) return TUBEOPT_DECLINED;
@@ -165,7 +169,6 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
     m->origin = m->joints;
     keep_loaded(m);
     aim_at(m, c, &aim, report);
-    independent(&m->joints, q);
     floor = fmin(c->min_margin, margin_here(m)); /* what is below it does not get worse */
     if (step_towards(m, c, bodies, q, 1, &aim, step) || step_towards(m, c, bodies, q, 0, &aim, step)) {
         double share = 1;

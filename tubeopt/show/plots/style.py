@@ -19,7 +19,7 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ..load_words import load_in_words
 from ..page import WIDTH
-from ..words import in_a_word
+from ..words import in_a_word, tip_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -286,7 +286,7 @@ def _fold_lines(text: Text, room: float) -> None:
 
 def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) -> str:
     """Heading of a picture: `title` or the robot's name, tip, margin and joint values, in two lines or one each;
-    under a load, what pushes in a line more."""
+    under a load, what pushes in a line more; and one more where another tube than the innermost is the tip."""
     kind = "Concentric" if equilibrium.robot.nested_pairs or equilibrium.robot.n_tubes == 1 else "Eccentric"
     name = title or equilibrium.robot.name or f"{kind} robot, {equilibrium.robot.n_tubes} tubes"
     joints = [rotations_in_words(equilibrium.rotations)]
@@ -299,10 +299,12 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({millimetres(equilibrium.tip_position)}) mm", verdict]
     load = "" if equilibrium.load is None else f"load: {load_in_words(equilibrium.load)}"
-    pushed = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []
+    more = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []
+    if tip := tip_in_words(equilibrium.robot, equilibrium.tube_end):
+        more.append(f"the tip is {tip}")
     if narrow:
-        return "\n".join([name, *joints, *state, *pushed])
-    return "\n".join([f"{name}:  {',  '.join(state)}", ",  ".join(joints), *pushed])
+        return "\n".join([name, *joints, *state, *more])
+    return "\n".join([f"{name}:  {',  '.join(state)}", ",  ".join(joints), *more])
 
 
 def rotations_in_words(rotations: Array, digits: int = 1) -> str:

@@ -17,7 +17,7 @@ from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError, vector
 from ...files.units import TO_MILLI, TO_MM
-from ...inverse.joints import JointSpace, carriage_name, joint_space
+from ...inverse.joints import JointSpace, joint_space
 from ...robots.robot import Robot
 from ...stability import Path, Snap, find_equilibria, follow
 from ...typing import Array
@@ -88,14 +88,12 @@ def space_of(robot: Robot) -> JointSpace:
 def open_session(robot: Robot, rotations: ArrayLike | None = None, translations: ArrayLike | None = None) -> Session:
     """A session that begins where a robot settles by itself at given joint values; by default at home.
 
-    Home is allowed even where it lies out of the robot's own limits or order.
-
     Raises:
         InputError: joint values out of the ranges of the robot's limits, or of the wrong number.
         SolveError: no stable equilibrium there.
     """
     n = robot.n_tubes
-    alpha = vector("rotations", np.zeros(n) if rotations is None else rotations, n)
+    alpha = vector("rotations", robot.home_rotations if rotations is None else rotations, n)
     shift = vector("translations", robot.home_translations if translations is None else translations, n)
     if rotations is not None or translations is not None:
         check(robot, alpha, shift, order=False)
@@ -111,9 +109,6 @@ def check(
     """
     space, n = space_of(robot), robot.n_tubes
     q = space.join(rotations, translations)
-    if np.abs(space.joint(q)[n:] - translations).max() > 1e-9:
-        together = next(tubes for tubes in space.carriages if len(tubes) > 1)
-        raise InputError(f"the translations of {carriage_name(together)} must go together: one carriage moves them")
     slack = 1e-9 * space.scale
     for k in np.flatnonzero((q < space.lower - slack) | (q > space.upper + slack)):
         unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
@@ -195,7 +190,7 @@ def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str
 def go_home(session: Session) -> Session:
     """Straight back to where `open_session` begins, with whatever happens on the way."""
     robot = session.robot
-    return _moved(session, np.zeros(robot.n_tubes), robot.home_translations)
+    return _moved(session, robot.home_rotations, robot.home_translations)
 
 
 def moved_along(session: Session, path: Path) -> Session:

@@ -1,0 +1,155 @@
+"""Two tubes of equal length: their order leaves the carriages no play, but each has a carriage of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tubeopt
+from tests.examples import TWO_TUBE
+from tubeopt.control.c_binding import CServo
+from tubeopt.control.c_library import c_library
+from tubeopt.control.command import Command
+from tubeopt.control.servo import Servo
+from tubeopt.errors import InputError
+from tubeopt.inverse.joints import joint_space
+from tubeopt.planning.roadmap import build_roadmap
+from tubeopt.show.viewer import open_session
+
+APART = (-0.02, -0.005)
+"""Translations (m) at which tube 1 ends 15 mm inside tube 2."""
+
+CROSSED = (-0.005, -0.02)
+"""Translations (m) at which the carriage of tube 1 would be 15 mm before that of tube 2."""
+
+REFUSED = (
+    "translations of {} of tubes 1 and 2 are -5 mm and -20 mm: the carriage of tube 1 would be before that of tube 2"
+)
+
+
+def test_a_plan_begins_and_ends_with_the_carriages_where_they_were_asked_for() -> None:
+    plan = tubeopt.plan_trajectory(TWO_TUBE, ([0, 0], APART), ([0.4, 0], (-0.01, -0.01)))
+    assert plan.proved
+    np.testing.assert_array_equal(plan.translations[0], APART)
+    np.testing.assert_array_equal(plan.translations[-1], (-0.01, -0.01))
+    back = tubeopt.plan_trajectory(TWO_TUBE, ([0, 0], (-0.01, -0.01)), ([0.4, 0], APART))
+    assert back.proved
+    np.testing.assert_array_equal(back.translations[-1], APART)
+    # The order of the tubes is kept on the way, as far as start and goal keep it.
+    assert (plan.translations[:, 1] >= plan.translations[:, 0] - 1e-12).all()
+
+
+def test_a_plan_without_play_moves_both_carriages_as_one() -> None:
+    plan = tubeopt.plan_trajectory(TWO_TUBE, ([0, 0], (-0.03, -0.03)), ([0.4, 0], (-0.01, -0.01)))
+    np.testing.assert_array_equal(plan.translations[:, 0], plan.translations[:, 1])
+
+
+@pytest.mark.parametrize("shift", [(-0.02, -0.005), (-0.04, 0.0), (-0.05, -0.01)])
+def test_a_way_from_a_seed_is_one_that_find_snap_finds_free(shift: tuple[float, float]) -> None:
+    target = tubeopt.forward_kinematics(TWO_TUBE, [0.0, 3.0], (-0.01, -0.01)).tip_position
+    seed = (np.array([0.0, 3.2]), np.array(shift))
+    found = tubeopt.inverse_kinematics(TWO_TUBE, target, seed=seed, reachable=True)
+    assert found.reached
+    if found.straight_from_seed:
+        assert tubeopt.find_snap(TWO_TUBE, seed, (found.rotations, found.translations)) is None
+    if found.way is not None:
+        np.testing.assert_array_equal(found.way.rotations[0], seed[0])
+        np.testing.assert_array_equal(found.way.translations[0], seed[1])
+        assert not tubeopt.follow(TWO_TUBE, found.way.rotations, found.way.translations).snaps
+
+
+def test_a_step_of_a_servo_is_no_longer_than_its_rates_allow() -> None:
+    servo = Servo(TWO_TUBE, ([0.0, 0.3], APART))
+    begin = servo.equilibrium.translations
+    np.testing.assert_array_equal(begin, APART)
+    servo.step(Command(position=servo.equilibrium.tip_position + np.array([0.0, 0.0, 1e-3])), 1e-3)
+    moved = np.abs(servo.equilibrium.translations - begin)
+    assert 0 < moved.max() <= servo.options.shift_rate * 1e-3 * (1 + 1e-9)
+
+
+def test_trajectories_with_carriages_apart_are_followed_and_have_no_fault() -> None:
+    proof = tubeopt.verify_trajectory(TWO_TUBE, [0, 5], [[0, 0], [0.5, 0]], [APART, (-0.01, -0.01)])
+    assert proof.holds
+    crossed = tubeopt.verify_trajectory(TWO_TUBE, [0, 5], [[0, 0], [0.5, 0]], [CROSSED, (-0.01, -0.01)])
+    assert "the carriage of tube 1 would be before that of tube 2, by 15 mm" in crossed.faults[0]
+
+
+def test_reach_from_a_start_with_carriages_apart() -> None:
+    start = tubeopt.forward_kinematics(TWO_TUBE, [0.0, 0.0], APART)
+    goal = tubeopt.forward_kinematics(TWO_TUBE, [0.3, 0.2], (-0.025, -0.01))
+    share = tubeopt.evaluate_reach(TWO_TUBE, start, [goal.tip_position], count=20)
+    assert share.share == 1.0
+    there = tubeopt.forward_kinematics(TWO_TUBE, share.rotations[0], share.translations[0])
+    np.testing.assert_allclose(there.tip_position, goal.tip_position, atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "enter"),
+    [
+        ("start", lambda q: tubeopt.plan_trajectory(TWO_TUBE, q, ([0.4, 0], None))),
+        (
+            "start",
+            lambda q: tubeopt.plan_trajectory(TWO_TUBE, tubeopt.forward_kinematics(TWO_TUBE, *q), ([0, 1], None)),
+        ),
+        ("goal", lambda q: tubeopt.plan_trajectory(TWO_TUBE, ([0.4, 0], None), q)),
+        ("seed", lambda q: tubeopt.inverse_kinematics(TWO_TUBE, [0, -0.02, 0.09], seed=q)),
+        ("reference", lambda q: tubeopt.inverse_kinematics(TWO_TUBE, [0, -0.02, 0.09], reference=q)),
+        ("seed", lambda q: tubeopt.IkSession(TWO_TUBE, seed=q)),
+        ("seed", lambda q: Servo(TWO_TUBE, q)),
+        ("joints", lambda q: Servo(TWO_TUBE, ([0, 0], None)).step(Command(joints=q), 1e-3)),
+        ("goal", lambda q: tubeopt.follow_the_leader(TWO_TUBE, q)),
+        ("start", lambda q: tubeopt.follow_tip_path(TWO_TUBE, [[0, -0.02, 0.09], [0, -0.02, 0.08]], start=q)),
+        ("start", lambda q: tubeopt.evaluate_reach(TWO_TUBE, q, [[0, -0.02, 0.09]], count=20)),
+        ("", lambda q: open_session(TWO_TUBE, *q)),
+    ],
+)
+def test_joint_values_out_of_order_are_refused_where_they_enter(name: str, enter: Callable[[Any], Any]) -> None:
+    with pytest.raises(InputError) as refused:
+        enter(([0.0, 0.0], CROSSED))
+    assert (REFUSED.format(name) if name else REFUSED.replace(" of {}", "")) in str(refused.value)
+    assert "by 15 mm" in str(refused.value)
+
+
+def test_a_servo_in_c_takes_no_seed_and_no_joints_that_it_cannot_keep() -> None:
+    library = c_library(TWO_TUBE)
+    with pytest.raises(
+        InputError, match="translations of seed of tubes 1 and 2 are -20 mm and -5 mm: tube 1 would end"
+    ):
+        CServo(library, ([0.0, 0.0], APART))
+    servo = CServo(library, ([0.0, 0.0], (-0.02, -0.02)))
+    with pytest.raises(InputError, match="translations of joints of tubes 1 and 2"):
+        servo.step(Command(joints=(np.zeros(2), np.array(APART))), 1e-3)
+
+
+def test_a_roadmap_in_which_carriages_are_one_is_refused_where_they_are_apart() -> None:
+    options = tubeopt.PlanOptions(roadmap=build_roadmap(TWO_TUBE, count=20))
+    with pytest.raises(InputError, match="carriages apart that move as one in the roadmap"):
+        tubeopt.plan_trajectory(TWO_TUBE, ([0, 0], APART), ([0.4, 0], None), options=options)
+
+
+def test_weights_are_one_per_tube_where_carriages_are_one_joint() -> None:
+    target = tubeopt.forward_kinematics(TWO_TUBE, [0.0, 1.0]).tip_position
+    weights = ([1.0, 1.0], [20.0, 20.0])
+    assert tubeopt.inverse_kinematics(TWO_TUBE, target, seed=([0, 0.5], None), weights=weights).reached
+
+
+def test_tubes_of_one_segment_have_one_carriage() -> None:
+    robot = tubeopt.load_robot("configs/robots/thesis_etr.yaml")
+    with pytest.raises(InputError, match="must be equal"):
+        joint_space(robot).join(np.zeros(3), np.array([0.0, 0.0, -0.01]))
+
+
+@pytest.mark.parametrize("gap", [0.0, 2e-3])
+def test_spaces_have_the_translations_they_are_made_for(gap: float) -> None:
+    tubes = (tubeopt.Tube(1e-3, 0.8e-3, 0.05, 0.1, 12.5), tubeopt.Tube(1.25e-3, 1.05e-3, 0.05 - gap, 0.1, 12.5))
+    space = joint_space(tubeopt.ConcentricRobot(tubes), carriage_gap=gap)
+    assert space.carriages == ((0, 1),)
+    shift = np.array([-0.03, -0.01])
+    apart = space.holding(shift)
+    q = apart.join(np.zeros(2), shift)
+    np.testing.assert_array_equal(apart.split(q)[1], shift)
+    assert apart.outside(q) == ""
+    assert space.holding(apart.joint(apart.inside())[2:] * 0 + space.joint(space.inside())[2:]) is space

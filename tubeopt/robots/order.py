@@ -1,0 +1,184 @@
+"""The order of tubes: how far carriages may be apart, and home, the joint values with which a robot begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..errors import InputError
+from ..typing import Array
+from .assembly import ROUND_OFF
+from .limits import JointLimits, default_limits
+from .tubes import Tube
+
+SAME_END = 1e-9
+"""Distance (m) of two ends that are at one place: round-off of lengths and translations."""
+
+
+class Nested(Protocol):
+    """What the order of tubes depends on, as a `Robot`."""
+
+    nested_curves: bool
+
+    @property
+    def tubes(self) -> tuple[Tube, ...]: ...
+
+    @property
+    def limits(self) -> JointLimits: ...
+
+    @property
+    def moving_together(self) -> tuple[tuple[int, ...], ...]: ...
+
+    @property
+    def nested_pairs(self) -> tuple[tuple[int, int], ...]: ...
+
+
+@dataclass(frozen=True)
+class Demand:
+    """The translation of tube `ahead` minus that of tube `behind` (from 0) is at least `least`."""
+
+    ahead: int
+    behind: int
+    least: float
+    """m."""
+    name: str
+    """What the robot does where the difference is `least`."""
+    broken: str
+    """What it would do below."""
+    ends: tuple[int, int] | None = None
+    """The nested tubes, inner and outer, if the demand is of their ends alone."""
+
+
+def carriage_name(tubes: tuple[int, ...]) -> str:
+    """What moves: a tube, or the tubes of a segment."""
+    return f"tube {tubes[0] + 1}" if len(tubes) == 1 else f"tubes {tubes[0] + 1} to {tubes[-1] + 1}"
+
+
+def translation_ranges(tubes: Sequence[Tube], allowed: JointLimits) -> tuple[Array, Array]:
+    """(n,) least and (n,) greatest translation of every tube, m, within limits and its lengths; raises InputError
+    where nothing is left of one."""
+    shift = np.array(allowed.translations).reshape(-1, 2)
+    straight, curved = (np.array([getattr(t, f"{part}_length") for t in tubes]) for part in ("straight", "curved"))
+    low, high = np.maximum(shift[:, 0], -curved), np.minimum(shift[:, 1], straight)
+    for i in np.flatnonzero(low > high):
+        raise InputError(
+            f"limits of translation {i + 1} are [{shift[i, 0]:g}, {shift[i, 1]:g}] m; they must overlap what the "
+            f"tube's lengths allow, [{-curved[i]:g}, {straight[i]:g}] m"
+        )
+    return low, high
+
+
+def demands(
+    robot: Nested, carriage_gap: float = 0.0, section_length: float = 0.0, apart: tuple[tuple[int, int], ...] = ()
+) -> list[Demand]:
+    """What keeps nested tubes in order, once for all tubes that move together.
+
+    A tube is held behind the one around it, by at least `carriage_gap` (m), and ends beyond it, by at least
+    `section_length` (m); the inner tube of pairs that are `apart` may end inside the outer one.
+    """
+    tubes, group = robot.tubes, {i: tubes for tubes in robot.moving_together for i in tubes}
+    found: list[Demand] = []
+    seen = set()
+    for i, o in robot.nested_pairs:
+        if (group[i], group[o]) in seen:
+            continue
+        seen.add((group[i], group[o]))
+        inner, outer = tubes[i], tubes[o]
+        names = carriage_name(group[i]), carriage_name(group[o])
+        # Held behind: beta_o - beta_i >= gap, with beta = translation - straight_length.
+        behind = carriage_gap + outer.straight_length - inner.straight_length
+        words = f"the carriage of {names[0]} would be before that of {names[1]}"
+        found.append(Demand(o, i, behind, f"carriages of {names[0]} and {names[1]} touching", words))
+        if not robot.nested_curves:
+            words = f"the curve of {names[0]} would begin inside {names[1]}"
+            name = f"curve of {names[0]} beginning where {names[1]} end"
+            found.append(Demand(i, o, outer.curved_length, name, words))
+        if (i, o) not in apart:
+            beyond = section_length + outer.curved_length - inner.curved_length
+            words = f"{names[0]} would end inside {names[1]}"
+            found.append(Demand(i, o, beyond, f"{names[0]} ending where {names[1]} ends", words, (i, o)))
+    return found
+
+
+def home_translations(robot: Nested) -> Array:
+    """(n,) m: 0 wherever limits and the order of the tubes allow that; else, from the outermost tube inwards, each is
+    moved from 0 as little as they allow.
+
+    Where limits leave no translations in order, those that the lengths of the tubes allow.
+    """
+    try:
+        found = _nearest(robot, *translation_ranges(robot.tubes, robot.limits))
+    except InputError:
+        found = None
+    if found is None:
+        found = _nearest(robot, *translation_ranges(robot.tubes, default_limits(robot.tubes)))
+    assert found is not None  # an inner tube is never shorter than an outer one
+    return found
+
+
+def _nearest(robot: Nested, low: Array, high: Array) -> Array | None:
+    """(n,) m within ranges (n,), carriage by carriage, outermost first; None where there are none."""
+    groups = robot.moving_together
+    of = {tube: k for k, tubes in enumerate(groups) for tube in tubes}
+    # Carriage k is ahead of the next outer one by at least least[k], at most most[k].
+    least, most = np.full(len(groups), -np.inf), np.full(len(groups), np.inf)
+    for demand in demands(robot):
+        k, o = of[demand.ahead], of[demand.behind]
+        if k < o:
+            least[k] = max(least[k], demand.least)
+        else:
+            most[o] = min(most[o], -demand.least)
+    # The range of every carriage for which those inside of it have places, then the places.
+    ranges: list[tuple[float, float]] = []
+    for k, tubes in enumerate(groups):
+        bottom, top = float(low[list(tubes)].max()), float(high[list(tubes)].min())
+        if k:
+            bottom, top = max(bottom, ranges[-1][0] - most[k - 1]), min(top, ranges[-1][1] - least[k - 1])
+        if bottom > top + ROUND_OFF:
+            return None
+        ranges.append((bottom, top))
+    out, outer = np.zeros(len(low)), 0.0
+    for k in reversed(range(len(groups))):
+        bottom, top = ranges[k]
+        if k < len(groups) - 1:
+            bottom, top = max(bottom, outer + least[k]), min(top, outer + most[k])
+        # Rounded, since 0 is meant where round-off is all that speaks against it.
+        outer = round(min(max(0.0, bottom), top), 12) + 0.0
+        out[list(groups[k])] = outer
+    return out
+
+
+@dataclass(frozen=True)
+class EndInside:
+    """A tube that ends inside another one; both from 0."""
+
+    tube: int
+    around: int
+    """The outer one that reaches farthest beyond it."""
+    depth: float
+    """By how much that one is longer, in front of the plate, m."""
+
+
+def ends_inside(robot: Nested, end: Array) -> tuple[EndInside, ...]:
+    """The tubes that end inside an outer one where tubes end at arc lengths (n,), m, from the plate."""
+    around, shown = dict(robot.nested_pairs), np.maximum(end, 0.0)
+    found = []
+    for tube in range(len(end)):
+        outer = farthest = tube
+        while outer in around:
+            outer = around[outer]
+            farthest = outer if shown[outer] > shown[farthest] + SAME_END else farthest
+        if farthest != tube:
+            found.append(EndInside(tube, farthest, float(shown[farthest] - shown[tube])))
+    return tuple(found)
+
+
+def tip_tube(end: Array) -> int | None:
+    """The tube, from 0, that is the tip where tubes end at arc lengths (n,), m: of those that end there the innermost.
+
+    None where all are withdrawn behind the plate.
+    """
+    return int(np.argmax(end >= end.max() - SAME_END)) if end.max() > SAME_END else None
