@@ -173,7 +173,7 @@ def test_the_way_to_a_far_target_is_given() -> None:
 
 
 def test_seeds_that_are_not_allowed_are_refused() -> None:
-    with pytest.raises(InputError, match="seed is out of range: rotation of tube 1 is 515.662 deg"):
+    with pytest.raises(InputError, match=r"seed is out of range: rotation of tube 1 is 515\.662 deg"):
         IkSession(THESIS, seed=([9.0, 0.0, 0.0], None))
     weak = forward_kinematics(
         THESIS, np.radians([212.0, 0, 0]), guess=forward_kinematics(THESIS, np.radians([200.0, 0, 0]))

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-import scipy
 
 from ..errors import InputError
 from ..files.units import TO_MM
 from ..robots.assembly import ROUND_OFF
 from ..robots.limits import JointLimits
-from ..robots.order import Demand, carriage_name, demands, translation_ranges
+from ..robots.order import Demand, carriage_name, demands, in_order, translation_ranges
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
@@ -26,7 +25,7 @@ SLACK = 1e-9
 """Share of a joint's scale, and of the longest tube, by which round-off may leave ranges and order."""
 
 SAME_PLACE = 1e-9
-"""Distance (m) of two carriages that are at one place: round-off of translations in files, far below any drive's."""
+"""Play (m) that is none, and distance of carriages that are at one place: far below a drive's, above that of files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +251,8 @@ class JointSpace:
     def sample(self, count: int) -> Array:
         """(count, m) admissible joint values, spread evenly: Sobol points of the ranges that keep the order.
 
-        Where the order leaves little of them, a random walk inside of it (hit and run) adds the rest.
+        Where the order leaves little of them, the rest is drawn carriage by carriage, the outermost first, each in the
+        range that the order leaves it.
         """
         n = self.robot.n_tubes
         m = len(self.lower)
@@ -270,42 +270,34 @@ class JointSpace:
                 return np.asarray(chosen[:count])
         if len(chosen) >= count // 4:
             return chosen
-        added = self._hit_and_run(count - len(chosen))
+        added = [self._drawn(row, low[:n], high[:n]) for row in sobol(m, 2**width)[: count - len(chosen)]]
         return np.concatenate([chosen, added])
 
+    def _drawn(self, unit: Array, low: Array, high: Array) -> Array:
+        """(m,) admissible joint values at shares (m,) of what is left of each; rotations from `low` to `high` (n,)."""
+        n = self.robot.n_tubes
+        shares = iter(np.resize(unit[n:], n).tolist())
+        return self._placed(low + unit[:n] * (high - low), lambda bottom, top: bottom + next(shares) * (top - bottom))
+
     def inside(self) -> Array:
-        """(m,) joint values as far as possible from all ends of ranges and order; raises InputError without any."""
-        rows, bounds = self.inequalities(np.zeros(len(self.lower)))
-        norm = np.linalg.norm(rows * self.scale, axis=1)
-        fixed = np.tile(self.upper - self.lower <= 0, 2)
-        norm[: len(fixed)][fixed] = 0.0
-        # Ranges without width are no ends to be far from.
-        reach = np.append(np.zeros(len(self.lower)), -1.0)
-        found = scipy.optimize.linprog(
-            reach, A_ub=np.column_stack([-rows, norm]), b_ub=-bounds, bounds=[(None, None)] * len(self.lower) + [(0, 1)]
-        )
-        if found.status != 0:
+        """(m,) joint values in the middle of all ranges and of what the order leaves; raises InputError without any."""
+        n = self.robot.n_tubes
+        return self._placed((self.lower + self.upper)[:n] / 2, lambda bottom, top: (bottom + top) / 2)
+
+    def _placed(self, rotations: Array, choose: Callable[[float, float], float]) -> Array:
+        """(m,) joint values of rotations (n,) and of translations in order; see `in_order`."""
+        ranges = translation_ranges(self.robot.tubes, self.limits)
+        shift = in_order(self.robot, ranges, self._order, choose)
+        if shift is None:
             raise InputError(
                 "limits leave no joint values that keep the tubes in order: every tube must be held behind, and end "
                 "beyond, the one around it"
             )
-        return np.asarray(found.x[:-1])
+        return self._independent(rotations, shift)
 
-    def _hit_and_run(self, count: int) -> Array:
-        random = np.random.default_rng(0)
-        q = self.inside()
-        out = np.empty((count, len(q)))
-        for k in range(count * 4):
-            direction = random.normal(size=len(q)) * np.where(self.upper > self.lower, self.scale, 0.0)
-            rows, bounds = self.inequalities(q)
-            speed = rows @ direction
-            with np.errstate(divide="ignore", invalid="ignore"):
-                time = bounds / speed
-            high = time[speed < 0].min(initial=1e3)
-            low = time[speed > 0].max(initial=-1e3)
-            q = q + random.uniform(min(low, 0.0), max(high, 0.0)) * direction
-            out[k // 4] = q
-        return out
+    @cached_property
+    def _order(self) -> list[Demand]:
+        return demands(self.robot, self.carriage_gap, self.section_length, self.apart)
 
 
 def joint_space(
@@ -342,7 +334,7 @@ def _joint_space(
     turn = np.array(allowed.rotations).reshape(n, 2)
     lower = np.array([*turn[:, 0], *((low - offset)[list(group)].max() for group in carriages)])
     upper = np.array([*turn[:, 1], *((high - offset)[list(group)].min() for group in carriages)])
-    upper = np.where(np.abs(upper - lower) <= ROUND_OFF, lower, upper)
+    upper = np.where((upper - lower <= ROUND_OFF) & (lower - upper <= SAME_PLACE), lower, upper)
     rows = np.array([spread[n + one.ahead] - spread[n + one.behind] for one in order])
     least = np.array([one.least - offset[one.ahead] + offset[one.behind] for one in order])
     kept = np.array([bool(row.any()) for row in rows], dtype=bool)
@@ -375,10 +367,10 @@ def _tied(robot: Robot, order: Sequence[Demand]) -> tuple[Array, tuple[tuple[int
         i, j = one.ahead, one.behind
         most = min((-other.least for other in order if (other.ahead, other.behind) == (j, i)), default=np.inf)
         own, other = (next(g for g in groups if k in g) for k in (i, j))
-        if abs(most - one.least) > ROUND_OFF or own is other:
+        if not -ROUND_OFF <= most - one.least <= SAME_PLACE or own is other:
             continue
-        # q_i + offset_i - q_j - offset_j = least, with q_i = q_j from now on.
-        shift = one.least - offset[i] + offset[j]
+        # q_i + offset_i - q_j - offset_j is in the middle of what is left, with q_i = q_j from now on.
+        shift = (one.least + most) / 2 - offset[i] + offset[j]
         offset[own] += shift
         groups.remove(own)
         other += own

@@ -271,13 +271,16 @@ class Multistart:
         )
 
     def failure(self, on_failure: str) -> InverseSolution:
-        """The closest pose, returned or raised with a message that says by how far the target is missed, and why."""
+        """The closest pose, returned or raised with a message that says by how far the target is missed, and why; where
+        it is on target, an answer."""
         goal, late = self.goal, self.goal.clock.over
         search = closest_of(goal, self.ends)
         if search is None:
             raise SolveError(self._without_a_pose(late))
         self.iterations, self.solves = self.iterations + search.iterations, self.solves + search.solves
         at = search.posture
+        if goal.met(at) and goal.allowed(at, SLACK):  # what the searches from the starts missed
+            return self._packed(at, InverseStatus.REACHED, ("table", "gauss_newton"))
         status = InverseStatus.TIMED_OUT if late else InverseStatus.CLOSEST
         closest = self._packed(at, status, ("table", "gauss_newton"))
         if on_failure == "closest":

@@ -27,7 +27,7 @@ from .clock import Clock
 from .joints import JointSpace
 from .settings import DEFAULT_SOLVER, Starts
 
-VERSION = 3
+VERSION = 4
 """Of what the table holds: a change of it makes old files unread."""
 
 SIZE, SIZE_OF_MANY = 2048, 512

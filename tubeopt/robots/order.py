@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -109,44 +110,52 @@ def home_translations(robot: Nested) -> Array:
 
     Where limits leave no translations in order, those that the lengths of the tubes allow.
     """
-    try:
-        found = _nearest(robot, *translation_ranges(robot.tubes, robot.limits))
-    except InputError:
-        found = None
+    found, order = None, demands(robot)
+    with suppress(InputError):
+        found = in_order(robot, translation_ranges(robot.tubes, robot.limits), order, _nearest_to_0)
     if found is None:
-        found = _nearest(robot, *translation_ranges(robot.tubes, default_limits(robot.tubes)))
+        found = in_order(robot, translation_ranges(robot.tubes, default_limits(robot.tubes)), order, _nearest_to_0)
     assert found is not None  # an inner tube is never shorter than an outer one
     return found
 
 
-def _nearest(robot: Nested, low: Array, high: Array) -> Array | None:
-    """(n,) m within ranges (n,), carriage by carriage, outermost first; None where there are none."""
+def _nearest_to_0(bottom: float, top: float) -> float:
+    # Rounded, since 0 is meant where round-off is all that speaks against it.
+    return round(min(max(0.0, bottom), top), 12) + 0.0
+
+
+def in_order(
+    robot: Nested, ranges: tuple[Array, Array], order: Sequence[Demand], choose: Callable[[float, float], float]
+) -> Array | None:
+    """(n,) translations, m, within ranges (n,) and in order, chosen carriage by carriage, the outermost first.
+
+    Each is chosen between the least and the greatest for which all carriages inside of it have places. None where there
+    are none.
+    """
     groups = robot.moving_together
     of = {tube: k for k, tubes in enumerate(groups) for tube in tubes}
     # Carriage k is ahead of the next outer one by at least least[k], at most most[k].
     least, most = np.full(len(groups), -np.inf), np.full(len(groups), np.inf)
-    for demand in demands(robot):
+    for demand in order:
         k, o = of[demand.ahead], of[demand.behind]
         if k < o:
             least[k] = max(least[k], demand.least)
         else:
             most[o] = min(most[o], -demand.least)
-    # The range of every carriage for which those inside of it have places, then the places.
-    ranges: list[tuple[float, float]] = []
+    room: list[tuple[float, float]] = []
     for k, tubes in enumerate(groups):
-        bottom, top = float(low[list(tubes)].max()), float(high[list(tubes)].min())
+        bottom, top = float(ranges[0][list(tubes)].max()), float(ranges[1][list(tubes)].min())
         if k:
-            bottom, top = max(bottom, ranges[-1][0] - most[k - 1]), min(top, ranges[-1][1] - least[k - 1])
-        if bottom > top + ROUND_OFF:
+            bottom, top = max(bottom, room[-1][0] - most[k - 1]), min(top, room[-1][1] - least[k - 1])
+        if bottom > top + ROUND_OFF or least[k] > most[k] + ROUND_OFF:
             return None
-        ranges.append((bottom, top))
-    out, outer = np.zeros(len(low)), 0.0
+        room.append((bottom, top))
+    out, outer = np.zeros(len(of)), 0.0
     for k in reversed(range(len(groups))):
-        bottom, top = ranges[k]
+        bottom, top = room[k]
         if k < len(groups) - 1:
             bottom, top = max(bottom, outer + least[k]), min(top, outer + most[k])
-        # Rounded, since 0 is meant where round-off is all that speaks against it.
-        outer = round(min(max(0.0, bottom), top), 12) + 0.0
+        outer = choose(bottom, top)
         out[list(groups[k])] = outer
     return out
 
