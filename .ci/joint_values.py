@@ -2,8 +2,9 @@
 
     python .ci/joint_values.py [count] [seed]
 
-The robots are those of configs/robots. Joint values are within limits, at their ends, at home, beyond them, out of order,
-wholly withdrawn, or have the carriages of equally long tubes apart. Each question ends with an answer, or with a sentence.
+The robots are those of configs/robots. Joint values are within limits, at their ends, at home, beyond them, out of
+order, wholly withdrawn, or have the carriages of equally long tubes apart. Each question ends with an answer, or with a
+sentence.
 """
 
 from __future__ import annotations
