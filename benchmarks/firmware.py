@@ -19,7 +19,7 @@ import numpy as np
 
 from tests.shaping.firmware_host import TICK, built, run
 from tubeopt import HeatingSpec, Thermocouple, lead_by, load_rig, plan_heating
-from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch

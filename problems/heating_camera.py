@@ -17,7 +17,7 @@ import numpy as np
 
 import tubeopt
 from tubeopt import HeatingSpec
-from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.shaping.heating.calibration import FACTORS, calibrate
 from tubeopt.shaping.heating.logged import HeatingLog
 from tubeopt.shaping.heating.simulation import simulate

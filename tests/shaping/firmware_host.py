@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.heating.thermal import joined
 from tubeopt.typing import Array

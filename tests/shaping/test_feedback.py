@@ -23,7 +23,7 @@ from tubeopt import (
     TubeResistance,
     lead_by,
 )
-from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
 from tubeopt.shaping.heating.ideal import solve_ideal

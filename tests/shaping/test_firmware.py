@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple, load_rig
-from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.firmware_study import LedHeating
 from tubeopt.runs.heating_run import HeatingRun, run_heating
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, hall_slope, parts_list, pwm_frequency

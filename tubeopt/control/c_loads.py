@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import __version__
 from ..block.transcription.mesh import BEND_PER_PIECE, LOADED_WAVES, loaded_counts
+from ..constants import GRAVITY
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError
 from ..physics.certificate import coupling_rate_function
@@ -37,7 +38,7 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
     home = robot.assembly(robot.home_translations)
     if home.eccentric:
         raise InputError("loads are asked for; no model has them on tubes off the centreline, so a C library has none")
-    mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -9.81))), robot.n_tubes
+    mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -GRAVITY))), robot.n_tubes
     pieces = _room(robot, shifts) if home.general else MOST_PIECES
     generator = ca.CodeGenerator("mechanics_of_loads.c")
     generator.add(coupling_rate_function(n))
@@ -83,7 +84,7 @@ def loaded_cases(robot: Robot, cases: Sequence[Array]) -> list[Array]:
     """(2n + 10,) joints, force, gravity, tip position and margin of configurations under load, from rows that begin
     with the joints: a force that shifts the tip by 2 % of the arm, and the weight."""
     n, found, random = robot.n_tubes, [], np.random.default_rng(0)
-    down = np.array([0.0, 0.0, -9.81])
+    down = np.array([0.0, 0.0, -GRAVITY])
     for case in cases:
         rotations, translations = case[:n], case[n : 2 * n]
         light = forward_kinematics(robot, rotations, translations, load=Load(gravity=tuple(down)))

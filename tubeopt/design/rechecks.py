@@ -15,6 +15,7 @@ from ..block.quantities import CLEARANCES, Look, Quantity, recorded
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
+from ..physics.strain import surface_strain
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..robots.series import Series
@@ -68,8 +69,10 @@ def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equi
 
 
 def largest_strain(one: Strain, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Array:
-    """(n,) largest bending strain of every tube where `one` limits it: held straight, and at the shape points, to both
-    sides of which the tubes are bent as their balance of moments says."""
+    """Independent of physics.torsion: (n,) largest bending strain of every tube where `one` limits it.
+
+    Held straight, and at the shape points, to both sides of which the tubes are bent as their balance of moments says.
+    """
     found = np.array([tube.straightened_strain if one.straightened else 0.0 for tube in robot.tubes])
     for e in equilibria if one.in_poses else ():
         for aside in (-1e-9, 1e-9):  # m: the arm's curvature jumps at breakpoints
@@ -81,7 +84,7 @@ def largest_strain(one: Strain, robot: ConcentricRobot, equilibria: tuple[Equili
             bent = (stiffness * turned).sum(axis=0) / np.maximum(stiffness.sum(axis=0), 1e-300)
             for i, tube in enumerate(robot.tubes):
                 radius = tube.outer_diameter / 2
-                strain = own[i][2] * radius * np.abs(bent - turned[i]) / (1 - radius * np.abs(own[i][0]))
+                strain = own[i][2] * surface_strain(radius, np.abs(bent - turned[i]), np.abs(own[i][0]))
                 found[i] = max(found[i], strain[there[i]].max(initial=0.0))
     return found
 

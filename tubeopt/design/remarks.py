@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..constants import GRAVITY
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube, mass_per_length
 from ..typing import Array
-
-GRAVITY = 9.81
-"""m/s^2."""
 
 
 @dataclass(frozen=True)

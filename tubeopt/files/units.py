@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterator
 from decimal import Context, Decimal, InvalidOperation
 from typing import TypeGuard
 
+from .. import constants
 from ..errors import nearest
 
 MM = Decimal("1e-3")
@@ -21,7 +22,7 @@ GPA = Decimal("1e9")
 PERCENT = Decimal("1e-2")
 DEG = Decimal("0.017453292519943295769236907684886127134428718885417")
 PER_M = RAD = Decimal(1)
-ZERO_CELSIUS = Decimal("273.15")
+ZERO_CELSIUS = Decimal(str(constants.ZERO_CELSIUS))
 
 _CONTEXT = Context(prec=60)
 _MINUTE = Decimal(60)

@@ -260,9 +260,15 @@ def cell_gains(tube: Any, clamp: Any, load: Load, v: Volumes, g: Properties) -> 
     to the air, W."""
     ambient = g["ambient"]
     into_clamp = v.to_clamp * (tube - clamp)
-    air = v.to_air * (tube - ambient) + v.radiating * (tube**4 - ambient**4)
+    air = heat_to_air(tube, ambient, v.to_air, v.radiating)
     joule = load.drive * tube_share(load.half, g) ** 2 * resistances(tube, v, g)
     return joule - into_clamp - air + contact_heat(load, g) * v.grip_share, into_clamp, air
+
+
+def heat_to_air(hot: Any, ambient: Any, convection: Any, radiation: Any) -> Any:
+    """What passes to air, W or W/m^2, from surfaces at `hot` into surroundings at `ambient`, K, by convection (W/K or
+    W/(m^2 K)) and by radiation (W/K^4 or W/(m^2 K^4))."""
+    return convection * (hot - ambient) + radiation * (hot**4 - ambient**4)
 
 
 def heat_along(left: Any, right: Any, conduction: Any, g: Properties) -> Any:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from ..constants import ZERO_CELSIUS
 from ..display import Displayed
 from ..errors import InputError
 from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, key, unit
-
-ZERO_CELSIUS = 273.15
-"""0 degC in K."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +36,11 @@ class ThermalData:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    def at(self, name: str, temperature: float) -> float:
+        """The property of that name at a temperature, K, in SI."""
+        slope = getattr(self, f"{name}_slope") * (temperature - self.reference_temperature)
+        return float(getattr(self, name) * (1 + slope))
 
 
 THERMAL_DATA = {

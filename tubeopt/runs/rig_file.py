@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from ..constants import ZERO_CELSIUS
 from ..errors import InputError, nearest
 from ..files.checked import Positive, check_kind
 from ..files.csv_file import CsvTable, read_csv, refuse
@@ -17,7 +18,6 @@ from ..files.fields import Part, asking, entry_of, to_data
 from ..files.units import MM, decimal, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
-from ..robots.materials import ZERO_CELSIUS
 from ..shaping.heating.logged import HeatingLog
 from ..shaping.heating.rig import Battery, Rig
 from ..shaping.heating.trials import RESULTS, ColourTable, Trial

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..constants import ZERO_CELSIUS
 from ..errors import InputError
-from ..robots.materials import NITINOL, ZERO_CELSIUS
+from ..robots.materials import NITINOL
 from ..robots.tubes import Tube
 from .heating.counts import full_current
 from .heating.plan import HeatingPlan, ageing_words

@@ -9,8 +9,8 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
+from ..constants import ZERO_CELSIUS
 from ..files.units import TO_MM, per_si
-from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
 from ..runs.mold_file import save_springback, springback_to_dict
 from ..runs.mold_study import Ranking

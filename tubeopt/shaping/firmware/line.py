@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ...constants import ZERO_CELSIUS
 from ...errors import InputError, SolveError, extra
 from ...physics.heat import PROPERTIES
-from ...robots.materials import ZERO_CELSIUS
 from ..heating.law import HeatingLaw, begin, decide
 from ..heating.rig import COUNTS
 from ..heating.sensors import Felt, Sensor

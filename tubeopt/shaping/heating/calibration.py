@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, choice, positive
 from ...physics.heat import LEAD, Resolution
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of, unexplained

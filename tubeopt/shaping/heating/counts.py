@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...constants import ZERO_CELSIUS
 from ...errors import InputError
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .rig import COUNTS, Rig
@@ -110,11 +111,16 @@ def guarded_counts(
 
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
     """Greatest count that keeps ramp and mean current, less what is `spared`, at a state."""
+    return int(most_counts(model, state, spec, rig))
+
+
+def most_counts(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> float:
+    """The same where a count need not be whole."""
     slow, fast, now = extremes(model, state)
     kept = 1 - spec.solver.counts.spared
     room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
     # What a pulse loses does not warm, but it flows.
-    return int(COUNTS * max(min(room + rig.circuit.lost_share, kept * rig.circuit.current_limit / now, 1.0), 0.0))
+    return COUNTS * max(min(room + rig.circuit.lost_share, kept * rig.circuit.current_limit / now, 1.0), 0.0)
 
 
 def extremes(model: ThermalModel, state: State) -> tuple[Array, Array, float]:
@@ -183,9 +189,8 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
     levels: list[float] = []
     while len(levels) < spec.hold_slots:
         span = together * spec.slot
-        coldest, hottest, top = seen(model, state.cells[0, :, 0])
-        # A bare part may be hotter than the curved one.
-        target = min(float(middle + 0.5 * (hottest - coldest) + top - hottest), high)
+        coldest = seen(model, state.cells[0, :, 0])[0]
+        target = min(_centred(model, state, middle), high)
         most = most_count(model, state, spec, rig)
         # One count is left for what changes within the slots that share a duty, but the tube need not cool for it.
         for spared in (1, 0):
@@ -196,6 +201,55 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
         levels += [level] * together
         state = after
     return np.array(levels[: spec.hold_slots])
+
+
+def _centred(model: ThermalModel, state: State, middle: float) -> float:
+    """Temperature of the hottest point, degC, with which the curved part spreads evenly about `middle`."""
+    coldest, hottest, top = seen(model, state.cells[0, :, 0])
+    # A bare part may be hotter than the curved one.
+    return float(middle + 0.5 * (hottest - coldest) + top - hottest)
+
+
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """Mean duties, each for `span` s, and the states between them."""
+
+    span: float
+    levels: Array
+    """(K,) in [0, 1]."""
+    states: tuple[State, ...]
+    """K + 1, the first at the beginning."""
+
+    def seen(self, model: ThermalModel) -> Array:
+        """(3, K + 1) degC of the coldest and the hottest place of the curved part, and of the hottest point."""
+        return np.array(seen(model, np.array([state.cells[0, :, 0] for state in self.states])))
+
+    def branched(self, at: int, other: Pace) -> Pace:
+        """The first `at` duties, and then those of another one that begins with the state there."""
+        return Pace(self.span, np.append(self.levels[:at], other.levels), self.states[:at] + other.states)
+
+
+def paced(
+    model: ThermalModel, spec: HeatingSpec, rig: Rig, goal: tuple[float, bool], pace: tuple[State, int, float]
+) -> Pace:
+    """The greatest duties within ramp and current with which no point gets hotter than a temperature (`goal`: degC, and
+    whether also the curved part spreads evenly about the middle of the window), from a state for K times a span
+    (`pace`: state, K, s)."""
+    (cap, centre), (state, count, span) = goal, pace
+    middle, states, levels = 0.5 * sum(spec.window_degC), [state], []
+    for _ in range(count):
+        target = min(cap, _centred(model, state, middle)) if centre else cap
+        most = most_counts(model, state, spec, rig) / COUNTS
+        levels.append(_level(model, state, most, (span, target, spec.solver.counts.probe)))
+        state = advance(model, state, levels[-1], span)
+        states.append(state)
+    return Pace(span, np.array(levels), tuple(states))
+
+
+def would_centre(model: ThermalModel, spec: HeatingSpec, pace: Pace) -> NDArray[np.bool_]:
+    """(K,) which duties of a pace would be less if the curved part spread evenly about the window's middle."""
+    middle, tops = 0.5 * sum(spec.window_degC), pace.seen(model)[2, 1:]
+    return np.array([_centred(model, state, middle) for state in pace.states[:-1]]) < tops
 
 
 def _hottest(state: State) -> float:

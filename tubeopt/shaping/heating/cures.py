@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from ...constants import ZERO_CELSIUS
 from ...errors import SolveError
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ..materials import CALCIUM_SILICATE
 from .counts import count_rate, full_current

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ...constants import ZERO_CELSIUS
 from ...errors import SolveError
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE as USED
 from ...physics.heat_functions import CLAMP
 from ...physics.heat_functions import SAG as SAGGED
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, full_current

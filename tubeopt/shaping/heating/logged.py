@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ...constants import ZERO_CELSIUS
 from ...errors import InputError, finite
 from ...typing import Array
 from .rig import COUNTS, Rig
@@ -178,8 +179,8 @@ def believable(
         values, rise = channels[name][read], float(np.ptp(expected[name][read]))
         if rise > solver.heated and np.ptp(values) == 0:
             raise InputError(
-                f"{name} of the log is {values[0] - 273.15:.1f} degC in all of its {len(values)} readings, while the "
-                f"rig's file expects a rise of {rise:.0f} K: the thermometer is dead; leave it out"
+                f"{name} of the log is {values[0] - ZERO_CELSIUS:.1f} degC in all of its {len(values)} readings, while "
+                f"the rig's file expects a rise of {rise:.0f} K: the thermometer is dead; leave it out"
             )
         top = np.flatnonzero(values == values.max())
         stays = len(top) >= solver.flat and len(top) == top[-1] - top[0] + 1
@@ -187,8 +188,8 @@ def believable(
             channels[name] = channels[name].copy()
             channels[name][read[top]] = np.nan
             words.append(
-                f"{name} stays at {values.max() - 273.15:.1f} degC for {len(top)} readings, as a saturated thermometer "
-                "does: they are left out"
+                f"{name} stays at {values.max() - ZERO_CELSIUS:.1f} degC for {len(top)} readings, as a saturated "
+                "thermometer does: they are left out"
             )
         off = float(values[0] - rig.ambient)
         if log.time[read[0]] == log.time[0] and abs(off) > solver.shifted:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ...constants import ZERO_CELSIUS
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CHARGE
-from ...robots.materials import ZERO_CELSIUS
 from .rig import Rig
 from .simulation import History
 from .spec import HeatingSpec
@@ -27,6 +27,25 @@ BROKEN = {
 
 
 @dataclass(frozen=True)
+class MeshError:
+    """Error of the temperatures of the fine grid, K, from a grid half as fine (Richardson): the methods are of second
+    order."""
+
+    held: float
+    """Of the coldest and of the hottest place of the curved part during the hold."""
+    hottest: float
+    """Of the hottest point at any time."""
+
+    @property
+    def most(self) -> float:
+        """The greater of the two."""
+        return max(self.held, self.hottest)
+
+
+NO_ERROR = MeshError(0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What became of what was asked, within slots too."""
 
@@ -37,7 +56,11 @@ class Outcome:
     hottest: float
     """Temperature of any point at any time, degC."""
     shortfall: float
-    """By how much window or limit are missed, the mesh error included, K."""
+    """By how much window or limit are missed, each with its mesh error, K."""
+    excess: float
+    """By how much the hottest point is above the limit, its mesh error included, K."""
+    mesh: MeshError
+    """Error of these temperatures by the grid."""
     ramp: float
     """Fastest warming of any point outside of the clamps as a mean over a slot, K/s."""
     steepest: float
@@ -56,9 +79,9 @@ class Outcome:
 
 
 def outcome_of(
-    model: ThermalModel, rig: Rig, spec: HeatingSpec, history: History, start: float, mesh_error: float = 0.0
+    model: ThermalModel, rig: Rig, spec: HeatingSpec, history: History, start: float, mesh: MeshError = NO_ERROR
 ) -> Outcome:
-    """The outcome of what `resimulate` simulated, whose hold begins at `start`, s; with its `mesh_error`, K."""
+    """The outcome of what `resimulate` simulated, whose hold begins at `start`, s; with the error of its mesh."""
     within = history.within
     assert within is not None
     first, last = hold_slots(spec, start)
@@ -66,11 +89,14 @@ def outcome_of(
     highest = float(joined(model, within.hottest[first:last]).max()) - ZERO_CELSIUS
     hottest = float(within.hottest.max()) - ZERO_CELSIUS
     low, high = spec.window_degC
-    miss = max(low - lowest, highest - high, hottest - spec.limit) + mesh_error
+    excess = max(hottest + mesh.hottest - spec.limit, 0.0)
+    miss = max(low - lowest + mesh.held, highest - high + mesh.held, excess)
     warming = history.tube[1:, 0] - history.tube[:-1, 0]
     ramp = float(warming[:, model.zone > GRIP].max() / (history.time[1] - history.time[0]))
     found = {"steepest": within.rate, "mean_current": within.mean_current, "peak_current": within.current}
-    return Outcome(lowest, highest, hottest, max(miss, 0.0), ramp, **found, broken=broken(rig, spec, found))
+    return Outcome(
+        lowest, highest, hottest, max(miss, 0.0), excess, mesh, ramp, **found, broken=broken(rig, spec, found)
+    )
 
 
 def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:

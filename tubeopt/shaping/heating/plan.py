@@ -9,10 +9,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
 from .counts import Counts, heating_rate
@@ -119,8 +119,6 @@ class HeatingPlan(Displayed):
     """Where the energy goes."""
     hold_start: float
     """Beginning of the hold, s."""
-    mesh_error: float
-    """Of the temperatures of the outcome, estimated from a grid half as fine (Richardson), K."""
     problems: tuple[str, ...]
     """What is broken, and what else is wrong in words: a mold or a battery that suffers."""
     cures: tuple[Cure, ...]
@@ -151,6 +149,11 @@ class HeatingPlan(Displayed):
     def feasible(self) -> bool:
         """Whether everything is kept: window and limit, the mesh error included, ramp, and what the circuit bears."""
         return self.outcome.kept
+
+    @property
+    def mesh_error(self) -> float:
+        """Of the temperatures of the outcome, estimated from a grid half as fine (Richardson), K."""
+        return self.outcome.mesh.most
 
     @property
     def hold_end(self) -> float:
@@ -270,7 +273,6 @@ class HeatingPlan(Displayed):
             outcome=outcome,
             energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
             hold_start=run.start,
-            mesh_error=run.error,
             problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
             quench_time=quench_time(tube, spec, float(row.max())),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ...constants import ZERO_CELSIUS
 from ...errors import InputError, instance
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...solvers.parallel.blas import small
 from .cures import find_cures

@@ -13,11 +13,11 @@ from typing import Annotated
 
 import numpy as np
 
+from ...constants import GRAVITY, ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, finite, numbers
 from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Usual, Written, check_fields, unit
 from ...robots.file import TubeEntry, tube_to_dict
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 
@@ -270,7 +270,7 @@ def natural_convection(diameter: float, surface: float, ambient: float) -> float
     conductivity = air_conductivity(film)
     density = 101325.0 / (287.05 * film)
     prandtl = viscosity * 1030.0 / conductivity
-    buoyancy = 9.80665 * abs(surface - ambient) / film * diameter**3
+    buoyancy = GRAVITY * abs(surface - ambient) / film * diameter**3
     rayleigh = buoyancy * (density / viscosity) ** 2 * prandtl
     nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / (1 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)) ** 2
     return float(nusselt * conductivity / diameter)

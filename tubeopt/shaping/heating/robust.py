@@ -54,7 +54,7 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
         return min(1.0, wanted + lost * (wanted > 0), rig.circuit.current_limit / float(now))
 
     exact, scaled = simulate_feedback(model, slot, len(levels), controller)
-    run = Run(rig, model, scaled, exact, plan.mesh_error, plan.hold_start)
+    run = Run(rig, model, scaled, exact, plan.outcome.mesh, plan.hold_start)
     found = checked(plan.spec, run, guarded_counts(model, plan.spec, rig, scaled))
     return HeatingPlan.of(plan.tube, plan.spec, found, plan.iterations)
 
@@ -183,6 +183,6 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     if band.probability <= before.probability:
         return RobustSchedule(1.0, plan, before, before)
     exact = simulate(fine, plan.spec.slot, scaled)
-    run = Run(plan.rig, fine, scaled, exact, plan.mesh_error, plan.hold_start)
+    run = Run(plan.rig, fine, scaled, exact, plan.outcome.mesh, plan.hold_start)
     robust = HeatingPlan.of(plan.tube, plan.spec, checked(plan.spec, run, counts), plan.iterations)
     return RobustSchedule(scale, robust, band, before)

@@ -16,16 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...robots.materials import ZERO_CELSIUS
+from ...constants import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from .counts import Counts, count_rate, guarded_counts, soonest
+from .counts import Counts, Pace, count_rate, guarded_counts, paced, soonest, would_centre
 from .ideal import Ideal, Shift, planned_ramp, solve_ideal
-from .outcome import Outcome, hold_slots, outcome_of
+from .outcome import MeshError, Outcome, hold_slots, outcome_of
 from .rig import COUNTS, Rig
-from .simulation import History, resimulate, simulate
+from .simulation import History, at_rest, resimulate, simulate
 from .spec import HeatingSpec
-from .thermal import COARSE, FINE, ThermalModel, joined, thermal_model
+from .thermal import COARSE, FINE, ThermalModel, joined, seen, thermal_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class Run:
     """(T,) mean duties in every slot."""
     exact: History
     """What they do."""
-    error: float
-    """Of the mesh, K."""
+    error: MeshError
+    """Of the mesh."""
     start: float
     """Of the hold, s."""
 
@@ -88,22 +88,33 @@ def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | N
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     """The schedule that keeps everything, or the one that misses the window by least."""
     room, more = spec.solver.program.room, spec.solver.program.more_room
-    if spec.objective == "margin":
-        # Nothing is farther from the window's ends than what does not fall behind.
-        return _corrected(tube, rig, spec, more)
-    hasty = spec.objective == "time"
-    if hasty and not spec.free and (sooner := _hastened(tube, rig, spec)) is not None:
+    hasty, fixed = spec.objective == "time", not spec.free
+    if hasty and fixed and (sooner := _hastened(tube, rig, spec)) is not None:
         return sooner
-    found = _corrected(tube, rig, spec, room)
-    if hasty and spec.free and found.outcome.shortfall <= spec.solver.hopeless:
+    # Nothing is farther from the window's ends than what does not fall behind.
+    first = more if spec.objective == "margin" else room
+    nearest = _nearest(tube, rig, spec) if hasty and fixed else None
+    far = nearest is not None and nearest.outcome.shortfall > spec.solver.hopeless
+    found = _corrected(tube, rig, spec, first, rounds=1 if far else spec.solver.rounds)
+    if hasty and not fixed and found.outcome.shortfall <= spec.solver.hopeless:
         sooner = _hastened(tube, found.run.rig, spec)
         if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
             return sooner
-    same = planned_ramp(tube, rig, spec, room) == planned_ramp(tube, rig, spec, more)
-    if found.kept or same or not _behind(found, spec):
+    if found.kept:
         return found
-    other = _corrected(tube, rig, spec, more)
-    return other if other.outcome.shortfall < found.outcome.shortfall else found
+    same = planned_ramp(tube, rig, spec, first) == planned_ramp(tube, rig, spec, more)
+    if not (far or same) and _behind(found, spec):
+        found = min(found, _corrected(tube, rig, spec, more, rounds=spec.solver.rounds), key=_missing)
+    if nearest is None and found.outcome.shortfall > 0:
+        nearest = _nearest(tube, found.run.rig, spec)
+    # What the program said tells which changes would help.
+    return found if nearest is None else min(found, replace(nearest, program=found.program), key=_missing)
+
+
+def _missing(found: Schedule) -> tuple[bool, bool, float]:
+    """How far a schedule is from keeping everything: what must not be comes before the window."""
+    outcome = found.outcome
+    return bool(outcome.broken), outcome.excess > 0, outcome.shortfall
 
 
 def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
@@ -133,12 +144,85 @@ def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, fl
     coarse, fine = simulate(model, spec.slot, rough[1]), thermal_model(tube, rig, FINE)
     if _far(model, spec, coarse, rough[-1]):
         return None
-    error = mesh_error(coarse, simulate(fine, spec.slot, rough[1]), rough[1])
-    answer = soonest(fine, spec, rig, error + least)
+    error = mesh_error((model, coarse), (fine, simulate(fine, spec.slot, rough[1])), spec, rough[-1])
+    answer = soonest(fine, spec, rig, error.most + least)
     if answer is None:
         return None
     cooling = np.zeros(math.ceil(spec.solver.cooling / spec.slot))
     return np.concatenate([answer[0], cooling.astype(np.int64)]), np.concatenate([answer[1], cooling]), answer[-1]
+
+
+# --- the least miss ---------------------------------------------------------------------------------------------------
+
+
+def _nearest(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
+    """The schedule of whole counts that misses the window by least, wherever the hold is and at whatever temperature.
+
+    More power never makes anything colder. So it heats as fast as ramp and currents allow, until the hottest point is
+    at the limit; at some time it lets the curved part spread evenly about the window's middle, as far as the limit
+    allows; and it holds where that misses by least. Both times are searched on a grid, over all that may be.
+    """
+    model, solver, swing = thermal_model(tube, rig, FINE), spec.solver, ripple(tube, rig, spec)
+    error = solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    cap, best, times = spec.limit - error - swing, None, None
+    for _ in range(solver.nearest.caps):
+        pace, times = _placed(model, rig, spec, cap, times)
+        each, (_, first) = round(pace.span / spec.slot), times
+        heated = np.repeat(pace.levels, each)[: first * each + spec.hold_slots]
+        levels = np.append(heated, np.zeros(math.ceil(solver.cooling / spec.slot)))
+        found = _guarded(tube, spec, _run(tube, rig, spec, levels, first * pace.span), 1.0, None)
+        best = found if best is None else min(best, found, key=_missing)
+        reached = float(pace.seen(model)[2].max()) > cap - solver.same_shift
+        spare = spec.limit - found.outcome.hottest - found.outcome.mesh.hottest
+        # Counts swing about the mean duties, by how much is known now.
+        if 0 <= spare <= 4 * solver.reserve or (spare > 0 and not reached):
+            break
+        cap += spare - solver.reserve
+    assert best is not None
+    return best
+
+
+def _placed(
+    model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float, times: tuple[int, int] | None
+) -> tuple[Pace, tuple[int, int]]:
+    """Mean duties with which no point is hotter than `cap`, degC, and after which of them the curved part is brought to
+    the window's middle, and the hold begins: `times`, or where that misses the window by least."""
+    slots = int(spec.longest_heating / spec.slot)
+    each = max(round(spec.solver.counts.decided / spec.slot), math.ceil(slots / spec.solver.nearest.places), 1)
+    span, longest, hold = each * spec.slot, slots // each, -(-spec.hold_slots // each)
+
+    def branch(at: int, until: int) -> Pace:
+        state, count = hottest.states[at], min(until, longest + hold) - at
+        return hottest.branched(at, paced(model, spec, rig, (cap, True), (state, count, span)))
+
+    if times is not None:
+        hottest = paced(model, spec, rig, (cap, False), (at_rest(model), times[0], span))
+        return branch(times[0], times[1] + hold), times
+    hottest = paced(model, spec, rig, (cap, False), (at_rest(model), longest + hold, span))
+    found = [(hottest, (longest + hold, _place(model, spec, hottest, 1, (longest, hold))))]
+    free = np.flatnonzero(would_centre(model, spec, hottest)[: longest + 1])
+    if len(free):
+        settle = round(spec.solver.nearest.settling / span)
+        spread = np.geomspace(1, longest + 1, spec.solver.nearest.branches).astype(int) - 1
+        for at in sorted({int(free[0]), *(int(at) for at in spread if at >= free[0])}):
+            pace = branch(at, at + settle + hold if at > free[0] else longest + hold)
+            found.append((pace, (at, _place(model, spec, pace, max(at, 1), (longest, hold)))))
+    return min(found, key=lambda one: _missed(model, spec, one[0], hold)[one[1][1]])
+
+
+def _missed(model: ThermalModel, spec: HeatingSpec, pace: Pace, hold: int) -> Array:
+    """(P,) by how much the window is missed where the hold, `hold` duties long, begins with each of the duties, K."""
+    coldest, hottest, _ = np.lib.stride_tricks.sliding_window_view(pace.seen(model), hold + 1, axis=1)
+    low, high = spec.window_degC
+    return np.maximum(low - coldest.min(1), hottest.max(1) - high)
+
+
+def _place(model: ThermalModel, spec: HeatingSpec, pace: Pace, least: int, most: tuple[int, int]) -> int:
+    """With which duty from `least` to `most` the hold begins that misses the window by least (`most`, and its length);
+    the soonest of those that are as good."""
+    missed = _missed(model, spec, pace, most[1])[: most[0] + 1]
+    missed[:least] = np.inf
+    return int(np.argmax(missed <= missed.min() + spec.solver.nearest.same))
 
 
 def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float) -> bool:
@@ -150,9 +234,8 @@ def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float)
 
 def _run(tube: Tube, rig: Rig, spec: HeatingSpec, levels: Array, start: float) -> Run:
     """What mean duties do where the hold begins at `start`, s."""
-    model = thermal_model(tube, rig, FINE)
-    exact, coarse = (simulate(each, spec.slot, levels) for each in (model, thermal_model(tube, rig, COARSE)))
-    return Run(rig, model, levels, exact, mesh_error(coarse, exact, levels), start)
+    fine, coarse = ((m, simulate(m, spec.slot, levels)) for m in (thermal_model(tube, rig, g) for g in (FINE, COARSE)))
+    return Run(rig, fine[0], levels, fine[1], mesh_error(coarse, fine, spec, start), start)
 
 
 def _behind(found: Schedule, spec: HeatingSpec) -> bool:
@@ -163,22 +246,22 @@ def _behind(found: Schedule, spec: HeatingSpec) -> bool:
     return 0 < found.outcome.shortfall < float(lag.max()) + spec.solver.hopeless
 
 
-def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule:
-    """The schedule after as many corrections as it takes, with `room` below the ramp."""
+def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float, *, rounds: int) -> Schedule:
+    """The schedule after as many corrections as it takes, in so many rounds at most, with `room` below the ramp."""
     swing, solver = ripple(tube, rig, spec), spec.solver
     error = solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
     reserve = (swing + error, swing + error)
     ideal: Ideal | None = None
     shift: Shift | None = None
     best: Schedule | None = None
-    for round_ in range(solver.rounds):
+    for round_ in range(rounds):
         # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
         on, asked = (rig, spec) if ideal is None else (ideal.rig, replace(spec, free=()))
         ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=ideal)
         run = _run(tube, ideal.rig, spec, commanded(slots(ideal, spec), ideal.rig), hold_start(ideal, spec))
         lost = (swing, 4 * swing)
         # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
-        if round_ or swing > solver.fine_swing or not _hopeless(ideal, run, spec):
+        if round_ or rounds == 1 or swing > solver.fine_swing or not _hopeless(ideal, run, spec):
             found = _guarded(tube, spec, run, 1.0, Programmed(ideal, shift, reserve))
             # The margin is that of the fine grid only after a correction.
             if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
@@ -191,7 +274,7 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
         before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
         if before is not None and before.near(shift, solver.same_shift):
             break
-        reserve = (lost[0] + run.error + solver.reserve, lost[1] + run.error + solver.reserve)
+        reserve = (lost[0] + run.error.most + solver.reserve, lost[1] + run.error.most + solver.reserve)
     assert best is not None
     return _trimmed(tube, spec, best)
 
@@ -205,7 +288,7 @@ def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Pro
 
 def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
     """Whether the window is missed by far, but by so little, or with so hot a point, that a correction changes much."""
-    hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error
+    hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error.hottest
     corrigible = ideal.miss <= 10 * spec.solver.hopeless or hottest > spec.limit
     return ideal.miss > spec.solver.hopeless and corrigible and _far(run.model, spec, run.exact, run.start)
 
@@ -221,22 +304,27 @@ def _outcome(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: flo
     """What counts keep, by themselves, where the hold begins at `start`, s."""
     fine, coarse = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
     done = resimulate(fine, spec.slot, counts / COUNTS)
-    error = mesh_error(simulate(coarse, spec.slot, counts / COUNTS), done, counts)
+    error = mesh_error((coarse, simulate(coarse, spec.slot, counts / COUNTS)), (fine, done), spec, start)
     return outcome_of(fine, rig, spec, done, start, error)
 
 
-def mesh_error(coarse: History, fine: History, schedule: Array | Counts) -> float:
-    """Error of the temperatures of the fine grid, K, from a grid half as fine: the methods are of second order."""
-    heated = int(np.flatnonzero(schedule)[-1]) + 2
-    hottest = np.abs(coarse.tube.max((1, 2)) - fine.tube.max((1, 2)))[:heated]
-    return float(hottest.max()) / 3
+Simulated = tuple[ThermalModel, History]
+"""A model, and what a schedule does to it."""
+
+
+def mesh_error(coarse: Simulated, fine: Simulated, spec: HeatingSpec, start: float) -> MeshError:
+    """Error of a simulation whose hold begins at `start`, s, from one on a grid half as fine."""
+    first, last = hold_slots(spec, start)
+    ends = [np.array(seen(model, history.tube[: last + 1, 0])) for model, history in (coarse, fine)]
+    change = np.abs(ends[0] - ends[1]) / 3
+    return MeshError(float(change[:2, first:].max()), float(change[2].max()))
 
 
 def _trimmed(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule:
     """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
     run, scale = found.run, 1.0
     for _ in range(spec.solver.trims):
-        excess = found.outcome.hottest + run.error - spec.limit
+        excess = found.outcome.excess
         if excess <= 0:
             break
         # Temperatures rise nearly in proportion to the duty.

@@ -12,11 +12,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError
 from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
 from ...physics.heat import PROPERTIES
-from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
 from .simulation import State, advance, at_rest, current
 from .thermal import ThermalModel

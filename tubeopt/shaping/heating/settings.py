@@ -60,6 +60,22 @@ class CountSolver(Settings):
 
 
 @dataclass(frozen=True)
+class NearestSolver(Settings):
+    """How the schedule that misses the window by least is searched for."""
+
+    places: int = 800
+    """At which the hold may begin, at least half a second apart."""
+    branches: int = 9
+    """Times from which on the curved part is brought to the window's middle."""
+    settling: float = 60.0
+    """Time, s, after which the hold begins at the latest then."""
+    same: float = 0.02
+    """Misses, K, that differ by less are equal: the soonest is taken."""
+    caps: int = 4
+    """Temperatures of the hottest point that are tried, until its counts come to just below the limit."""
+
+
+@dataclass(frozen=True)
 class CureSearch(Settings):
     """How changes that would help are searched for, where the window is missed."""
 
@@ -132,6 +148,8 @@ class HeatingSolver(Settings):
     """Of the optimal control problem."""
     counts: CountSolver = CountSolver()
     """Of whole counts."""
+    nearest: NearestSolver = NearestSolver()
+    """Of the least miss."""
     cures: CureSearch = CureSearch()
     """Of changes where the window is missed."""
     fabrication: FabricationSolver = FabricationSolver()

@@ -13,11 +13,11 @@ from typing import Annotated
 import numpy as np
 import scipy
 
+from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, Settings, choice, positive
 from ...files.marks import POSITIVE, REQUIRED, check_fields, key, unit
 from ...physics.heat import Resolution
-from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .rig import COUNTS, Rig

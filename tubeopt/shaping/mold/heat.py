@@ -17,9 +17,10 @@ from typing import Annotated
 import numpy as np
 import scipy
 
+from ...constants import ZERO_CELSIUS
 from ...errors import InputError
 from ...files.marks import POSITIVE, check_fields, key, unit
-from ...robots.materials import NITINOL, ZERO_CELSIUS, ThermalData
+from ...robots.materials import NITINOL, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
 from ..heating.rig import gap_conductance
@@ -124,8 +125,7 @@ def cold_end(tube: Tube, material: MoldMaterial, heat: HeatSpec) -> ColdEnd:
 def fin(tube: Tube, heat: HeatSpec, coefficient: float) -> ColdEnd:
     """The end of a tube that loses so much, W/(m^2 K), as a fin."""
     data, hot = thermal_data(tube), heat.set_temperature
-    conductivity = data.conductivity * (1 + data.conductivity_slope * (hot - data.reference_temperature))
-    decay = math.sqrt(conductivity * tube.cross_section / (coefficient * math.pi * tube.outer_diameter))
+    decay = math.sqrt(data.at("conductivity", hot) * tube.cross_section / (coefficient * math.pi * tube.outer_diameter))
     gap = hot - heat.clamps
     length = decay * math.log(gap / heat.tolerance) if gap > heat.tolerance else 0.0
     return ColdEnd(length, decay, coefficient)

@@ -16,13 +16,14 @@ from functools import cached_property
 
 import numpy as np
 
+from ...constants import STEFAN_BOLTZMANN
 from ...display import Displayed
 from ...errors import InputError, instance
+from ...physics.heat import heat_to_air
 from ...robots.tubes import Tube
 from ...typing import Array, Sentence
 from ..heating.groove_air import STANDOFF
 from ..heating.rig import air_conductivity, natural_convection
-from ..heating.thermal import STEFAN_BOLTZMANN
 from .arcs import bend_of
 from .checks import held_in_plane, refuse_failed, springback_remarks, strain_check
 from .groove import Arc, Centreline, Point, bounds, crosses_itself, with_leads
@@ -283,8 +284,8 @@ class PegHeat:
 def tube_in_air(tube: Tube, heat: HeatSpec) -> ColdEnd:
     """The end of a tube in air as a fin, hot by its current; as `cold_end` of a mold."""
     data, hot, cold = thermal_data(tube), heat.set_temperature, heat.ambient
-    radiated = data.emissivity * STEFAN_BOLTZMANN * (hot**4 - cold**4) / heat.rise
-    return fin(tube, heat, natural_convection(tube.outer_diameter, hot, cold) + radiated)
+    convection = natural_convection(tube.outer_diameter, hot, cold)
+    return fin(tube, heat, heat_to_air(hot, cold, convection, data.emissivity * STEFAN_BOLTZMANN) / heat.rise)
 
 
 def pin_conductance(tube: Tube, heat: HeatSpec, pin: float, height: float, conductivity: float) -> float:

@@ -81,14 +81,13 @@ def tube_heat(tube: Tube, heat: HeatSpec) -> float:
     """J per m to bring the tube itself from ambient to the set temperature."""
     data = thermal_data(tube)
     mean = (heat.set_temperature + heat.ambient) / 2
-    capacity = data.heat_capacity * (1 + data.heat_capacity_slope * (mean - data.reference_temperature))
-    return data.density * capacity * tube.cross_section * heat.rise
+    return data.density * data.at("heat_capacity", mean) * tube.cross_section * heat.rise
 
 
 def current_leak(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) -> float:
     """Part of the current that runs through both plates beside the tube, with perfect contact."""
     data = thermal_data(tube)
-    resistivity = data.resistivity * (1 + data.resistivity_slope * (heat.set_temperature - data.reference_temperature))
+    resistivity = data.at("resistivity", heat.set_temperature)
     width = plate.size[1] if plate.size else SECTION_WIDTH
     beside = width * (plate.thickness + plate.lid_thickness) / material.resistivity
     return beside / (beside + tube.cross_section / resistivity)

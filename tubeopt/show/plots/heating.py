@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
-from ...robots.materials import ZERO_CELSIUS
 from ...runs.firmware_study import LedHeating
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.plan import HeatingPlan

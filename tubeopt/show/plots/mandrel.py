@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mandrel_files import rotation_table
@@ -149,8 +150,8 @@ def _steps(mandrel: Mandrel) -> list[str]:
         cut,
         f"Cut the tube and mark the bend. Wind it into the groove, marks on the ends of the bend; hold it by {hold}, "
         "and clamp one end only: the other must be free to grow.",
-        f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - 273.15:.0f} ± {heat.tolerance:.0f} "
-        f"°C for {heat.hold_time:g} s, counted from when a thermocouple on the tube is there; then quench in water. No "
-        "heating by current is planned: what a mandrel takes off a tube is not known.",
+        f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - ZERO_CELSIUS:.0f} ± "
+        f"{heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from when a thermocouple on the tube is "
+        "there; then quench in water. No heating by current is planned: what a mandrel takes off a tube is not known.",
         "Trim the ends. Measure the tube; what comes off is told by `tubeopt mold mandrel`.",
     ]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
 from ...shaping.mold.drawing import PARTS, draw_plate
@@ -213,7 +214,7 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
     spec = mold.spec
     heat, clamps = spec.heat, spec.clamps
     bolts = sum(hole.purpose == "bolt" for hole in mold.holes)
-    degrees = heat.set_temperature - 273.15
+    degrees = heat.set_temperature - ZERO_CELSIUS
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     steps = [
         f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}); clamps of the stock "

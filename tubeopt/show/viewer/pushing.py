@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...constants import GRAVITY
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import SolveError
@@ -20,9 +21,6 @@ ARROW = 5.0
 
 UP_TO = 10.0
 """Largest factor on a load that is looked at for its limit."""
-
-GRAVITY = 9.81
-"""m/s^2."""
 
 DIRECTIONS: dict[str, tuple[float, float, float] | None] = {
     "none": None,

@@ -1,0 +1,12 @@
+"""Constants of nature and of units, each once (SI); `tests/test_constants.py` holds them against `scipy.constants`."""
+
+from __future__ import annotations
+
+GRAVITY = 9.80665
+"""Standard acceleration of free fall, m/s^2."""
+
+ZERO_CELSIUS = 273.15
+"""0 degC in K."""
+
+STEFAN_BOLTZMANN = 5.670374419e-8
+"""Of the radiation of a black body, W/(m^2 K^4)."""
