@@ -147,7 +147,9 @@ def test_every_key_of_a_study_is_a_flag_of_its_command(run: Run) -> None:
 
 def test_a_command_and_its_study_are_one(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "heating.yaml"
-    path.write_text(f"kind: heating\nrig: {RIG}\nhold_s: 5\nslot_s: 1\nlongest_s: 20\nwindow_degC: [200, 260]\n")
+    path.write_text(
+        f"kind: heating\nrig: {RIG}\nhold_s: 5\nslot_s: 1\nlongest_s: 20\nwindow_degC: [200, 260]\nsamples: 0\n"
+    )
     flags = ("--hold-s", "5", "--slot-s", "1", "--longest-s", "20", "--window-degC", "200,260", "--samples", "0")
     typed = answer(run("heat", RIG, *flags, "--charges-percent", "none", "--json"))
     assert answer(run("run", str(path), "--json")) == typed

@@ -149,9 +149,10 @@ COMMANDS: dict[str, Asked | str] = {
         """Molds and schedules for every tube of a robot: drawings, G-code, duties by the battery's voltage, pictures.
 
         The mold is drawn for the rig, and the heating planned on the rig with the mold as drawn. Ends with 3 where the
-        window is not held within limit, ramp and currents for one of them, or where mold and heating do not agree;
-        everything is shown and saved all the same.""",
-        defaults={"charges_percent": CHARGES, "samples": "32"},
+        window is not held within limit, ramp and currents for one of them, where fewer than half of uncertain rigs
+        keep it and no sensor closes the loop, or where mold and heating do not agree; everything is shown and saved all
+        the same.""",
+        defaults={"charges_percent": CHARGES},
         example="tubeopt fabricate configs/robots/thesis_etr.yaml --rig configs/rigs/thesis_calcium_silicate.yaml "
         "--out results",
     ),
@@ -159,10 +160,11 @@ COMMANDS: dict[str, Asked | str] = {
         "heating",
         """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
 
-        Ends with 3 where no schedule is found that holds the window within limit, ramp and currents; the best one and
-        what would help are shown and saved all the same.""",
+        Ends with 3 where no schedule is found that holds the window within limit, ramp and currents, or where fewer
+        than half of uncertain rigs keep it and no sensor closes the loop; the best schedule and what would help are
+        shown and saved all the same.""",
         arguments={"rig": RIG},
-        defaults={"charges_percent": CHARGES, "samples": "64"},
+        defaults={"charges_percent": CHARGES},
         example="tubeopt heat plan configs/rigs/thesis_calcium_silicate.yaml --out results",
     ),
     "heat firmware": Asked(

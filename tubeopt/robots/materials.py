@@ -21,9 +21,9 @@ class ThermalData:
         InputError: a constant is not positive, a slope is not finite, or the emissivity is above 1.
     """
 
-    density: Annotated[float, unit("kg_per_m3"), POSITIVE]
-    heat_capacity: Annotated[float, unit("J_per_kg_K"), POSITIVE]
-    conductivity: Annotated[float, unit("W_per_m_K"), POSITIVE, "of heat"]
+    density: Annotated[float, unit("kg_per_m3"), Range(least=100.0, most=23000.0)]
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=10000.0)]
+    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "of heat"]
     resistivity: Annotated[float, unit("ohm_m"), POSITIVE, Usual(1e-9, 1e-4), "to electric current"]
     expansion: Annotated[float, unit("per_K"), POSITIVE, Usual(1e-7, 1e-3), "of its length"]
     emissivity: Annotated[float, Range(above=0.0, most=1.0), "over all wavelengths"]

@@ -10,12 +10,13 @@ from pydantic import Field
 from ..display import Displayed
 from ..files.checked import Positive, Whole
 from ..robots.robot import Robot
+from ..shaping.mold.heat import heating_for
 from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
-from ..shaping.tube_fabrication import TubeFabrication, heating_for, plan_tube
+from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Progress
 from .base import RobotPath, Study
-from .heating_study import Heating, RigPath, heating_of
+from .heating_study import SENSOR, Heating, RigPath, SensorName, Success, heating_of, sensor_of
 from .mold_study import MoldPath
 
 
@@ -43,6 +44,13 @@ class Fabrication(Displayed):
     left_out: tuple[str, ...]
     """Tubes that are not made, in words."""
 
+    @property
+    def success(self) -> Success | None:
+        """That of the least likely tube; None where it is not known of one."""
+        found = [part.heating.success for part in self.parts]
+        known = [one for one in found if one is not None]
+        return min(known, key=lambda one: one.probability) if len(known) == len(found) else None
+
 
 class FabricationStudy(Study):
     """Molds and heating schedules for every tube of a robot."""
@@ -58,7 +66,10 @@ class FabricationStudy(Study):
     charges_percent: list[Positive] = Field(
         [], description="also tables for these states of charge; none for no tables"
     )
-    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
+    samples: Annotated[Whole, Field(ge=0)] = Field(
+        32, description="uncertain rigs, of which the success probability is counted; 0 leaves it unknown"
+    )
+    sensor: SensorName | None = SENSOR
 
     def run(self, progress: Progress | None = None) -> Fabrication:
         """Each tube's mold drawn for the rig, and its heating planned on the rig with the mold as drawn.
@@ -78,5 +89,6 @@ class FabricationStudy(Study):
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
             made = plan_tube(self.robot.tubes[number - 1], self.rig, asked, spec, number=number)
             drawn = RobotMold(made.mold, self.robot.name, ())
-            parts.append(TubeParts(number, made, drawn, heating_of(made.heating, charges, samples=self.samples)))
+            heating = heating_of(made.heating, charges, samples=self.samples, sensor=sensor_of(self.sensor))
+            parts.append(TubeParts(number, made, drawn, heating))
         return Fabrication(self.robot, tuple(parts), tuple(left_out))

@@ -6,23 +6,51 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from ..display import Displayed
+from ..errors import choice
 from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.fields import asking, values
 from ..robots.tubes import Tube
 from ..shaping.heating.files import slot_milliseconds
+from ..shaping.heating.law import wilson
+from ..shaping.heating.leading import lead_by
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import Band, assess, charge_tables, most_likely
+from ..shaping.heating.sensors import SENSORS, Sensor
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
 from ..typing import Progress
 from .base import RobotPath, Study, TubeNumber
 from .rig_file import load_rig
+
+
+@dataclass(frozen=True)
+class Success:
+    """How likely a heating keeps window and limit on rigs that are not quite as filed."""
+
+    probability: float
+    """Share of uncertain rigs that do."""
+    samples: int
+    """Uncertain rigs."""
+    led_by: str = ""
+    """The sensor that closes the loop; "" where the schedule runs alone."""
+    open_loop: float | None = None
+    """The same without that sensor."""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of the probability, 95 % (Wilson's)."""
+        return wilson(round(self.probability * self.samples), self.samples)
+
+    @property
+    def likely(self) -> bool:
+        """Whether it is at least one half."""
+        return self.probability >= 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +67,14 @@ class Heating(Displayed):
     scale: float = 1.0
     """By which the duties were scaled to the most likely success."""
 
+    @property
+    def success(self) -> Success | None:
+        """How likely it is: led by the sensor of the plan's `feedback`, or alone; None where no rigs were sampled."""
+        led = self.plan.feedback
+        if led is not None:
+            return Success(led.probability, led.samples, led.sensor.name, led.open_loop)
+        return None if self.band is None else Success(self.band.probability, len(self.band.lowest))
+
 
 def heating_of(
     planned: HeatingPlan,
@@ -48,9 +84,11 @@ def heating_of(
     uncertainty: Uncertainty | None = None,
     samples: int = 0,
     scaled: bool = False,
+    sensor: Sensor | None = None,
 ) -> Heating:
     """A plan with tables for other states of charge, and with what becomes of it on uncertain rigs: `samples` of them,
-    for none of which there is no band; with `scaled` its duties are scaled to the most likely success."""
+    for none of which there is no band; with `scaled` its duties are scaled to the most likely success, with a `sensor`
+    its `feedback` is the law that leads it."""
     uncertainty = uncertainty or Uncertainty()
     steps = 1 + len(charges) + (samples > 0)
     tell = progress or (lambda done, total: None)
@@ -66,7 +104,27 @@ def heating_of(
         tables += charge_tables(planned, [charge])
         tell(2 + k, steps)
     tell(steps, steps)
+    if sensor is not None:
+        planned = replace(planned, feedback=lead_by(planned, sensor, samples=max(samples, LEAST_LED)))
     return Heating(planned, tuple(tables), band, uncertainty, scale)
+
+
+LEAST_LED = 20
+"""Uncertain rigs on which a law is tried at least."""
+
+SensorName = Annotated[str, AfterValidator(lambda name: choice("sensor", name, SENSORS))]
+"""What is felt of the tube, by its name."""
+
+SENSOR = Field(
+    None,
+    description=f"what closes the loop: {', '.join(SENSORS)}; by default nothing does",
+    examples=["SENSOR"],
+)
+
+
+def sensor_of(name: str | None) -> Sensor | None:
+    """The sensor of that name, with the error that is usual for its kind."""
+    return None if name is None else SENSORS[name]()
 
 
 RigPath = Annotated[
@@ -139,17 +197,26 @@ class HeatingStudy(HeatedTube):
         [], description="also tables for these states of charge; none for no tables"
     )
     loss_percent: NotNegative = Field(
-        Decimal(15), lt=100, description="half-width of what is not known of the heat loss; 0 for no band"
+        Decimal(15), lt=100, description="half-width of what is not known of the heat loss"
     )
     robust: bool = Field(False, description="scale the duties to the most likely success")
-    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
+    samples: Annotated[Whole, Field(ge=0)] = Field(
+        64, description="uncertain rigs, of which the success probability is counted; 0 leaves it unknown"
+    )
+    sensor: SensorName | None = SENSOR
 
     def run(self, progress: Progress | None = None) -> Heating:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
         charges = self.si("charges_percent")
-        samples = self.samples if self.loss_percent else 0
-        uncertainty = Uncertainty(**self.in_si("loss_percent")) if samples else None
         if progress is not None:
-            progress(0, 1 + len(charges) + (samples > 0))
+            progress(0, 1 + len(charges) + (self.samples > 0))
         planned = plan_heating(self.heated(), self.set_up(), self.spec())
-        return heating_of(planned, charges, progress, uncertainty=uncertainty, samples=samples, scaled=self.robust)
+        return heating_of(
+            planned,
+            charges,
+            progress,
+            uncertainty=Uncertainty(**self.in_si("loss_percent")),
+            samples=self.samples,
+            scaled=self.robust,
+            sensor=sensor_of(self.sensor),
+        )

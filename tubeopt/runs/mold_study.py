@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from ..display import Displayed
 from ..files.checked import NotNegative, Number, Positive, Whole, in_file
 from ..robots.tubes import Tube
+from ..shaping.heating.rig import Rig
 from ..shaping.materials import mold_material
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.mandrel import Mandrel, plan_mandrel
@@ -22,6 +23,7 @@ from ..shaping.mold.springback import Springback
 from ..typing import Progress
 from .base import RobotPath, Study, TubeNumber
 from .mold_file import load_mold_spec, load_springback
+from .rig_file import load_rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +131,9 @@ class MaterialsStudy(Study):
     curved_length_mm: Positive = Field(Decimal(94), description="without a robot: the length to be heated")
     set_degC: Number = Field(Decimal(525), description="temperature of the tube")
     hold_s: Positive = Field(Decimal(60), description="for how long it is held")
+    rig: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
+        None, description="rig on which the tube is heated; by default that of the thesis", examples=["RIG.yaml"]
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -152,4 +157,5 @@ class MaterialsStudy(Study):
 
     def run(self, progress: Progress | None = None) -> Ranking:
         """The materials, best first."""
-        return Ranking(rank_mold_materials(self._tube(), self._heat()), self._tube(), self._heat())
+        rig = self.rig or Rig()
+        return Ranking(rank_mold_materials(self._tube(), self._heat(), rig=rig), self._tube(), self._heat())

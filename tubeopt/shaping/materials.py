@@ -13,6 +13,9 @@ INSULATING_RESISTIVITY = 1e3
 """Resistivity (ohm m) from which a mold counts as an electrical insulator: beside a tube of 1e-6 ohm m whose section is
 a thousandth of the mold's, less than 1e-6 of the current goes astray."""
 
+ROOM = Range(least=ZERO_CELSIUS - 40.0, most=ZERO_CELSIUS + 60.0)
+"""Temperatures of surroundings in which a tube is set, K."""
+
 PRICE_CLASSES = ("low", "moderate", "high")
 
 
@@ -25,11 +28,11 @@ class MoldMaterial:
     """
 
     name: Annotated[str, "how it is called in files and on the command line"]
-    conductivity: Annotated[float, unit("W_per_m_K"), POSITIVE, "thermal"]
-    density: Annotated[float, unit("kg_per_m3"), POSITIVE, "density"]
-    heat_capacity: Annotated[float, unit("J_per_kg_K"), POSITIVE, "heat capacity"]
+    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "thermal"]
+    density: Annotated[float, unit("kg_per_m3"), Range(least=10.0, most=23000.0), "density"]
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=10000.0), "heat capacity"]
     limit_temperature: Annotated[
-        float, key("limit_degC"), POSITIVE, "above it the mold's surface chars, scales or softens"
+        float, key("limit_degC"), Range(above=0.0, most=4000.0), "above it the mold's surface chars, scales or softens"
     ]
     failure: Annotated[str, Absent("fails"), "what happens above the limit, in a few words"]
     resistivity: Annotated[float, unit("ohm_m"), POSITIVE, "electrical"]

@@ -23,10 +23,11 @@ from .heating.planning import plan_heating
 from .heating.rig import Rig
 from .heating.spec import HeatingSpec
 from .heating.thermal import gap_of, gap_transfer, groove_gap, own_gap, vent_profile
-from .mold.heat import HeatSpec
+from .mold.heat import heating_for
 from .mold.holes import open_area
 from .mold.mold import Groove, Mold, plan_mold
 from .mold.spec import GrooveSpec, MoldSpec
+from .recipes import recipe_for
 
 VENT_PLACES = 41
 """Places from the end of the mold to its middle at which the rig as drawn says how far it is vented."""
@@ -84,8 +85,8 @@ def plan_tube(
         number: of the tube, for texts.
 
     Raises:
-        InputError: no mold can be drawn for the rig's leads, tube and rig cannot belong together, or the tube is of no
-            metal and of no thermal constants.
+        InputError: no mold can be drawn for the rig's leads, tube and rig cannot belong together, or there is no
+            recipe for the tube's material.
         SolveError: the optimal control problem of the heating did not converge.
     """
     asked = MoldSpec() if mold is None else mold
@@ -113,13 +114,6 @@ def plan_tube(
     short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + solver.same_length
     words = _needed(plan) if short else "the mold as drawn still changes"
     return TubeFabrication(tube, drawn, on, plan, solver.molds, f"{words} after {solver.molds} rounds", remarks)
-
-
-def heating_for(heat: HeatSpec) -> HeatingSpec:
-    """The heating that a mold is laid out for, as a window and a hold."""
-    degrees = heat.set_temperature - ZERO_CELSIUS
-    window = (round(degrees - heat.tolerance, 9), round(degrees + heat.tolerance, 9))
-    return HeatingSpec(window_degC=window, hold_time=heat.hold_time)
 
 
 def mold_spec_for(
@@ -217,15 +211,10 @@ def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
 
 
 def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
+    recipe_for(tube.material)
     if tube.material.thermal is not None:
         return tube, ()
-    name, stiffness = tube.material.name, tube.material.youngs_modulus
-    if stiffness < 10e9:  # no metal is as soft
-        raise InputError(
-            f"the thermal constants of {name} are not known, and its Young's modulus of {1e-9 * stiffness:.2g} GPa is "
-            "that of no metal; a rig heats a tube by the current through it: say constants (thermal) of what conducts"
-        )
-    words = f"thermal constants of {name} are not known; mold and heating take those of nitinol"
+    words = f"thermal constants of {tube.material.name} are not known; mold and heating take those of nitinol"
     return replace(tube, material=replace(tube.material, thermal=NITINOL.thermal)), (words,)
 
 

@@ -6,13 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Group
+from rich.text import Text
 
 from ..errors import SolveError
 from ..files.units import TO_MM
 from ..robots.file import save_robot
 from ..runs.fabrication_study import Fabrication, TubeParts
 from ..runs.rig_file import save_rig
-from .heat_report import HEATING, HeatingReport, held_duties, missed
+from .heat_report import HEATING, SUCCESS, HeatingReport, held_duties, missed, success_words, unlikely
 from .mold_report import MOLD, MoldReport
 from .quantities import Quantity
 from .report import Drawing, Report, grid, remarks
@@ -36,6 +37,7 @@ TUBE: tuple[Quantity[TubeParts], ...] = (
 )
 
 FABRICATION: tuple[Quantity[Fabrication], ...] = (
+    *SUCCESS,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     Quantity("tubes", "mold and heating of every tube", lambda a: a.parts, of=TUBE),
     Quantity("left_out", "tubes that are not made, and why"),
@@ -47,7 +49,8 @@ def _faults(a: Fabrication) -> list[str]:
     found = []
     for part in a.parts:
         plan = part.heating.plan
-        found += [] if plan.feasible else [f"tube {part.number}: {missed(plan)}"]
+        kept = unlikely(part.heating.success) if plan.feasible else missed(plan)
+        found += [f"tube {part.number}: {kept}"] if kept else []
         found += [] if part.made.agreed else [f"tube {part.number}: {part.made.disagreement}"]
     return found
 
@@ -80,7 +83,12 @@ class FabricationReport(Report[Fabrication]):
             notes += [f"tube {part.number}: what would help: {cure.change}" for cure in plan.cures]
         columns = ("tube", "window", "curved part", "duty", "heating", "mold", "leads", "between clamps")
         title = f"{self.title()}: molds and schedules"
-        return Group(grid(columns, cells, title=title), *remarks((*notes, *self.answer.left_out)))
+        sure = [f"tube {part.number}: {success_words(part.heating.success)}" for part in self.answer.parts]
+        return Group(
+            *(Text(words, style="bold") for words in sure),
+            grid(columns, cells, title=title),
+            *remarks((*notes, *self.answer.left_out)),
+        )
 
     def save(self, directory: Path) -> list[Path]:
         """Write robot.yaml, fabrication.json, and for tube N mold/, heating/, rig.yaml and sheet.pdf in tube_N/."""
@@ -95,7 +103,8 @@ class FabricationReport(Report[Fabrication]):
             rig = replace(part.heating.plan.rig, tube=part.heating.plan.tube)
             save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
             title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
-            plot_fabrication_sheet(part.made, place / "sheet.pdf", title=title)
+            words = success_words(part.heating.success)
+            plot_fabrication_sheet(part.made, place / "sheet.pdf", title=title, success=words)
             paths.append(place / "sheet.pdf")
         return paths
 
@@ -109,7 +118,7 @@ class FabricationReport(Report[Fabrication]):
         }
 
     def conclude(self) -> None:
-        """Raise SolveError where a window is not held, or mold and heating do not agree."""
+        """Raise SolveError where a window is not held, or by few rigs, or mold and heating do not agree."""
         faults = _faults(self.answer)
         if faults:
             raise SolveError("; ".join(faults))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -11,7 +12,7 @@ from rich.text import Text
 from ..errors import SolveError
 from ..files.files import write_text
 from ..files.units import TO_MM
-from ..runs.heating_study import Heating
+from ..runs.heating_study import Heating, Success
 from ..runs.rig_file import rig_to_dict, save_rig
 from ..shaping.heating.calibration import BIAS, Estimate, RigFit
 from ..shaping.heating.cures import Cure
@@ -145,6 +146,39 @@ OF_THE_BAND: tuple[Quantity[Band], ...] = (
     Quantity("highest_degC", f"its quantiles {QUANTILES}", lambda band: np.quantile(band.highest, QUANTILES)),
 )
 
+SUCCESS: tuple[Quantity[Any], ...] = (
+    Quantity("success_probability", "part of uncertain rigs that keep window and limit; null where none were sampled",
+             lambda a: None if a.success is None else a.success.probability),
+    Quantity("success_interval", "of the probability, 95 %",
+             lambda a: None if a.success is None else a.success.interval),
+    Quantity("led_by", 'the sensor that closes the loop; "" where the schedule runs alone',
+             lambda a: "" if a.success is None else a.success.led_by),
+)  # fmt: skip
+
+
+def success_words(success: Success | None) -> str:
+    """How likely a heating keeps window and limit."""
+    if success is None:
+        return "success: not known, since no uncertain rigs were sampled (--samples 0)"
+    low, high = success.interval
+    kept = f"{100 * success.probability:.0f} % of {success.samples} uncertain rigs keep window and limit"
+    bounds = f"(95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    if not success.led_by:
+        return f"success: {kept} {bounds}; no sensor closes the loop"
+    without = f"{100 * (success.open_loop or 0):.0f} % without it"
+    return f"success: {kept} {bounds}; the sensor closes the loop ({success.led_by}), {without}"
+
+
+def unlikely(success: Success | None) -> str:
+    """Why a heating that holds the window on the rig as filed is not to be trusted; "" where it is."""
+    if success is None or success.likely:
+        return ""
+    return (
+        f"{success_words(success)}; at least one half must: close the loop (--sensor thermocouple, tubeopt heat "
+        "firmware), or calibrate the rig"
+    )
+
+
 BAND: tuple[Quantity[Heating], ...] = (
     Quantity("loss_percent", "half-width of what is not known of the heat loss", lambda a: a.uncertainty.loss),
     Quantity("contact_resistance_percent", "the same of the contacts", lambda a: a.uncertainty.contact_resistance),
@@ -154,6 +188,7 @@ BAND: tuple[Quantity[Heating], ...] = (
 )
 
 HEATING: tuple[Quantity[Heating], ...] = (
+    *SUCCESS,
     *within(PLAN, lambda a: a.plan),
     Quantity("band", "what uncertain rigs do, where that was asked for", lambda a: None if a.band is None else a,
              of=BAND, optional=True),
@@ -169,6 +204,10 @@ class HeatingReport(Report[Heating]):
 
     def title(self) -> str:
         return self.answer.plan.rig.name or "rig"
+
+    def table(self) -> Group:
+        """How likely it is, and the plan."""
+        return Group(Text(success_words(self.answer.success), style="bold"), super().table())
 
     def rows(self) -> list[tuple[str, str]]:
         """The plan, and what becomes of it on uncertain rigs."""
@@ -217,9 +256,12 @@ class HeatingReport(Report[Heating]):
         return {"heating": drawing("heating.plot_heating", self.answer.plan, band=self.answer.band)}
 
     def conclude(self) -> None:
-        """Raise SolveError where no schedule was found that holds the window within limit, ramp and currents."""
+        """Raise SolveError where no schedule was found that holds the window within limit, ramp and currents, or where
+        most uncertain rigs miss it."""
         if not self.answer.plan.feasible:
             raise SolveError(missed(self.answer.plan))
+        if words := unlikely(self.answer.success):
+            raise SolveError(words)
 
 
 def _cure_words(cure: Cure) -> str:

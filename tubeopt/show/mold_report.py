@@ -228,6 +228,8 @@ class CalibrationReport(Report[Calibration]):
 RATING: tuple[Quantity[MaterialRating], ...] = (
     Quantity("material", "its name", lambda r: r.material.name),
     Quantity("suitable", "whether it suits"),
+    Quantity("held", "whether the rig holds the window with it", lambda r: r.plan is None or r.plan.feasible),
+    Quantity("shortfall_K", "by how much the rig misses the window with it"),
     Quantity("heat_drawn_J_per_m", "per length of tube during the hold"),
     Quantity("heat_flow_W_per_m", "per length of tube at the end of the hold"),
     Quantity("energy_J", "that it takes to heat and hold the tube"),
@@ -273,11 +275,12 @@ class RankingReport(Report[Ranking]):
                 f"{r.material.limit_temperature_degC:.0f}",
                 f"{r.leak:.1g}",
                 r.material.price_class,
+                "" if r.plan is None else "yes" if r.plan.feasible else "no",
                 "yes" if r.suitable else "no",
             )
             for r in ratings
         ]
-        columns = ("material", "draws J/m >", "energy kJ >", "limit degC >", "leak >", "price >", "suits >")
+        columns = ("material", "draws J/m >", "energy kJ >", "limit degC >", "leak >", "price >", "held >", "suits >")
         reasons = [Text(f"{r.material.name}: {', '.join(r.reasons)}") for r in ratings]
         return Group(Text(self.title(), style="italic"), grid(columns, cells, key=True), *reasons)
 

@@ -25,6 +25,13 @@ NOISE = {"temperature": 5.0, "voltage": 0.05, "current": 0.5}
 LEAST_NOISE = {"temperature": 0.05, "voltage": 1e-3, "current": 1e-2}
 """No instrument is better."""
 
+POSSIBLE = {
+    "temperature": (ZERO_CELSIUS - 60.0, ZERO_CELSIUS + 2500.0),
+    "voltage": (-1.0, 150.0),
+    "current": (-50.0, 5000.0),
+}
+"""What thermometers, battery and current of such a rig can show, K, V, A."""
+
 UNITS = {"temperature": "K", "voltage": "V", "current": "A"}
 
 
@@ -67,6 +74,16 @@ class HeatingLog:
                 )
         if not (np.diff(self.time) > 0).all():
             raise InputError("time of the log must increase from row to row")
+        for name, (low, high) in POSSIBLE.items():
+            values = getattr(self, name)
+            if values is not None and np.isfinite(values).any():
+                extremes = float(np.nanmin(values)), float(np.nanmax(values))
+                if extremes[0] < low or extremes[1] > high:
+                    zero, sign = (ZERO_CELSIUS, "degC") if name == "temperature" else (0.0, UNITS[name])
+                    raise InputError(
+                        f"{name} of the log is {extremes[0] - zero:g} to {extremes[1] - zero:g} {sign}; it must be "
+                        f"{low - zero:g} to {high - zero:g} {sign}"
+                    )
         if not ((self.duty >= 0) & (self.duty <= COUNTS)).all():
             raise InputError("duty of the log must be from 0 to 255")
         places = np.abs([finite("position", x) for x in np.atleast_1d(np.asarray(self.position, dtype=float))])

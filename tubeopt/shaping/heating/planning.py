@@ -8,6 +8,7 @@ from ...constants import ZERO_CELSIUS
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...solvers.parallel.blas import small
+from ..recipes import check_temperatures
 from .cures import find_cures
 from .leading import lead_by
 from .plan import HeatingPlan
@@ -34,7 +35,8 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
             the law that leads the schedule by it, and how likely uncertain rigs keep the window (see `lead_by`).
 
     Raises:
-        InputError: the tube has no curved part or its material no thermal data; the rig or the window make no sense.
+        InputError: the tube has no curved part, its material no thermal data or no recipe (only nitinol has), or cannot
+            be set in the window; the rig or the window make no sense.
         SolveError: the optimal control problem did not converge.
 
     Examples:
@@ -47,6 +49,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     spec = HeatingSpec() if spec is None else spec
     for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
         instance(name, value, wanted)
+    check_temperatures(tube.material, "window_degC", *spec.window_degC)
     thermal_data(tube)
     if rig.ambient - ZERO_CELSIUS >= spec.window_degC[0]:
         raise InputError(

@@ -19,7 +19,7 @@ from ...errors import InputError, finite, numbers
 from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Usual, Written, check_fields, unit
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
-from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
+from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, ROOM, MoldMaterial, mold_material
 
 COUNTS = 255
 """The largest duty of an 8-bit PWM: always on."""
@@ -30,6 +30,9 @@ AMPERE_HOUR = 3600.0
 HOT = 500.0
 """Rise over ambient, K, at which the heat transfer of tubes into air is taken; in free convection it changes with the
 sixth root of it."""
+
+MOST_VOLT = 120.0
+"""Of a battery, V: more is no low voltage, and a workshop's switches and hands do not bear it."""
 
 CHARGED = 1.08
 """Voltage of a battery that has just been charged, as a multiple of that at rest when full: up to 13.7 V of 12.7."""
@@ -63,7 +66,11 @@ class Battery:
     """
 
     capacity: Annotated[
-        float, unit("Ah"), POSITIVE, Usual(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR), "charge that it holds"
+        float,
+        unit("Ah"),
+        Range(above=0.0, most=1e4 * AMPERE_HOUR),
+        Usual(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR),
+        "charge that it holds",
     ] = 60.0 * AMPERE_HOUR
     state_of_charge: Annotated[float, unit("percent"), Range(above=0.0, most=1.0), "of the capacity"] = 1.0
     open_circuit: Annotated[
@@ -71,9 +78,11 @@ class Battery:
         unit("V"),
         "pairs of state of charge (0 to 1) and voltage at rest, both increasing; linear between them",
     ] = OPEN_CIRCUIT
-    internal_resistance: Annotated[float, unit("mohm"), POSITIVE, "at once"] = 0.008
-    sag_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "on top of it once the sag has built up"] = 0.006
-    sag_time: Annotated[float, unit("s"), POSITIVE, "in which it does, to 63 %"] = 30.0
+    internal_resistance: Annotated[float, unit("mohm"), Range(above=0.0, most=10.0), "at once"] = 0.008
+    sag_resistance: Annotated[
+        float, unit("mohm"), Range(least=0.0, most=10.0), "on top of it once the sag has built up"
+    ] = 0.006
+    sag_time: Annotated[float, unit("s"), Range(above=0.0, most=1e4), "in which it does, to 63 %"] = 30.0
 
     def __post_init__(self) -> None:
         check_fields(self, "the battery")
@@ -85,6 +94,11 @@ class Battery:
             raise InputError("open_circuit of the battery must be at least 2 pairs (state of charge, voltage)")
         if (np.diff(table[:, 0]) <= 0).any() or (np.diff(table[:, 1]) <= 0).any() or (table[:, 1] <= 0).any():
             raise InputError("open_circuit of the battery must increase in charge and in voltage, and be above 0 V")
+        if table[-1, 1] > MOST_VOLT or table[0, 0] < 0 or table[-1, 0] > 1:
+            raise InputError(
+                f"open_circuit of the battery goes from a charge of {table[0, 0]:g} to {table[-1, 0]:g} and up to "
+                f"{table[-1, 1]:g} V; it must go from 0 to 1 at most, and up to {MOST_VOLT:g} V at most"
+            )
         object.__setattr__(self, "open_circuit", tuple((float(s), float(v)) for s, v in table))
 
     @property
@@ -122,10 +136,12 @@ class Battery:
 class Circuit:
     """What lies between battery and tube, and what it bears."""
 
-    cable_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "of all cables"] = 0.005
-    contact_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "of both clamps on the tube together"] = 0.004
-    mosfet_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "R_DS(on)"] = 0.002
-    pwm_frequency: Annotated[float, unit("Hz"), POSITIVE, "of the pulses"] = 490.0
+    cable_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), "of all cables"] = 0.005
+    contact_resistance: Annotated[
+        float, unit("mohm"), Range(least=0.0, most=10.0), "of both clamps on the tube together"
+    ] = 0.004
+    mosfet_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), "R_DS(on)"] = 0.002
+    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), "of the pulses"] = 490.0
     lost_on_time: Annotated[
         float,
         unit("us"),
@@ -133,8 +149,10 @@ class Circuit:
         "of every pulse, while the loop's inductance lets the current rise: inductance over resistance, less what "
         "still flows afterwards through a diode across the tube",
     ] = 0.0
-    current_limit: Annotated[float, unit("A"), POSITIVE, "of the mean current"] = 40.0
-    peak_limit: Annotated[float, unit("A"), POSITIVE, "of the current while the MOSFET conducts"] = 200.0
+    current_limit: Annotated[float, unit("A"), Range(above=0.0, most=2000.0), "of the mean current"] = 40.0
+    peak_limit: Annotated[
+        float, unit("A"), Range(above=0.0, most=5000.0), "of the current while the MOSFET conducts"
+    ] = 200.0
 
     def __post_init__(self) -> None:
         check_fields(self, "the circuit")
@@ -159,12 +177,16 @@ class Circuit:
 class Clamps:
     """The two equal clamps, each a lump of metal that warms up."""
 
-    mass: Annotated[float, unit("g"), POSITIVE, "of one"] = 0.05
-    heat_capacity: Annotated[float, unit("J_per_kg_K"), POSITIVE, "of its metal"] = 896.0
-    area: Annotated[float, unit("cm2"), POSITIVE, "of the surface of one that cools in air"] = 4e-3
-    contact_conductance: Annotated[float, unit("W_per_m2_K"), POSITIVE, "between tube and clamp"] = 3000.0
-    grip: Annotated[float, unit("mm"), POSITIVE, "length of tube in each clamp"] = 10e-3
-    clearance: Annotated[float, unit("mm"), POSITIVE, "bare tube between clamp and mold at each end"] = 5e-3
+    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), "of one"] = 0.05
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=5000.0), "of its metal"] = 896.0
+    area: Annotated[float, unit("cm2"), Range(above=0.0, most=1.0), "of the surface of one that cools in air"] = 4e-3
+    contact_conductance: Annotated[float, unit("W_per_m2_K"), Range(above=0.0, most=1e6), "between tube and clamp"] = (
+        3000.0
+    )
+    grip: Annotated[float, unit("mm"), Range(above=0.0, most=0.2), "length of tube in each clamp"] = 10e-3
+    clearance: Annotated[
+        float, unit("mm"), Range(above=0.0, most=0.2), "bare tube between clamp and mold at each end"
+    ] = 5e-3
 
     def __post_init__(self) -> None:
         check_fields(self, "the clamps")
@@ -176,23 +198,33 @@ class MoldBed:
 
     material: Annotated[MoldMaterial, Named(MOLD_MATERIALS), "what it is made of, or its name"] = CALCIUM_SILICATE
     width: Annotated[
-        float, unit("mm"), POSITIVE, Usual(2e-3, 2.0), "of both plates together; as much material as surrounds it"
+        float,
+        unit("mm"),
+        Range(above=0.0, most=2.0),
+        Usual(2e-3, 2.0),
+        "of both plates together; as much material as surrounds it",
     ] = 0.1
-    thickness: Annotated[float, unit("mm"), POSITIVE, Usual(1e-3, 1.0), "of both plates together"] = 25.4e-3
+    thickness: Annotated[float, unit("mm"), Range(above=0.0, most=2.0), Usual(1e-3, 1.0), "of both plates together"] = (
+        25.4e-3
+    )
     lead: Annotated[
-        float, unit("mm"), POSITIVE, Usual(5e-4, 1.0), "straight tube in the mold on each side of the curved part"
+        float,
+        unit("mm"),
+        Range(above=0.0, most=2.0),
+        Usual(5e-4, 1.0),
+        "straight tube in the mold on each side of the curved part",
     ] = 20e-3
     side_clearance: Annotated[
         float | None,
         unit("um"),
-        POSITIVE,
+        Range(above=0.0, most=5e-3),
         "of air on either side of a tube in the middle of its groove: how wide that is milled; by default as much "
         "as gap_um, or 50 um where that is not given either",
     ] = None
     gap: Annotated[
         float | None,
         unit("um"),
-        POSITIVE,
+        Range(above=0.0, most=5e-3),
         "of air that is even all around and conducts as much as that of the groove: what limits the heat that enters "
         "at first; by default computed for a square groove with this side clearance, on whose floor and wall the tube "
         "lies",
@@ -242,9 +274,12 @@ class Rig(Displayed):
     circuit: Annotated[Circuit, "cables, contacts, MOSFET, and what they bear"] = field(default_factory=Circuit)
     clamps: Annotated[Clamps, "the two equal clamps"] = field(default_factory=Clamps)
     mold: Annotated[MoldBed, "the mold as the tube's surroundings"] = field(default_factory=MoldBed)
-    ambient: Annotated[float, unit("degC"), POSITIVE, "temperature around it"] = 25.0 + ZERO_CELSIUS
+    ambient: Annotated[float, unit("degC"), ROOM, "temperature around it"] = 25.0 + ZERO_CELSIUS
     convection: Annotated[
-        float | None, unit("W_per_m2_K"), POSITIVE, "of bare surfaces in air; by default that of the tube is computed"
+        float | None,
+        unit("W_per_m2_K"),
+        Range(above=0.0, most=1e4),
+        "of bare surfaces in air; by default that of the tube is computed",
     ] = None
     loss_factor: Annotated[float, POSITIVE, "scales all that the tube loses to mold and air; 1 uncalibrated"] = 1.0
     resistivity_factor: Annotated[float, POSITIVE, "scales the tube's resistivity; 1 uncalibrated"] = 1.0

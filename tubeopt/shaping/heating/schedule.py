@@ -62,6 +62,8 @@ class Programmed:
 class Schedule:
     """A schedule: mean duties, the counts in their place, what these do, and what is kept."""
 
+    spec: HeatingSpec
+    """What was asked for."""
     run: Run
     """Of the mean duties."""
     counts: Counts
@@ -82,7 +84,7 @@ class Schedule:
 def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | None = None) -> Schedule:
     """What counts in the place of mean duties do, and what is kept."""
     done = resimulate(run.model, spec.slot, counts / COUNTS)
-    return Schedule(run, counts, done, outcome_of(run.model, run.rig, spec, done, run.start, run.error), program)
+    return Schedule(spec, run, counts, done, outcome_of(run.model, run.rig, spec, done, run.start, run.error), program)
 
 
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
@@ -111,10 +113,12 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     return found if nearest is None else min(found, replace(nearest, program=found.program), key=_missing)
 
 
-def _missing(found: Schedule) -> tuple[bool, bool, float]:
-    """How far a schedule is from keeping everything: what must not be comes before the window."""
-    outcome = found.outcome
-    return bool(outcome.broken), outcome.excess > 0, outcome.shortfall
+def _missing(found: Schedule) -> tuple[int, int, bool, float]:
+    """How far a schedule is from keeping everything: what must not be comes before the window, limits of ramp and mean
+    current in steps of a quarter, since whole counts break them by chance."""
+    outcome, circuit = found.outcome, found.run.rig.circuit
+    beyond = max(outcome.steepest / found.spec.ramp, outcome.mean_current / circuit.current_limit, 1.0)
+    return len(outcome.broken), int(math.log(beyond, 1.25)), outcome.excess > 0, outcome.shortfall
 
 
 def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:

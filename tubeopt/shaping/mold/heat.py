@@ -24,7 +24,8 @@ from ...robots.materials import NITINOL, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
 from ..heating.rig import gap_conductance
-from ..materials import MoldMaterial
+from ..heating.spec import HeatingSpec
+from ..materials import ROOM, MoldMaterial
 
 AMBIENT = 20.0 + ZERO_CELSIUS
 
@@ -50,7 +51,7 @@ class HeatSpec:
     ] = 525.0 + ZERO_CELSIUS
     tolerance: Annotated[float, unit("K"), POSITIVE, "by which the ends of the curved part may be colder"] = 25.0
     hold_time: Annotated[float, key("hold_s"), POSITIVE, "for which it is held"] = 60.0
-    ambient: Annotated[float, unit("degC"), POSITIVE, "temperature around the mold"] = AMBIENT
+    ambient: Annotated[float, unit("degC"), ROOM, "temperature around the mold"] = AMBIENT
     clamp_temperature: Annotated[
         float | None,
         key("clamp_degC"),
@@ -83,6 +84,13 @@ class HeatSpec:
     def clamps(self) -> float:
         """Temperature of the clamps, K."""
         return self.ambient if self.clamp_temperature is None else self.clamp_temperature
+
+
+def heating_for(heat: HeatSpec) -> HeatingSpec:
+    """The heating that a mold is laid out for, as a window and a hold."""
+    degrees = heat.set_temperature - ZERO_CELSIUS
+    window = (round(degrees - heat.tolerance, 9), round(degrees + heat.tolerance, 9))
+    return HeatingSpec(window_degC=window, hold_time=heat.hold_time)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from ...robots.pieces import Piece
 from ...robots.series import breaks_of, values, vary
 from ...robots.tubes import Tube
 from ...typing import Array, Sentence
+from ..recipes import mold_remarks
 from .checks import (
     Check,
     as_held,
@@ -360,4 +361,4 @@ def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
         remarks.append("the leads lie in air, which cools them less than a mold: their cold ends may be longer")
     else:
         remarks.append("print it of what endures the set temperature: ceramic, or metal that is insulated")
-    return [*remarks, *stiffness_remarks(tube)]
+    return [*remarks, *stiffness_remarks(tube), *mold_remarks(tube.material, spec.heat.set_temperature)]

@@ -16,6 +16,7 @@ from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
+from ..recipes import mold_remarks
 from .arcs import bend_of
 from .checks import (
     Check,
@@ -348,5 +349,6 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "
                 "nitinol are taken"
             )
-        remarks += [f"tube {groove.number}: {words}" for words in stiffness_remarks(groove.tube)]
+        words_of = *stiffness_remarks(groove.tube), *mold_remarks(groove.tube.material, spec.heat.set_temperature)
+        remarks += [f"tube {groove.number}: {words}" for words in words_of]
     return [*remarks, *material_remarks(spec)]

@@ -24,6 +24,7 @@ from ...robots.tubes import Tube
 from ...typing import Array, Sentence
 from ..heating.groove_air import STANDOFF
 from ..heating.rig import air_conductivity, natural_convection
+from ..recipes import mold_remarks
 from .arcs import bend_of
 from .checks import held_in_plane, refuse_failed, springback_remarks, strain_check
 from .groove import Arc, Centreline, Point, bounds, crosses_itself, with_leads
@@ -140,9 +141,8 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
     worst, placed, pegs, lying = _pegged(curve, lattice, tube, spec, kept)
     conductance = pin_conductance(tube, spec.heat, spec.pegs.pin, spec.pegs.height, spec.pegs.conductivity)
     heat = peg_heat(tube, spec.heat, np.array([peg.arc_length for peg in pegs]), conductance)
-    return PegBoard(
-        number, tube, spec, size, lattice.named, placed, lying, pegs, kept, cold, heat, _remarks(spec, worst, heat)
-    )
+    remarks = *_remarks(spec, worst, heat), *mold_remarks(tube.material, spec.heat.set_temperature)
+    return PegBoard(number, tube, spec, size, lattice.named, placed, lying, pegs, kept, cold, heat, remarks)
 
 
 def _pegged(

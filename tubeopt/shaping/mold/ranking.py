@@ -7,10 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...constants import ZERO_CELSIUS
 from ...errors import InputError
 from ...robots.tubes import Tube
+from ..heating.plan import HeatingPlan
+from ..heating.planning import plan_heating
+from ..heating.rig import Rig
 from ..materials import MOLD_MATERIALS, MoldMaterial
-from .heat import HeatSpec, heat_drawn, heat_flow, thermal_data
+from ..recipes import check_temperatures
+from .heat import HeatSpec, heat_drawn, heat_flow, heating_for, thermal_data
 from .spec import PlateSpec
 
 MOST_LEAK = 0.01
@@ -36,13 +41,21 @@ class MaterialRating:
     """From the source to heat the curved part and hold it, for the tube, the mold and what leaks, J."""
     limit_margin: float
     """The material's limit less the tube's set temperature, K."""
+    plan: HeatingPlan | None = None
+    """Of the tube on the rig with such a mold; None where no rig was given."""
     reasons: tuple[str, ...] = ()
     """Why it is suitable or not, in words."""
 
     @property
+    def shortfall(self) -> float | None:
+        """By how much the plan on the rig misses the window, K; None where no rig was given."""
+        return None if self.plan is None else self.plan.shortfall
+
+    @property
     def suitable(self) -> bool:
-        """Whether it endures the tube and keeps the current in it."""
-        return self.limit_margin >= 0 and self.leak <= MOST_LEAK
+        """Whether it endures the tube and keeps the current in it, and the rig that was given holds the window."""
+        held = self.plan is None or self.plan.feasible
+        return held and self.limit_margin >= 0 and self.leak <= MOST_LEAK
 
 
 def rank_mold_materials(
@@ -51,8 +64,9 @@ def rank_mold_materials(
     *,
     materials: Iterable[MoldMaterial] = tuple(MOLD_MATERIALS.values()),
     plate: PlateSpec | None = None,
+    rig: Rig | None = None,
 ) -> tuple[MaterialRating, ...]:
-    """The materials in order: those that endure the tube and insulate it, then the others; each by the energy it takes.
+    """The materials in order: those that are suitable, then the others; each by the energy it takes.
 
     The mold is taken without end around the tube (`heat_drawn`); for a metal plate that is an upper bound.
 
@@ -61,9 +75,11 @@ def rank_mold_materials(
         heat: set temperature, hold time and so on.
         materials: to compare.
         plate: whose section conducts beside the tube.
+        rig: on which a heating is planned with a mold of each material, as by `plan_heating`; by default none is.
 
     Raises:
-        InputError: no material, or a tube without a curved part.
+        InputError: no material, a tube without a curved part or of another metal than nitinol, or a temperature at
+            which it cannot be set.
     """
     given = tuple(materials)
     if not given:
@@ -71,7 +87,11 @@ def rank_mold_materials(
     if tube.curved_length == 0:
         raise InputError("the tube has no curved part; it needs no mold")
     heat = heat or HeatSpec()
+    degrees = heat.set_temperature - ZERO_CELSIUS
+    check_temperatures(tube.material, "set_temperature", degrees, degrees)
     ratings = [_rate(tube, material, heat, plate or PlateSpec()) for material in given]
+    if rig is not None:
+        ratings = [replace(rating, plan=_planned(tube, heat, rig, rating.material)) for rating in ratings]
     least = min(rating.heat_drawn for rating in ratings)
     explained = [replace(rating, reasons=_reasons(rating, heat, least)) for rating in ratings]
     return tuple(sorted(explained, key=lambda rating: (not rating.suitable, rating.energy)))
@@ -108,6 +128,13 @@ def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) 
     )
 
 
+def _planned(tube: Tube, heat: HeatSpec, rig: Rig, material: MoldMaterial) -> HeatingPlan:
+    """The heating of a tube on a rig with a mold of a material; nothing that would help is searched for."""
+    spec = heating_for(heat)
+    spec = replace(spec, solver=replace(spec.solver, cures=replace(spec.solver.cures, most=0)))
+    return plan_heating(tube, replace(rig, mold=replace(rig.mold, material=material)), spec)
+
+
 def _reasons(rating: MaterialRating, heat: HeatSpec, least: float) -> tuple[str, ...]:
     m, reasons = rating.material, []
     if rating.limit_margin < 0:
@@ -118,6 +145,8 @@ def _reasons(rating: MaterialRating, heat: HeatSpec, least: float) -> tuple[str,
         reasons.append(f"takes up to {rating.leak * 100:.4g} % of the current")
     else:
         reasons.append("insulates")
+    if rating.plan is not None:
+        reasons.append(f"{rating.plan.verdict} on the rig")
     draws = rating.heat_drawn / least
     times = f"{draws:.2g} times " if draws > 1 else ""
     reasons.append(f"draws {times}the least heat in {heat.hold_time:g} s")

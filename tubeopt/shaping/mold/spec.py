@@ -8,7 +8,7 @@ from typing import Annotated
 
 from ...display import Displayed
 from ...errors import InputError, instance, numbers, positive, vector
-from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, check_fields, key, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, Range, check_fields, key, unit
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .heat import HeatSpec
 from .settings import DEFAULT_MOLD, MoldSolver
@@ -19,23 +19,28 @@ DIALECTS = ("grbl", "linuxcnc", "mach")
 WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
 
 
+LENGTH, ROOM = Range(above=0.0, most=2.0), Range(least=0.0, most=2.0)
+"""Lengths of molds and tools, m: none is longer, but many are in mm."""
+
+FEED, SPEED = Range(above=0.0, most=1.0), Range(above=0.0, most=2000.0)
+"""Of milling machines: m/s, and revolutions per second."""
+
+
 @dataclass(frozen=True)
 class GrooveSpec:
     """How the groove fits the tube (m)."""
 
-    clearance: Annotated[float, unit("mm"), NOT_NEGATIVE, "least width and depth beyond the tube's outer diameter"] = (
-        0.05e-3
-    )
+    clearance: Annotated[float, unit("mm"), ROOM, "least width and depth beyond the tube's outer diameter"] = 0.05e-3
     most_clearance: Annotated[
         float,
         unit("mm"),
-        POSITIVE,
+        LENGTH,
         "width beyond the outer diameter up to which a single end mill makes the groove in one cut; a groove for which "
         "no end mill is that near is cut along both walls with a smaller one",
     ] = 0.25e-3
-    depth_step: Annotated[float, unit("mm"), POSITIVE, "depths are rounded up to a multiple of it"] = 0.05e-3
-    wall: Annotated[float, unit("mm"), POSITIVE, "least material between grooves, holes and edges"] = 3e-3
-    floor: Annotated[float, unit("mm"), POSITIVE, "least material below the groove"] = 4e-3
+    depth_step: Annotated[float, unit("mm"), LENGTH, "depths are rounded up to a multiple of it"] = 0.05e-3
+    wall: Annotated[float, unit("mm"), LENGTH, "least material between grooves, holes and edges"] = 3e-3
+    floor: Annotated[float, unit("mm"), LENGTH, "least material below the groove"] = 4e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -53,22 +58,22 @@ class PlateSpec:
     size: Annotated[
         tuple[float, float] | None,
         unit("mm"),
-        POSITIVE,
+        LENGTH,
         "width and height; by default the least that holds the grooves, in steps of 5 mm",
     ] = None
     thickness: Annotated[
-        float, unit("mm"), POSITIVE, "of the lower plate; by default the half inch of the thesis' steel mold"
+        float, unit("mm"), LENGTH, "of the lower plate; by default the half inch of the thesis' steel mold"
     ] = 12.7e-3
-    lid_thickness: Annotated[float, unit("mm"), POSITIVE, "of the top plate"] = 6.35e-3
+    lid_thickness: Annotated[float, unit("mm"), LENGTH, "of the top plate"] = 6.35e-3
     margin: Annotated[
         float,
         unit("mm"),
-        POSITIVE,
+        LENGTH,
         "from the bends and the least leads to the edge of a plate whose size is free; bolts stand in it",
     ] = 16e-3
-    bolt_diameter: Annotated[float, unit("mm"), POSITIVE, "of the holes for bolts, through both plates"] = 5.5e-3
-    dowel_diameter: Annotated[float, unit("mm"), POSITIVE, "of the holes for dowels, through both plates"] = 3e-3
-    bolt_pitch: Annotated[float, unit("mm"), POSITIVE, "greatest distance of bolts along the edge that is aimed at"] = (
+    bolt_diameter: Annotated[float, unit("mm"), LENGTH, "of the holes for bolts, through both plates"] = 5.5e-3
+    dowel_diameter: Annotated[float, unit("mm"), LENGTH, "of the holes for dowels, through both plates"] = 3e-3
+    bolt_pitch: Annotated[float, unit("mm"), LENGTH, "greatest distance of bolts along the edge that is aimed at"] = (
         80e-3
     )
 
@@ -84,8 +89,8 @@ class PlateSpec:
 class EndMill:
     """An end mill at hand (m)."""
 
-    diameter: Annotated[float, unit("mm"), POSITIVE, "of what it cuts"]
-    flute_length: Annotated[float | None, unit("mm"), POSITIVE, "by default three diameters"] = None
+    diameter: Annotated[float, unit("mm"), LENGTH, "of what it cuts"]
+    flute_length: Annotated[float | None, unit("mm"), LENGTH, "by default three diameters"] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "an end mill")
@@ -103,11 +108,11 @@ class MillingSpec:
     end_mills: Annotated[tuple[EndMill, ...], "those at hand; by default common ones from 0.4 to 3 mm"] = tuple(
         EndMill(d * 1e-3) for d in (0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
     )
-    step_down: Annotated[float, unit("mm"), POSITIVE, "greatest depth of one pass"] = 0.5e-3
-    feed: Annotated[float, unit("mm_per_min"), POSITIVE, "along the groove"] = 5e-3
-    plunge_feed: Annotated[float, unit("mm_per_min"), POSITIVE, "into the material"] = 2e-3
-    spindle: Annotated[float, unit("rpm"), POSITIVE, "revolutions"] = 200.0
-    safe_height: Annotated[float, unit("mm"), POSITIVE, "above the plate, for moves between cuts"] = 5e-3
+    step_down: Annotated[float, unit("mm"), LENGTH, "greatest depth of one pass"] = 0.5e-3
+    feed: Annotated[float, unit("mm_per_min"), FEED, "along the groove"] = 5e-3
+    plunge_feed: Annotated[float, unit("mm_per_min"), FEED, "into the material"] = 2e-3
+    spindle: Annotated[float, unit("rpm"), SPEED, "revolutions"] = 200.0
+    safe_height: Annotated[float, unit("mm"), LENGTH, "above the plate, for moves between cuts"] = 5e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -129,25 +134,25 @@ class WorkshopSpec:
     touch_plate: Annotated[
         float | None,
         unit("mm"),
-        POSITIVE,
+        LENGTH,
         "height of a touch plate that is wired to the machine's probe: every plate is then one program, which sets Z "
         "again after each change of the tool; without one it is a program per tool, and Z is set before each",
     ] = None
-    change_height: Annotated[float, unit("mm"), POSITIVE, "above the plate, where tools are changed"] = 40e-3
+    change_height: Annotated[float, unit("mm"), LENGTH, "above the plate, where tools are changed"] = 40e-3
     spin_up: Annotated[float, unit("s"), NOT_NEGATIVE, "wait after the spindle was switched on"] = 3.0
-    drill_feed: Annotated[float, unit("mm_per_min"), POSITIVE, "of drills"] = 2e-3
-    drill_spindle: Annotated[float, unit("rpm"), POSITIVE, "of drills"] = 50.0
-    peck: Annotated[float, unit("mm"), POSITIVE, "depth after which a drill clears its chips"] = 2e-3
+    drill_feed: Annotated[float, unit("mm_per_min"), FEED, "of drills"] = 2e-3
+    drill_spindle: Annotated[float, unit("rpm"), SPEED, "of drills"] = 50.0
+    peck: Annotated[float, unit("mm"), LENGTH, "depth after which a drill clears its chips"] = 2e-3
     cut_out: Annotated[bool, "whether plates are cut out of larger stock; else they come in their size"] = True
-    outline_diameter: Annotated[float, unit("mm"), POSITIVE, "of the end mill that cuts plates out"] = 4e-3
-    outline_reach: Annotated[float, unit("mm"), POSITIVE, "depth to which that end mill cuts"] = 25e-3
-    outline_step: Annotated[float, unit("mm"), POSITIVE, "greatest depth of one of its passes"] = 1e-3
-    outline_feed: Annotated[float, unit("mm_per_min"), POSITIVE, "along the outline"] = 10e-3
-    tab_width: Annotated[float, unit("mm"), POSITIVE, "of the tabs that hold the plate in its stock"] = 6e-3
-    tab_height: Annotated[float, unit("mm"), POSITIVE, "of the tabs"] = 2e-3
-    tab_pitch: Annotated[float, unit("mm"), POSITIVE, "distance of the tabs that is aimed at"] = 80e-3
+    outline_diameter: Annotated[float, unit("mm"), LENGTH, "of the end mill that cuts plates out"] = 4e-3
+    outline_reach: Annotated[float, unit("mm"), LENGTH, "depth to which that end mill cuts"] = 25e-3
+    outline_step: Annotated[float, unit("mm"), LENGTH, "greatest depth of one of its passes"] = 1e-3
+    outline_feed: Annotated[float, unit("mm_per_min"), FEED, "along the outline"] = 10e-3
+    tab_width: Annotated[float, unit("mm"), LENGTH, "of the tabs that hold the plate in its stock"] = 6e-3
+    tab_height: Annotated[float, unit("mm"), LENGTH, "of the tabs"] = 2e-3
+    tab_pitch: Annotated[float, unit("mm"), LENGTH, "distance of the tabs that is aimed at"] = 80e-3
     stock: Annotated[
-        tuple[float, float] | None, unit("mm"), POSITIVE, "width and height of the stock; by default large enough"
+        tuple[float, float] | None, unit("mm"), LENGTH, "width and height of the stock; by default large enough"
     ] = None
 
     def __post_init__(self) -> None:
@@ -162,20 +167,20 @@ class PegSpec:
         InputError: a number is out of its range, or the pegs' disks do not fit beside one another.
     """
 
-    pitch: Annotated[float, unit("mm"), POSITIVE, "of the holes, which lie on a square lattice on its corner"] = 8e-3
-    shank: Annotated[float, unit("mm"), POSITIVE, "diameter of the holes, and of the pegs in them"] = 3e-3
-    eccentricity: Annotated[float, unit("mm"), POSITIVE, "of a peg's pin from its axis"] = 3e-3
-    pin: Annotated[float, unit("mm"), POSITIVE, "diameter of the pin, which touches the tube"] = 2e-3
+    pitch: Annotated[float, unit("mm"), LENGTH, "of the holes, which lie on a square lattice on its corner"] = 8e-3
+    shank: Annotated[float, unit("mm"), LENGTH, "diameter of the holes, and of the pegs in them"] = 3e-3
+    eccentricity: Annotated[float, unit("mm"), LENGTH, "of a peg's pin from its axis"] = 3e-3
+    pin: Annotated[float, unit("mm"), LENGTH, "diameter of the pin, which touches the tube"] = 2e-3
     angle_step: Annotated[float, unit("deg"), POSITIVE, "in which pegs can be set, by a scale or by notches"] = (
         math.pi / 180
     )
-    height: Annotated[float, unit("mm"), POSITIVE, "of the tube above the board"] = 6e-3
+    height: Annotated[float, unit("mm"), LENGTH, "of the tube above the board"] = 6e-3
     conductivity: Annotated[
         float, unit("W_per_m_K"), POSITIVE, "of the pins; by default that of machinable glass-mica"
     ] = 1.46
-    most_deviation: Annotated[float, unit("mm"), POSITIVE, "of the tube from its curve, between the pegs too"] = 0.05e-3
+    most_deviation: Annotated[float, unit("mm"), LENGTH, "of the tube from its curve, between the pegs too"] = 0.05e-3
     board: Annotated[
-        tuple[float, float] | None, unit("mm"), POSITIVE, "width and height; by default as large as the tube needs"
+        tuple[float, float] | None, unit("mm"), LENGTH, "width and height; by default as large as the tube needs"
     ] = None
 
     def __post_init__(self) -> None:
@@ -201,15 +206,15 @@ class ClampSpec:
     gap: Annotated[
         float,
         unit("mm"),
-        NOT_NEGATIVE,
+        ROOM,
         "from the plate's edge to the clamp, along the tube; more where the tube leaves the plate at a slant",
     ] = 5e-3
-    grip: Annotated[float, unit("mm"), POSITIVE, "length of tube in a clamp"] = 12e-3
-    width: Annotated[float, unit("mm"), POSITIVE, "of a clamp, across the tube"] = 15e-3
-    least_lead: Annotated[float, unit("mm"), POSITIVE, "least straight groove on either side of the bend"] = 5e-3
+    grip: Annotated[float, unit("mm"), LENGTH, "length of tube in a clamp"] = 12e-3
+    width: Annotated[float, unit("mm"), LENGTH, "of a clamp, across the tube"] = 15e-3
+    least_lead: Annotated[float, unit("mm"), LENGTH, "least straight groove on either side of the bend"] = 5e-3
     sliding_end: Annotated[str, OneOf(ENDS), "where the clamp gives way when the tube grows"] = "distal"
     travel_factor: Annotated[float, POSITIVE, "travel of the sliding clamp per growth of the tube"] = 1.5
-    travel_extra: Annotated[float, unit("mm"), NOT_NEGATIVE, "travel beyond that"] = 0.5e-3
+    travel_extra: Annotated[float, unit("mm"), ROOM, "travel beyond that"] = 0.5e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -221,7 +226,7 @@ class ClampSpec:
 class VentSpec:
     """Holes through the top plate over the bend, which let heat out."""
 
-    diameter: Annotated[float, unit("mm"), POSITIVE, "of a vent"] = 1.5e-3
+    diameter: Annotated[float, unit("mm"), LENGTH, "of a vent"] = 1.5e-3
     profile: Annotated[
         tuple[float, ...],
         key("open_percent"),
@@ -254,12 +259,12 @@ class MoldSpec(Displayed):
         default_factory=Springback
     )
     cold_length: Annotated[
-        float | None, unit("mm"), NOT_NEGATIVE, "of tube from a clamp to where it is hot; by default estimated as a fin"
+        float | None, unit("mm"), ROOM, "of tube from a clamp to where it is hot; by default estimated as a fin"
     ] = None
     growth: Annotated[
         float | None,
         unit("mm"),
-        NOT_NEGATIVE,
+        ROOM,
         "of the hot tube between the clamps; by default integrated over the fin",
     ] = None
     most_strain: Annotated[

@@ -21,6 +21,10 @@ ROUND_OFF = 1e-9
 """Change of the fraction over the trials below which a slope is round-off, whatever the statistics say."""
 
 
+RADII = 1e-3, 10.0
+"""Least and greatest radius to which a tube is bent, m: a tighter or wider one was given in another unit."""
+
+
 @dataclass(frozen=True)
 class Springback:
     """The part of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold).
@@ -165,7 +169,14 @@ def _least_squares(kappa: Array, lost: Array, order: int) -> tuple[Array, list[t
 def _radii(name: str, values: Sequence[float] | Array) -> Array:
     if not len(values):
         raise InputError(f"{name} is empty; there must be at least one trial")
-    return np.array([positive(f"{name} of trial {k}", value) for k, value in enumerate(values, start=1)])
+    radii = np.array([positive(f"{name} of trial {k}", value) for k, value in enumerate(values, start=1)])
+    for k, radius in enumerate(radii.tolist(), start=1):
+        if not RADII[0] <= radius <= RADII[1]:
+            raise InputError(
+                f"{name} of trial {k} is {1e3 * radius:g} mm; it must be {1e3 * RADII[0]:g} to {1e3 * RADII[1]:g} mm, "
+                "as radii of curved tubes are"
+            )
+    return radii
 
 
 def _remarks(back: Springback, lost: Array, trials: int, distinct: int) -> tuple[str, ...]:

@@ -25,8 +25,8 @@ QUARTERS = (0.25, 0.5, 0.75)
 
 
 @picture
-def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
-    """The sheet for the one who heats the tube: one page A4."""
+def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "", success: str = "") -> Figure:
+    """The sheet for the one who heats the tube: one page A4, whose first line says how likely it succeeds."""
     plan = made.heating
     figure = new_sheet(f"Heating sheet: {title or f'tube {made.groove.number}'}")
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]
@@ -36,6 +36,7 @@ def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "") -> Figure:
     draw_duty(duty, plan)
     over_time.tick_params(labelbottom=False)
     duty.set_xlabel("time (s)")
+    write(figure, EDGE, A4[1] - EDGE + 5, success or "success: not known", weight="bold")
     write(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
     write_rows(figure, (EDGE, EDGE + 62.0), top, sheet_numbers(made), STEP)
     for head, lines, y in (
