@@ -128,7 +128,9 @@ uint8_t table_for(float rest) {
 void start(bool without_current) {
   if (state == HEATING || state == HOLDING) return tell_error("it is heating");
   if (hardware_emergency()) return tell_error("the stop button is pressed");
-  if (!hardware_temperature(&reading)) return tell_error("the thermometer answers nothing");
+  float seen = 0;
+  if (!hardware_temperature(&seen) || seen <= LOWEST_READING) return tell_error("the thermometer answers nothing");
+  reading = seen;
   if (reading > START_BELOW) return tell_error("the tube is still hot");
   electrics = hardware_electrics(&volt, &ampere, &leaking);
   if (electrics && volt < LOWEST_VOLT && !without_current) return tell_error("the battery is low");

@@ -1,0 +1,594 @@
+"""Every limit, timer and guard of the firmware: the compiled heater beside a second writing of what it must do, on a
+schedule of a few slots, with made-up readings."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import subprocess
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .firmware_host import COMPILER, built
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler")
+
+SLOT_MS, TICKS, TICK_MS, HOLD_FIRST = 300, 3, 100, 6
+PROPORTIONAL, INTEGRAL, SHARE, HOLDBACK, LOST = 0.01, 0.02, 0.25, 10.0, 1.75
+PATIENCE_MS, LONGEST_MS, STUCK_MS, STUCK_HOLDING_MS = 1500, 9000, 300, 1400
+TOO_HOT, LOWEST_READING, HIGHEST_READING, START_BELOW = 558.0, -20.0, 900.0, 80.0
+STUCK_WITHIN, STUCK_RISE = 0.125, 3.0
+MOST_AMPERE, LEAST_AMPERE, LEAKING_AMPERE, LOWEST_VOLT = 200.0, 30.0, 4.0, 9.0
+REFERENCE = [25.0, 27.0, 31.0, 37.0, 45.0, 52.0, 56.0, 57.0, 57.0, 57.0, 57.0, 57.0, 57.0, 57.0]
+PLANNED = [
+    [4.0, 30.25, 28.5, 26.75, 24.0, 20.5, 12.25, 10.0, 8.5, 8.25, 8.0, 7.75, 0.4, 0.0],
+    [5.0, 34.25, 32.5, 30.75, 27.0, 23.5, 14.25, 12.0, 9.5, 9.25, 9.0, 8.75, 0.4, 0.0],
+    [6.0, 40.25, 250.0, 254.5, 250.5, 27.5, 16.25, 13.0, 10.5, 10.25, 10.0, 9.75, 0.4, 0.0],
+]
+VOLTS = [12.7, 12.4, 12.1]
+SLOTS = len(REFERENCE)
+
+HEADER = f"""#include <stdint.h>
+#define SCHEDULE_ID "made up"
+#define SLOTS {SLOTS}u
+#define WINDOW_LOW 50
+#define WINDOW_HIGH 60
+#define HOLD_FIRST {HOLD_FIRST}u
+#define SLOT_MS {SLOT_MS}u
+#define TICKS_PER_SLOT {TICKS}u
+#define TICK_MS {TICK_MS}u
+#define TABLES 3u
+#define PROPORTIONAL ({PROPORTIONAL}f)
+#define INTEGRAL ({INTEGRAL}f)
+#define SHARE ({SHARE}f)
+#define HOLDBACK ({HOLDBACK}f)
+#define PATIENCE_MS {PATIENCE_MS}ul
+#define LONGEST_MS {LONGEST_MS}ul
+#define LOST ({LOST}f)
+#define TOO_HOT ({TOO_HOT}f)
+#define LOWEST_READING ({LOWEST_READING}f)
+#define HIGHEST_READING ({HIGHEST_READING}f)
+#define START_BELOW {START_BELOW}f
+#define STUCK_WITHIN ({STUCK_WITHIN}f)
+#define STUCK_RISE ({STUCK_RISE}f)
+#define STUCK_MS {STUCK_MS}ul
+#define STUCK_HOLDING_MS {STUCK_HOLDING_MS}ul
+#define MOST_AMPERE ({MOST_AMPERE}f)
+#define LEAST_AMPERE ({LEAST_AMPERE}f)
+#define LOWEST_VOLT ({LOWEST_VOLT}f)
+static const float PLANNED[TABLES][SLOTS] = {{{", ".join("{" + ", ".join(map(str, row)) + "}" for row in PLANNED)}}};
+static const float REFERENCE[SLOTS] = {{{", ".join(map(str, REFERENCE))}}};
+static const float VOLTS[TABLES] = {{{", ".join(map(str, VOLTS))}}};
+static inline float voltage_of(uint8_t table) {{ return VOLTS[table]; }}
+static inline float planned_at(uint8_t table, uint16_t k) {{ return PLANNED[table][k]; }}
+static inline float reference_at(uint16_t k) {{ return REFERENCE[k < SLOTS ? k : SLOTS - 1]; }}
+"""
+
+SOURCES = resources.files("tubeopt.shaping.firmware") / "sketch"
+
+
+def compiled(folder: Path) -> Path:
+    """The heater with this schedule, for this computer."""
+    for name in ("heater.h", "heater.cpp", "hardware.h", "host.cpp"):
+        (folder / name).write_text((SOURCES / name).read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "schedule.h").write_text(HEADER, encoding="utf-8")
+    (folder / "board.h").write_text(f"#define LEAKING_AMPERE ({LEAKING_AMPERE}f)\n", encoding="utf-8")
+    return built(folder)
+
+
+@pytest.fixture(scope="module")
+def heater(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The heater with this schedule."""
+    return compiled(tmp_path_factory.mktemp("guards"))
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the board sees at a tick: ms, degC, V, A while on, A while off, button; and a line that arrives."""
+
+    ms: int
+    celsius: float | None = 25.0
+    volt: float | None = 12.8
+    on: float = 90.0
+    off: float = 0.0
+    button: int = 0
+    line: str = ""
+
+
+def run(heater: Path, rows: list[Row]) -> list[tuple[int, list[dict[str, Any]]]]:
+    """Count of the switch after every row, and the lines of the heater at it; those of its start come first."""
+
+    def shown(value: float | None) -> str:
+        return "nan" if value is None else f"{value!r}"
+
+    asked = "".join(f"{r.ms} {shown(r.celsius)} {shown(r.volt)} {r.on!r} {r.off!r} {r.button} {r.line}\n" for r in rows)
+    out = subprocess.run([heater], input=asked, capture_output=True, text=True, check=True).stdout
+    found: list[tuple[int, list[dict[str, Any]]]] = []
+    lines: list[dict[str, Any]] = []
+    for line in out.splitlines():
+        if line.startswith("="):
+            found.append((int(line[1:]), lines))
+            lines = []
+        else:
+            lines.append(json.loads(line))
+    assert not lines
+    assert len(found) == len(rows) + 1
+    return found
+
+
+# --- what it must do, written apart ---------------------------------------------------------------------------------
+
+
+def clip(value: float, low: float, high: float) -> float:
+    return max(low, min(value, high))
+
+
+@dataclass
+class Twin:
+    """What the heater must do, in double precision."""
+
+    state: str = "idle"
+    reason: str = ""
+    count: int = 0
+    switch: int = 0
+    lines: list[dict[str, Any]] = field(default_factory=list)
+    dry: bool = False
+    table: int = 0
+    place: int = 0
+    total: float = 0.0
+    owed: float = 0.0
+    waited: int = 0
+    began: int = 0
+    due: int = 0
+    tick_of_slot: int = 0
+    lead: tuple[float, float, int] = (0.0, 0.0, 0)
+    reading: float = 0.0
+    electrics: tuple[float, float, float] | None = None
+    still: tuple[float, int, float] = (0.0, 0, 0.0)
+    bad: tuple[int, int] = (0, 0)
+
+    def tick(self, row: Row) -> tuple[int, list[dict[str, Any]]]:
+        self.lines = []
+        # Of the characters that wait 63 are kept; a line without an end is not obeyed.
+        if row.line:
+            self.obey(row.line[:63], row)
+        if self.state in ("heating", "holding") and row.ms - self.due >= 0:
+            self.due += TICK_MS
+            why = self.danger(row)
+            if why:
+                self.stop(why, row)
+            else:
+                if self.tick_of_slot == 0:
+                    self.decide(row)
+                    if self.state != "stopped":
+                        self.tell(row)
+                self.tick_of_slot = (self.tick_of_slot + 1) % TICKS
+        return self.switch, self.lines
+
+    def tell(self, row: Row) -> None:
+        time = 0.0 if self.state == "idle" else (row.ms - self.began) / 1000
+        volt, on, _ = self.electrics or (None, None, None)
+        self.lines.append(
+            {
+                "event": "status", "state": self.state, "time_s": time, "temperature_degC": self.reading,
+                "reference_degC": REFERENCE[min(self.place, SLOTS - 1)], "count": self.count, "place": self.place,
+                "voltage_V": volt, "current_A": on, "reason": self.reason, "dry": self.dry, "led": self.lead[2] > 0,
+            }
+        )  # fmt: skip
+
+    def error(self, text: str) -> None:
+        self.lines.append({"event": "error", "text": text})
+
+    def stop(self, why: str, row: Row) -> None:
+        self.count, self.switch, self.state, self.reason = 0, 0, "stopped", why
+        self.tell(row)
+
+    def obey(self, line: str, row: Row) -> None:
+        if '"stop"' in line:
+            if self.state in ("heating", "holding"):
+                self.stop("stopped by command", row)
+            else:
+                self.tell(row)
+        elif '"lead"' in line:
+            parts = [int(line.split(f'"{key}":')[1].split(",")[0].rstrip("}")) if f'"{key}":' in line else -1
+                     for key in ("slots", "from", "to")]  # fmt: skip
+            slots, first, last = parts
+            if not 1 <= slots <= 20 or not 0 <= first <= 25500 or not 0 <= last <= 25500:
+                self.error("a lead is wrong")
+            else:
+                self.lead = first / 100, (last - first) / 100 / (slots - 1) if slots > 1 else 0.0, slots
+        elif '"start"' in line:
+            self.start(row, '"dry":true' in line)
+        elif '"status"' in line:
+            self.tell(row)
+        elif '"hello"' in line:
+            self.lines.append({"event": "hello", "firmware": "tubeopt heater", "schedule": "made up", "slots": SLOTS,
+                               "slot_ms": SLOT_MS, "window_degC": [50, 60]})  # fmt: skip
+        else:
+            self.error('a line is {"do":"start"}, or stop, status, hello in place of start')
+
+    def start(self, row: Row, dry: bool) -> None:
+        if self.state in ("heating", "holding"):
+            return self.error("it is heating")
+        if row.button:
+            return self.error("the stop button is pressed")
+        if row.celsius is None or row.celsius <= LOWEST_READING:
+            return self.error("the thermometer answers nothing")
+        self.reading = row.celsius
+        if row.celsius > START_BELOW:
+            return self.error("the tube is still hot")
+        self.electrics = None if row.volt is None else (row.volt, row.on, row.off)
+        if row.volt is not None and row.volt < LOWEST_VOLT and not dry:
+            return self.error("the battery is low")
+        fit = [k for k, volt in enumerate(VOLTS) if row.volt is not None and volt <= row.volt + 0.05]
+        self.table = 0 if row.volt is None else (fit[0] if fit else len(VOLTS) - 1)
+        self.dry, self.place, self.total, self.owed, self.waited = dry, 0, 0.0, 0.0, 0
+        self.tick_of_slot, self.lead, self.bad = 0, (self.lead[0], self.lead[1], 0), (0, 0)
+        self.began = self.due = row.ms
+        self.still = (row.celsius, row.ms, 0.0)
+        self.reason, self.state = "", "heating"
+        return None
+
+    def danger(self, row: Row) -> str:
+        if row.button:
+            return "emergency stop"
+        good = row.celsius is not None and LOWEST_READING < row.celsius < HIGHEST_READING
+        readings, currents = 0 if good else self.bad[0] + 1, self.bad[1]
+        self.bad = readings, currents
+        if readings >= 3:
+            return "thermometer broken"
+        if good:
+            assert row.celsius is not None
+            self.reading = row.celsius
+            if row.celsius > TOO_HOT:
+                return "over-temperature"
+            if self.stuck(row):
+                return "thermometer stuck"
+        self.electrics = None if row.volt is None else (row.volt, row.on, row.off)
+        if row.volt is not None and not self.dry:
+            if row.on > MOST_AMPERE:
+                wrong = "over-current"
+            elif self.count < 250 and row.off > LEAKING_AMPERE:
+                wrong = "switch stuck"
+            elif self.count > 1 and row.on < LEAST_AMPERE:
+                wrong = "no current"
+            elif row.volt < LOWEST_VOLT:
+                wrong = "low battery"
+            else:
+                wrong = ""
+            currents = currents + 1 if wrong else 0
+            self.bad = readings, currents
+            if currents >= 2:
+                return wrong
+        return "maximum time" if row.ms - self.began > LONGEST_MS else ""
+
+    def stuck(self, row: Row) -> bool:
+        assert row.celsius is not None
+        at, since, rise = self.still
+        if abs(row.celsius - at) > STUCK_WITHIN or self.count == 0 or self.dry:
+            at, since, rise = row.celsius, row.ms, 0.0
+        else:
+            now, following = (REFERENCE[min(self.place + k, SLOTS - 1)] for k in (0, 1))
+            rise += (following - now) * TICK_MS / SLOT_MS
+        self.still = at, since, rise
+        span = row.ms - since
+        return span > STUCK_HOLDING_MS or (span > STUCK_MS and rise > STUCK_RISE + 1e-5)
+
+    def decide(self, row: Row) -> None:
+        if self.place >= SLOTS:
+            return self.stop("done", row)
+        error = REFERENCE[self.place] - self.reading
+        waits = not self.dry and error > HOLDBACK and self.place <= HOLD_FIRST
+        self.waited += SLOT_MS if waits else 0
+        if self.waited > PATIENCE_MS:
+            return self.stop("behind schedule", row)
+        self.total = clip(self.total + INTEGRAL * SLOT_MS / 1000 * error, -SHARE, SHARE)
+        share = clip(PROPORTIONAL * error + self.total, -SHARE, SHARE)
+        planned = PLANNED[self.table][self.place]
+        wish, step, left = self.lead
+        if left:
+            if planned > 0:
+                share = clip(wish / planned - 1, -SHARE, SHARE)
+                self.total = clip(share - PROPORTIONAL * error, -SHARE, SHARE)
+            self.lead = wish + step, step, left - 1
+        wanted = planned * (1 + share)
+        due = wanted + self.owed
+        self.count = int(clip(math.floor(due + LOST + 0.5), 0, 255)) if due > 0.5 else 0
+        given = max(self.count - LOST, 0.0)
+        self.owed = clip(due - given, -1 - LOST, 1.0) if wanted > 0 else 0.0
+        self.state = "holding" if self.place >= HOLD_FIRST else "heating"
+        if not waits:
+            self.place += 1
+        self.switch = 0 if self.dry else self.count
+        return None
+
+
+def same(found: dict[str, Any], wanted: dict[str, Any]) -> bool:
+    """Whether two reports are the same to the digits that the heater writes."""
+    digits = {
+        "time_s": 0.051,
+        "temperature_degC": 0.006,
+        "reference_degC": 0.051,
+        "voltage_V": 0.006,
+        "current_A": 0.051,
+    }
+    if found.keys() != wanted.keys():
+        return False
+    for key, value in wanted.items():
+        if key in digits and value is not None and found[key] is not None and not math.isnan(value):
+            if abs(found[key] - value) > digits[key]:
+                return False
+        elif found[key] != value and not (isinstance(value, float) and math.isnan(value)):
+            return False
+    return True
+
+
+def compare(heater: Path, rows: list[Row]) -> Twin:
+    """Hold the heater against its twin on rows; the twin after them."""
+    twin = Twin()
+    (switch, hello), *after = run(heater, rows)
+    assert switch == 0
+    assert [line["event"] for line in hello] == ["hello"]
+    for row, (count, lines) in zip(rows, after, strict=True):
+        wanted, told = twin.tick(row)
+        assert (count, len(lines)) == (wanted, len(told)), (row, lines, told)
+        assert all(same(*pair) for pair in zip(lines, told, strict=True)), (row, lines, told)
+    return twin
+
+
+def following(twin: Twin, noise: random.Random, lag: float = 0.0) -> float:
+    """A reading near the reference of a twin."""
+    return round(REFERENCE[min(twin.place, SLOTS - 1)] - lag + noise.uniform(-2, 2), 2)
+
+
+def heated(count: int, *, lag: float = 0.0, seed: int = 0, line: str = '{"do":"start"}', **seen: Any) -> list[Row]:
+    """Rows of a heating that follows its schedule, a start before them."""
+    noise, twin, rows = random.Random(seed), Twin(), []
+    for k in range(count):
+        row = Row(1000 + TICK_MS * k, following(twin, noise, lag if k else 0.0), line=line if k == 0 else "", **seen)
+        rows.append(row)
+        twin.tick(row)
+    return rows
+
+
+def changed(rows: list[Row], first: int, many: int = 1, **values: Any) -> list[Row]:
+    """Rows of which `many` from the `first` on see something else."""
+    return [Row(**{**vars(r), **(values if first <= k < first + many else {})}) for k, r in enumerate(rows)]
+
+
+# --- random rigs and readings ---------------------------------------------------------------------------------------
+
+
+def scripted(seed: int) -> list[Row]:
+    """Ticks in which everything may happen: faults that stay for a few, leads, commands, late and early ticks."""
+    dice, twin, rows, ms = random.Random(seed), Twin(), [], 1000
+    fault: dict[str, Any] = {}
+    left, lag, base = 0, 0.0, dice.choice([12.8, 12.66, 12.64, 12.5, 12.36, 12.2, 11.0, None])
+    commands = [
+        '{"do":"stop"}', '{"do":"status"}', '{"do":"hello"}', '{"do":"start","dry":true}', "nonsense", '{"do":"lead"}',
+        '{"do":"lead","slots":0,"from":1,"to":1}', '{"do":"lead","slots":21,"from":1,"to":1}',
+        '{"do":"lead","slots":3,"from":25501,"to":1}', '{"do":"lead","slots":3,"from":1,"to":25501}',
+    ]  # fmt: skip
+    for _ in range(160):
+        line = ""
+        if twin.state in ("idle", "stopped"):
+            line = dice.choice(['{"do":"start"}'] * 6 + ['{"do":"start","dry":true}', *commands])
+            lag = dice.choice([0.0, 0.0, 0.0, 12.0, -30.0, 60.0])
+        elif dice.random() < 0.02:
+            line = dice.choice(commands)
+        elif dice.random() < 0.05:
+            first, last = dice.randint(0, 4000), dice.randint(0, 4000)
+            line = f'{{"do":"lead","slots":{dice.randint(1, 6)},"from":{first},"to":{last}}}'
+        if left == 0:
+            fault = dice.choice(
+                [{}] * 12
+                + [{"celsius": None}, {"celsius": -20.5}, {"celsius": 900.5}, {"celsius": 558.5}, {"celsius": 557.5},
+                   {"on": 200.5}, {"on": 199.5}, {"on": 29.5}, {"on": 30.5}, {"off": 4.5}, {"off": 3.5}, {"volt": 8.95},
+                   {"volt": 9.05}, {"button": 1}, {"celsius": 40.0}]
+            )  # fmt: skip
+            left = dice.choice([1, 2, 3, 4, 8, 20]) if fault else dice.choice([5, 20, 40])
+        left -= 1
+        ms += dice.choice([100] * 12 + [50, 99, 101, 130, 300])
+        seen: dict[str, Any] = {"celsius": following(twin, dice, lag), "volt": base} | fault
+        if base is None:
+            seen["volt"] = None
+        row = Row(ms, line=line, **{"on": 90.0} | seen)
+        rows.append(row)
+        twin.tick(row)
+    return rows
+
+
+def test_the_heater_does_what_its_twin_does_whatever_happens(heater: Path) -> None:
+    reasons = set()
+    for seed in range(120):
+        rows = scripted(seed)
+        compare(heater, rows)
+        twin = Twin()
+        for row in rows:
+            twin.tick(row)
+            reasons |= {twin.reason}
+    assert reasons == {
+        "", "done", "stopped by command", "emergency stop", "thermometer broken", "thermometer stuck",
+        "over-temperature", "over-current", "no current", "switch stuck", "low battery", "behind schedule",
+    }  # fmt: skip
+
+
+# --- one by one, from both sides of every limit -----------------------------------------------------------------------
+
+
+def reason(heater: Path, rows: list[Row]) -> str:
+    return compare(heater, rows).reason
+
+
+def test_it_starts_on_a_cold_tube_only(heater: Path) -> None:
+    for celsius, starts in ((79.99, True), (80.0, True), (80.01, False), (300.0, False)):
+        (_, (count, lines)) = run(heater, [Row(1000, celsius, line='{"do":"start"}')])
+        assert (count > 0) == starts
+        assert starts or lines == [{"event": "error", "text": "the tube is still hot"}]
+
+
+def test_a_lead_changes_the_schedule_by_no_more_than_the_share(heater: Path) -> None:
+    for wish in (0, 500, 2500, 3000, 3500, 25500):
+        rows = heated(7)
+        rows = changed(rows, 1, line=f'{{"do":"lead","slots":2,"from":{wish},"to":{wish}}}')
+        compare(heater, rows)
+        count = run(heater, rows)[1 + TICKS][0]
+        planned = PLANNED[0][1]
+        # A count is given for the time that a pulse loses, and one may be owed by the slot before.
+        assert planned * (1 - SHARE) - 2 <= count - LOST <= planned * (1 + SHARE) + 2
+        assert abs(count - LOST - clip(wish / 100, planned * (1 - SHARE), planned * (1 + SHARE))) < 2.5
+
+
+@pytest.mark.parametrize("dry", [False, True])
+def test_a_dry_run_switches_nothing(heater: Path, dry: bool) -> None:
+    line = '{"do":"start","dry":true}' if dry else '{"do":"start"}'
+    rows = heated(3 * SLOTS + 3, line=line)
+    assert reason(heater, rows) == "done"
+    assert any(count for count, _ in run(heater, rows)) != dry
+
+
+LIMITS = [
+    ("celsius", [558.0], [558.25], 1, "over-temperature"),
+    ("celsius", [899.9, 557.0], [900.0], 3, "thermometer broken"),
+    ("celsius", [-19.9], [-20.0], 3, "thermometer broken"),
+    ("on", [200.0, 30.0], [200.5], 2, "over-current"),
+    ("on", [30.0], [29.5], 2, "no current"),
+    ("off", [4.0], [4.25], 2, "switch stuck"),
+    ("volt", [9.0], [8.75], 2, "low battery"),
+]
+
+
+@pytest.mark.parametrize(("what", "borne", "beyond", "times", "why"), LIMITS)
+def test_every_limit_from_both_sides(
+    heater: Path, what: str, borne: list[float], beyond: list[float], times: int, why: str
+) -> None:
+    rows = heated(24)
+    for value in beyond:
+        assert reason(heater, changed(rows, 5, times, **{what: value})) == why
+        if times > 1:
+            assert reason(heater, changed(rows, 5, times - 1, **{what: value})) == ""
+    for value in borne:
+        if what == "celsius" and value > 558:
+            continue
+        # For two ticks alone: a reading that stays is one that is stuck.
+        assert reason(heater, changed(rows, 5, 2, **{what: value})) == ""
+
+
+def test_a_fault_that_goes_is_forgotten(heater: Path) -> None:
+    rows = heated(24)
+    twice = changed(changed(rows, 5, 2, celsius=None), 8, 2, celsius=None)
+    assert reason(heater, twice) == ""
+    once = changed(changed(rows, 5, on=250.0), 7, on=250.0)
+    assert reason(heater, once) == ""
+
+
+def test_a_long_pulse_may_leave_no_pause_to_look_at(heater: Path) -> None:
+    # Counts of 250 and more are as good as always on.
+    rows = heated(20, volt=12.1)
+    assert max(count for count, _ in run(heater, rows)) >= 250
+    high = [k for k, (count, _) in enumerate(run(heater, rows)[1:]) if count >= 250]
+    assert reason(heater, changed(rows, high[0] + 1, 2, off=50.0)) == ""
+    low = [k for k, (count, _) in enumerate(run(heater, rows)[1:]) if 0 < count < 250]
+    assert reason(heater, changed(rows, low[0] + 1, 2, off=50.0)) == "switch stuck"
+
+
+def test_a_reading_that_stays_while_the_schedule_rises_is_stuck(heater: Path) -> None:
+    rows = heated(30)
+    still = changed(rows, 8, 20, celsius=33.0)
+    found = compare(heater, still)
+    assert found.reason == "thermometer stuck"
+    assert reason(heater, [Row(**{**vars(r), "celsius": 33.0 + 0.2 * (k % 2)}) if 8 <= k < 14 else r
+                           for k, r in enumerate(rows)]) == ""  # fmt: skip
+
+
+def test_in_the_hold_a_reading_is_stuck_after_longer(heater: Path) -> None:
+    rows = heated(3 * SLOTS + 3)
+    first = 3 * HOLD_FIRST + 1
+    many = STUCK_HOLDING_MS // TICK_MS
+    assert reason(heater, changed(rows, first, many + 2, celsius=57.0)) == "thermometer stuck"
+    assert reason(heater, changed(rows, first, many - 1, celsius=57.0)) == "done"
+
+
+@pytest.mark.parametrize(("lag", "why"), [(9.0, "done"), (30.0, "behind schedule")])
+def test_a_tube_that_falls_behind_is_waited_for_no_longer_than_patience(heater: Path, lag: float, why: str) -> None:
+    noise, twin, rows = random.Random(1), Twin(), []
+    for k in range(90):
+        late = REFERENCE[min(twin.place, SLOTS - 1)] - lag if k > 12 else following(twin, noise)
+        row = Row(1000 + TICK_MS * k, round(late + 0.3 * (k % 2), 2), line='{"do":"start"}' if k == 0 else "")
+        rows.append(row)
+        twin.tick(row)
+        if twin.state == "stopped":
+            break
+    assert reason(heater, rows) == why
+
+
+def test_it_heats_no_longer_than_the_longest_time(heater: Path) -> None:
+    def late(gap: int) -> list[Row]:
+        rows = heated(8)
+        return [*rows, Row(1000 + gap, 31.3), Row(1000 + gap + 1, 31.9)]
+
+    assert reason(heater, late(LONGEST_MS)[:-1]) == ""
+    assert reason(heater, late(LONGEST_MS + 1)[:-1]) == "maximum time"
+
+
+@pytest.mark.parametrize(
+    ("volt", "table"), [(12.8, 0), (12.66, 0), (12.64, 1), (12.36, 1), (12.34, 2), (11.0, 2), (None, 0)]
+)
+def test_the_schedule_is_that_for_the_battery(heater: Path, volt: float | None, table: int) -> None:
+    rows = heated(3 * SLOTS + 3, volt=volt)
+    twin = compare(heater, rows)
+    assert (twin.table, twin.reason) == (table, "done")
+
+
+def test_it_begins_off_and_refuses_to_start_where_it_must_not(heater: Path) -> None:
+    start = '{"do":"start"}'
+    for seen, text in (
+        ({"button": 1}, "the stop button is pressed"),
+        ({"celsius": None}, "the thermometer answers nothing"),
+        ({"celsius": -200.0}, "the thermometer answers nothing"),
+        ({"volt": 8.99}, "the battery is low"),
+    ):
+        found = run(heater, [Row(1000, line=start, **seen)])  # type: ignore[arg-type]
+        assert found[1] == (0, [{"event": "error", "text": text}])
+    dry = run(heater, [Row(1000, volt=8.99, line='{"do":"start","dry":true}')])
+    assert dry[1][1][0]["dry"]
+    rows = changed(heated(8), 4, line=start)
+    assert run(heater, rows)[5][1] == [{"event": "error", "text": "it is heating"}]
+    compare(heater, rows)
+
+
+def test_the_clock_may_run_over(heater: Path) -> None:
+    # It does so after 49.7 days; the heating goes on as if nothing were.
+    rows = heated(3 * SLOTS + 3)
+    shift = 2**32 - 1000 - 1500
+    wrapped = [Row(**{**vars(row), "ms": (row.ms + shift) % 2**32}) for row in rows]
+    plain, over = run(heater, rows), run(heater, wrapped)
+    assert [count for count, _ in plain] == [count for count, _ in over]
+    assert over[-1][1] == plain[-1][1]
+
+
+def test_a_second_start_knows_nothing_of_the_first(heater: Path) -> None:
+    first = changed(heated(20, seed=2), 10, line='{"do":"lead","slots":20,"from":4000,"to":4000}')
+    first = changed(first, 15, 2, celsius=None)
+    first = changed(first, 17, button=1)
+    again = [Row(**{**vars(row), "ms": row.ms + 2000}) for row in heated(3 * SLOTS + 3, seed=3)]
+    assert reason(heater, [*first, *again]) == "done"
+
+
+def test_numbers_are_told_to_their_digits(heater: Path) -> None:
+    for celsius, volt, on in ((-0.04, 9.0, 0.0), (-12.34, 12.05, 199.95), (79.99, 10.0, 100.04), (0.0, 13.999, 30.05)):
+        (_, (_, (told, *_))) = run(heater, [Row(1000, celsius, volt, on, line='{"do":"start"}')])
+        assert told["temperature_degC"] == pytest.approx(celsius, abs=0.0051)
+        assert told["voltage_V"] == pytest.approx(volt, abs=0.0051)
+        assert told["current_A"] == pytest.approx(on, abs=0.051)
+
+
+def test_a_line_that_is_too_long_harms_nothing(heater: Path) -> None:
+    rows = changed(heated(12), 6, line="x" * 150)
+    assert [line["event"] for line in run(heater, rows)[7][1]].count("error") == 1
+    compare(heater, rows)
