@@ -1,4 +1,4 @@
-"""One-line mutants of C++ sources by a list of operators: numbers, comparisons, signs, logic, guards that are left out."""
+"""One-line mutants of C++ by a list of operators: numbers, comparisons, signs, logic, guards that are left out."""
 
 from __future__ import annotations
 

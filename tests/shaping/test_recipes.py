@@ -142,7 +142,7 @@ def test_files_in_other_units_are_refused(run: Run, tmp_path: Any) -> None:
     assert "circuit.current_limit_A is 10000; it must be" in refusals
     hot = run("heat", "plan", RIG, "--window-degC", "830,850")
     assert hot.code == 2
-    assert "window_degC is 830 to 850 degC; it must be at most 700 degC for nitinol" in hot.err
+    assert "--window-degC is 830 to 850 degC; it must be at most 700 degC for nitinol" in hot.err
     materials = run("mold", "materials", "--set-degC", "850")
     assert materials.code == 2
-    assert "set_temperature is 850 degC; it must be at most 700 degC for nitinol" in materials.err
+    assert "is 850 degC; it must be at most 700 degC for nitinol" in materials.err

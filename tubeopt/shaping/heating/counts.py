@@ -70,6 +70,11 @@ def count_rate(tube: Tube, rig: Rig) -> float:
     return heating_rate(tube, rig, full_current(tube, rig, leaking=False)) / COUNTS
 
 
+def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
+    """Temperature (K) by which rounding to counts makes the tube swing: half a count for one slot, without any loss."""
+    return 0.5 * spec.slot * count_rate(tube, rig)
+
+
 def guarded_counts(
     model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array, *, rough: ThermalModel | None = None
 ) -> Counts:
@@ -212,11 +217,15 @@ def _centred(model: ThermalModel, state: State, middle: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Pace:
-    """Mean duties, each for `span` s, and the states between them."""
+    """Mean duties, each for `span` s, the policy that chose them, and the states between them."""
 
     span: float
     levels: Array
     """(K,) in [0, 1]."""
+    caps: Array
+    """(K,) degC that no point may exceed after each of them."""
+    centred: NDArray[np.bool_]
+    """(K,) which of them spread the curved part evenly about the middle of the window, as far as the cap lets them."""
     states: tuple[State, ...]
     """K + 1, the first at the beginning."""
 
@@ -224,26 +233,28 @@ class Pace:
         """(3, K + 1) degC of the coldest and the hottest place of the curved part, and of the hottest point."""
         return np.array(seen(model, np.array([state.cells[0, :, 0] for state in self.states])))
 
-    def branched(self, at: int, other: Pace) -> Pace:
-        """The first `at` duties, and then those of another one that begins with the state there."""
-        return Pace(self.span, np.append(self.levels[:at], other.levels), self.states[:at] + other.states)
-
 
 def paced(
-    model: ThermalModel, spec: HeatingSpec, rig: Rig, goal: tuple[float, bool], pace: tuple[State, int, float]
+    model: ThermalModel,
+    spec: HeatingSpec,
+    rig: Rig,
+    policy: tuple[Array, NDArray[np.bool_]],
+    known: Pace,
 ) -> Pace:
-    """The greatest duties within ramp and current with which no point gets hotter than a temperature (`goal`: degC, and
-    whether also the curved part spreads evenly about the middle of the window), from a state for K times a span
-    (`pace`: state, K, s)."""
-    (cap, centre), (state, count, span) = goal, pace
-    middle, states, levels = 0.5 * sum(spec.window_degC), [state], []
-    for _ in range(count):
+    """The greatest duties within ramp and current that a policy, caps and whether to centre, allows; as far as it is
+    that of a pace that is `known`, its states are taken over."""
+    caps, centred = policy
+    shared = min(len(caps), len(known.levels))
+    other = np.flatnonzero((caps[:shared] != known.caps[:shared]) | (centred[:shared] != known.centred[:shared]))
+    first, middle = int(other[0]) if len(other) else shared, 0.5 * sum(spec.window_degC)
+    states, levels = list(known.states[: first + 1]), known.levels[:first].tolist()
+    for cap, centre in zip(caps[first:].tolist(), centred[first:].tolist(), strict=True):
+        state = states[-1]
         target = min(cap, _centred(model, state, middle)) if centre else cap
         most = most_counts(model, state, spec, rig) / COUNTS
-        levels.append(_level(model, state, most, (span, target, spec.solver.counts.probe)))
-        state = advance(model, state, levels[-1], span)
-        states.append(state)
-    return Pace(span, np.array(levels), tuple(states))
+        levels.append(_level(model, state, most, (known.span, target, spec.solver.counts.probe)))
+        states.append(advance(model, state, levels[-1], known.span))
+    return Pace(known.span, np.array(levels), caps, centred, tuple(states))
 
 
 def would_centre(model: ThermalModel, spec: HeatingSpec, pace: Pace) -> NDArray[np.bool_]:

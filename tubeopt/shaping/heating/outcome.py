@@ -6,13 +6,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...constants import ZERO_CELSIUS
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CHARGE
 from .rig import Rig
 from .simulation import History
 from .spec import HeatingSpec
-from .thermal import ThermalModel, joined
+from .thermal import ThermalModel, joined, seen
 
 LEAST_CHARGE = 0.2
 """State of charge below which lead-acid batteries suffer."""
@@ -137,3 +139,15 @@ def remarks(rig: Rig, history: History, wall: float) -> tuple[str, ...]:
             "batteries suffer"
         )
     return tuple(found)
+
+
+Simulated = tuple[ThermalModel, History]
+"""A model, and what a schedule does to it."""
+
+
+def mesh_error(coarse: Simulated, fine: Simulated, spec: HeatingSpec, start: float) -> MeshError:
+    """Error of a simulation whose hold begins at `start`, s, from one on a grid half as fine."""
+    first, last = hold_slots(spec, start)
+    ends = [np.array(seen(model, history.tube[: last + 1, 0])) for model, history in (coarse, fine)]
+    change = np.abs(ends[0] - ends[1]) / 3
+    return MeshError(float(change[:2, first:].max()), float(change[2].max()))

@@ -19,13 +19,14 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from .counts import Counts, Pace, count_rate, guarded_counts, paced, soonest, would_centre
+from .counts import Counts, guarded_counts, ripple, soonest
 from .ideal import Ideal, Shift, planned_ramp, solve_ideal
-from .outcome import MeshError, Outcome, hold_slots, outcome_of
+from .nearest import Nearest, capped, nearest_hold
+from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
-from .simulation import History, at_rest, resimulate, simulate
+from .simulation import History, resimulate, simulate
 from .spec import HeatingSpec
-from .thermal import COARSE, FINE, ThermalModel, joined, seen, thermal_model
+from .thermal import COARSE, FINE, ThermalModel, joined, thermal_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +96,8 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
         return sooner
     # Nothing is farther from the window's ends than what does not fall behind.
     first = more if spec.objective == "margin" else room
-    nearest = _nearest(tube, rig, spec) if hasty and fixed else None
-    far = nearest is not None and nearest.outcome.shortfall > spec.solver.hopeless
+    nearest = nearest_hold(tube, rig, spec) if hasty and fixed else None
+    far = nearest is not None and nearest.missed > spec.solver.hopeless
     found = _corrected(tube, rig, spec, first, rounds=1 if far else spec.solver.rounds)
     if hasty and not fixed and found.outcome.shortfall <= spec.solver.hopeless:
         sooner = _hastened(tube, found.run.rig, spec)
@@ -108,9 +109,12 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     if not (far or same) and _behind(found, spec):
         found = min(found, _corrected(tube, rig, spec, more, rounds=spec.solver.rounds), key=_missing)
     if nearest is None and found.outcome.shortfall > 0:
-        nearest = _nearest(tube, found.run.rig, spec)
-    # What the program said tells which changes would help.
-    return found if nearest is None else min(found, replace(nearest, program=found.program), key=_missing)
+        nearest = nearest_hold(tube, found.run.rig, spec)
+    # Whole counts miss by more than mean duties do, by about what rounding makes the tube swing.
+    hopeless = nearest is None or nearest.missed + ripple(tube, rig, spec) > found.outcome.shortfall
+    if nearest is None or (hopeless and not found.outcome.excess):
+        return found
+    return min(found, _counted(tube, found.run.rig, spec, nearest, found.program), key=_missing)
 
 
 def _missing(found: Schedule) -> tuple[int, int, bool, float]:
@@ -159,74 +163,23 @@ def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, fl
 # --- the least miss ---------------------------------------------------------------------------------------------------
 
 
-def _nearest(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
-    """The schedule of whole counts that misses the window by least, wherever the hold is and at whatever temperature.
-
-    More power never makes anything colder. So it heats as fast as ramp and currents allow, until the hottest point is
-    at the limit; at some time it lets the curved part spread evenly about the window's middle, as far as the limit
-    allows; and it holds where that misses by least. Both times are searched on a grid, over all that may be.
-    """
-    model, solver, swing = thermal_model(tube, rig, FINE), spec.solver, ripple(tube, rig, spec)
-    error = solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
-    cap, best, times = spec.limit - error - swing, None, None
+def _counted(tube: Tube, rig: Rig, spec: HeatingSpec, nearest: Nearest, program: Programmed | None) -> Schedule:
+    """The schedule of whole counts in the place of mean duties, whose hottest point comes to just below the limit."""
+    model, solver, best = thermal_model(tube, rig, FINE), spec.solver, None
     for _ in range(solver.nearest.caps):
-        pace, times = _placed(model, rig, spec, cap, times)
-        each, (_, first) = round(pace.span / spec.slot), times
+        pace, first = nearest.pace, nearest.first
+        each = round(pace.span / spec.slot)
         heated = np.repeat(pace.levels, each)[: first * each + spec.hold_slots]
         levels = np.append(heated, np.zeros(math.ceil(solver.cooling / spec.slot)))
-        found = _guarded(tube, spec, _run(tube, rig, spec, levels, first * pace.span), 1.0, None)
+        found = _guarded(tube, spec, _run(tube, rig, spec, levels, first * pace.span), 1.0, program)
         best = found if best is None else min(best, found, key=_missing)
-        reached = float(pace.seen(model)[2].max()) > cap - solver.same_shift
         spare = spec.limit - found.outcome.hottest - found.outcome.mesh.hottest
-        # Counts swing about the mean duties, by how much is known now.
+        reached = float(pace.seen(model)[2].max()) > pace.caps.max() - solver.same_shift
         if 0 <= spare <= 4 * solver.reserve or (spare > 0 and not reached):
             break
-        cap += spare - solver.reserve
+        nearest = capped(model, rig, spec, nearest, spare - solver.reserve)
     assert best is not None
     return best
-
-
-def _placed(
-    model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float, times: tuple[int, int] | None
-) -> tuple[Pace, tuple[int, int]]:
-    """Mean duties with which no point is hotter than `cap`, degC, and after which of them the curved part is brought to
-    the window's middle, and the hold begins: `times`, or where that misses the window by least."""
-    slots = int(spec.longest_heating / spec.slot)
-    each = max(round(spec.solver.counts.decided / spec.slot), math.ceil(slots / spec.solver.nearest.places), 1)
-    span, longest, hold = each * spec.slot, slots // each, -(-spec.hold_slots // each)
-
-    def branch(at: int, until: int) -> Pace:
-        state, count = hottest.states[at], min(until, longest + hold) - at
-        return hottest.branched(at, paced(model, spec, rig, (cap, True), (state, count, span)))
-
-    if times is not None:
-        hottest = paced(model, spec, rig, (cap, False), (at_rest(model), times[0], span))
-        return branch(times[0], times[1] + hold), times
-    hottest = paced(model, spec, rig, (cap, False), (at_rest(model), longest + hold, span))
-    found = [(hottest, (longest + hold, _place(model, spec, hottest, 1, (longest, hold))))]
-    free = np.flatnonzero(would_centre(model, spec, hottest)[: longest + 1])
-    if len(free):
-        settle = round(spec.solver.nearest.settling / span)
-        spread = np.geomspace(1, longest + 1, spec.solver.nearest.branches).astype(int) - 1
-        for at in sorted({int(free[0]), *(int(at) for at in spread if at >= free[0])}):
-            pace = branch(at, at + settle + hold if at > free[0] else longest + hold)
-            found.append((pace, (at, _place(model, spec, pace, max(at, 1), (longest, hold)))))
-    return min(found, key=lambda one: _missed(model, spec, one[0], hold)[one[1][1]])
-
-
-def _missed(model: ThermalModel, spec: HeatingSpec, pace: Pace, hold: int) -> Array:
-    """(P,) by how much the window is missed where the hold, `hold` duties long, begins with each of the duties, K."""
-    coldest, hottest, _ = np.lib.stride_tricks.sliding_window_view(pace.seen(model), hold + 1, axis=1)
-    low, high = spec.window_degC
-    return np.maximum(low - coldest.min(1), hottest.max(1) - high)
-
-
-def _place(model: ThermalModel, spec: HeatingSpec, pace: Pace, least: int, most: tuple[int, int]) -> int:
-    """With which duty from `least` to `most` the hold begins that misses the window by least (`most`, and its length);
-    the soonest of those that are as good."""
-    missed = _missed(model, spec, pace, most[1])[: most[0] + 1]
-    missed[:least] = np.inf
-    return int(np.argmax(missed <= missed.min() + spec.solver.nearest.same))
 
 
 def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float) -> bool:
@@ -312,18 +265,6 @@ def _outcome(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: flo
     return outcome_of(fine, rig, spec, done, start, error)
 
 
-Simulated = tuple[ThermalModel, History]
-"""A model, and what a schedule does to it."""
-
-
-def mesh_error(coarse: Simulated, fine: Simulated, spec: HeatingSpec, start: float) -> MeshError:
-    """Error of a simulation whose hold begins at `start`, s, from one on a grid half as fine."""
-    first, last = hold_slots(spec, start)
-    ends = [np.array(seen(model, history.tube[: last + 1, 0])) for model, history in (coarse, fine)]
-    change = np.abs(ends[0] - ends[1]) / 3
-    return MeshError(float(change[:2, first:].max()), float(change[2].max()))
-
-
 def _trimmed(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule:
     """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
     run, scale = found.run, 1.0
@@ -356,11 +297,6 @@ def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:
 def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
     """Beginning of the first slot of the hold, s."""
     return spec.slot * math.ceil(ideal.heating / spec.slot - 1e-9)
-
-
-def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
-    """Temperature (K) by which rounding to counts makes the tube swing: half a count for one slot, without any loss."""
-    return 0.5 * spec.slot * count_rate(tube, rig)
 
 
 def _rounded(found: Schedule, spec: HeatingSpec) -> tuple[float, float]:

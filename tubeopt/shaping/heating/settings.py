@@ -69,6 +69,14 @@ class NearestSolver(Settings):
     """Times from which on the curved part is brought to the window's middle."""
     settling: float = 60.0
     """Time, s, after which the hold begins at the latest then."""
+    burst: float = 20.0
+    """Length of a hold, s, up to which a colder wait before it may pay."""
+    waits: tuple[float, ...] = (0.6, 0.85)
+    """Shares of the limit's rise over ambient at which it waits."""
+    rises: tuple[float, ...] = (2.0, 5.0, 10.0, 20.0, 40.0)
+    """By how much the hold begins below the limit, K, to which it rises."""
+    before: float = 5.0
+    """Time before the hold, s, from which on it does."""
     same: float = 0.02
     """Misses, K, that differ by less are equal: the soonest is taken."""
     caps: int = 4

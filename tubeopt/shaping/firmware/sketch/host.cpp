@@ -12,7 +12,7 @@
 namespace {
 unsigned long clock_ms = 0;
 float celsius = 25, volt = 12, on = 0, off = 0;
-int button = 0, count = 0;
+int button = 0, count = 255; // Until somebody switches it off.
 char waiting[160];
 size_t at = 0;
 } // namespace
