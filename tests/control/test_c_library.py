@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from tubeopt import (
 )
 from tubeopt.bodies.obstacles import Obstacle, Sphere
 from tubeopt.bodies.scene import scene_of
-from tubeopt.control.c_binding import CRobot
+from tubeopt.control.c_binding import CRobot, CServo
 from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.servo import Servo
@@ -334,6 +335,33 @@ def test_bad_input_is_refused(thesis: CRobot) -> None:
         thesis.servo(command(np.full(3, np.nan)))
     with pytest.raises(InputError, match="possible"):
         thesis.follow(START[0], [0.5, 0, 0])
+    first, n = thesis.solve(*START), 3
+    for bad in (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e7, True, "1"):
+        for k in range(2 * n):
+            joints: list[Any] = [*START[0], *START[1]]
+            joints[k] = bad
+            for ask in (thesis.solve, thesis.follow):
+                with pytest.raises(InputError, match=r"finite|possible|too large|must be 3 numbers"):
+                    ask(joints[:n], joints[n:])
+        if isinstance(bad, float):
+            for k in range(12):
+                row = command(first.tip_position)
+                row[k] = bad
+                with pytest.raises(InputError, match=r"finite|too large"):
+                    thesis.servo(row)
+            for place in range(5):
+                contact = np.array([[0.05, 1.0, 0.0, 0.0, 0.01]])
+                contact[0, place] = bad
+                with pytest.raises(InputError, match=r"finite|too large"):
+                    thesis.servo(command(first.tip_position), contact)
+        for key in ("force", "gravity"):
+            with pytest.raises(InputError, match=r"finite|too large|must be 3 numbers"):
+                thesis.bear(**{key: [0, bad, 0]})
+    # None of them has moved it.
+    assert thesis.follow(*START).tip_position == pytest.approx(first.tip_position, abs=1e-12)
+    for back in (-11 * THESIS.tubes[0].length, -1e6):
+        with pytest.raises(InputError, match="drawn back by 10 of its lengths"):
+            thesis.solve(START[0], [back, *START[1][1:]])
     with pytest.raises(InputError, match="prefix is '1a'"):
         c_library(THESIS, prefix="1a")
     eight = ConcentricRobot([Tube(1e-3 * (k + 1), 1e-3 * (k + 0.5), 0.1, 0.05, 1.0) for k in range(8)])
@@ -425,3 +453,24 @@ def test_it_passes_its_test_as_web_assembly(tmp_path: Path) -> None:
     )
     assert told.returncode == 0, told.stdout + told.stderr
     assert "all is well" in told.stdout
+
+
+def test_the_library_leaves_the_plate_and_comes_back(thesis: CRobot) -> None:
+    """From an arm of length zero, where every insertion begins."""
+    shift = np.array([-tube.curved_length for tube in THESIS.tubes])
+    at = thesis.solve(START[0], shift)
+    assert not at.tip_position.any()
+    assert not at.position.any()
+    assert at.margin == 1.0
+    known = forward_kinematics(THESIS, START[0], shift).jacobian()
+    slopes = thesis.slopes()
+    assert slopes.position == pytest.approx(known.position, abs=1e-12)
+    assert slopes.turn == pytest.approx(known.rotation, abs=1e-10)
+    there = thesis.follow(START[0], shift + 5e-3)
+    cold = forward_kinematics(THESIS, START[0], shift + 5e-3)
+    assert there.tip_position == pytest.approx(cold.tip_position, abs=1e-10)
+    assert not thesis.follow(START[0], shift).tip_position.any()
+    servo = CServo(c_library(THESIS), (START[0], shift))
+    for _ in range(20):
+        servo.step(Command(velocity=[0, 0, 0.01]), 1e-2)
+    assert servo.equilibrium.tip_position[2] == pytest.approx(2e-3, rel=0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -136,7 +137,7 @@ def test_the_node_is_led_and_tells_where_it_is(node: Any) -> None:
     assert robot.told["measured_js"].position == pytest.approx(back.position, abs=1e-12)
     robot.heard["servo_cv"](node.TwistStamped())
     robot.heard["servo_jp"](node.JointState(name=["elbow"], position=[1.0]))
-    assert "servo_jp" in robot.warned[-1]
+    assert "servo_jp is refused: name is elbow" in robot.warned[-1]
 
 
 def test_a_sensor_at_the_tip_tells_the_force_there(node: Any) -> None:
@@ -149,3 +150,84 @@ def test_a_sensor_at_the_tip_tells_the_force_there(node: Any) -> None:
     told = robot.told["measured_cf"].wrench.force
     # To first order in the force, which bends the arm by 40 um.
     assert np.linalg.norm([told.x, told.y, told.z] - force) < 0.05 * np.linalg.norm(force)
+
+
+def test_a_client_of_crtk_names_no_joints(node: Any) -> None:
+    robot = node.RobotNode()
+    robot.heard["state_command"](node.String(data="enable"))
+    there = [0.01, 1.0, 2.0, -0.05, -0.03, -0.0201]
+    for _ in range(60):
+        robot.heard["servo_jp"](node.JointState(position=there))
+        time.sleep(1e-3)
+        robot.tick()
+    assert not robot.warned
+    robot.tick()
+    assert robot.told["measured_js"].position == pytest.approx(there, abs=1e-12)
+
+
+def test_no_message_ends_the_node(node: Any) -> None:
+    robot = node.RobotNode()
+    robot.heard["state_command"](node.String(data="enable"))
+    nan, names = float("nan"), robot.robot.report(0.0)["setpoint_js"]["name"]
+    state, whole = node.JointState, [0.0, 1.0, 2.0, -0.05, -0.03, -0.02]
+
+    def pose(**place: Any) -> Any:
+        message = node.PoseStamped()
+        message.pose.position = SimpleNamespace(**{"x": 0.0, "y": 0.0, "z": 0.1, **place})
+        return message
+
+    elsewhere = pose()
+    elsewhere.header.frame_id = "camera"
+    turned = pose()
+    turned.pose.orientation = SimpleNamespace(w=nan, x=0.0, y=0.0, z=1.0)
+    far = node.TwistStamped()
+    far.twist.linear = SimpleNamespace(x=1e308, y=0.0, z=0.0)
+    for op, message, words in (
+        ("servo_jp", state(), "position has 0 numbers; it must have 6"),
+        ("servo_jp", state(position=[1.0]), "position has 1 numbers"),
+        ("servo_jp", state(position=[nan] * 6), "finite"),
+        ("servo_jp", state(position=[1e308] * 6), "rotations of tube 1 is 1e+308 rad"),
+        ("servo_jp", state(name=names, position=whole[:5]), "position has 5 numbers"),
+        ("servo_jp", state(name=names[:5], position=whole), "name is rotation_1"),
+        ("move_jp", state(name=["elbow"] * 6, position=whole), "name is elbow"),
+        ("move_jp", state(name=[names[0]] * 6, position=whole), "each of rotation_1"),
+        ("servo_cp", pose(x=nan), "finite"),
+        ("servo_cp", pose(x=1e308), "at most"),
+        ("servo_cp", elsewhere, "frame_id is 'camera'"),
+        ("move_cp", turned, "finite"),
+        ("servo_cv", far, "at most 1e+06"),
+        ("state_command", node.String(data=""), "command is ''"),
+        ("state_command", node.String(data="fly"), "command is 'fly'"),
+    ):
+        count = len(robot.warned)
+        robot.heard[op](message)
+        robot.tick()
+        assert len(robot.warned) == count + 1, op
+        assert robot.warned[-1].startswith(f"{op} is refused: ")
+        assert words in robot.warned[-1], robot.warned[-1]
+        assert robot.told["measured_js"].position == whole
+    for message in (pose(x=nan), pose(x=50.0), elsewhere):
+        robot.heard["sensor_cp"](message)
+        assert robot.warned[-1].startswith("sensor_cp is refused: ")
+    robot.heard["servo_jp"](SimpleNamespace())  # no message at all
+    assert "the robot is held: AttributeError" in robot.warned[-1]
+    robot.tick()
+    assert "AttributeError" in robot.told["why"].data
+
+
+def test_a_step_that_fails_holds_the_robot_and_the_node_goes_on(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = node.RobotNode()
+    robot.heard["state_command"](node.String(data="enable"))
+
+    def fail(*_: Any) -> None:
+        raise RuntimeError("of CasADi")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(robot.robot.servo, "step", fail)
+        robot.heard["move_jp"](node.JointState(position=[0.0, 1.0, 2.0, -0.05, -0.03, -0.021]))
+        robot.tick()
+    assert "the robot is held: RuntimeError in a step: of CasADi" in robot.told["why"].data
+    robot.heard["move_jp"](node.JointState(position=[0.0, 1.0, 2.0, -0.05, -0.03, -0.0201]))
+    time.sleep(5e-3)
+    robot.tick()
+    assert robot.told["measured_js"].position[5] == pytest.approx(-0.0201, abs=1e-6)

@@ -24,7 +24,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .command import Command, ServoOptions, ServoStep, Why
+from .command import Command, ServoOptions, ServoStep, Why, time_step
 from .horizon import DEFAULT_HORIZON, Aim, HorizonSolver, Knots, improvement
 from .servo import Servo
 
@@ -87,8 +87,7 @@ class PredictiveServo:
         Raises:
             InputError: a command without a position, or with more than position and direction.
         """
-        if not (np.isfinite(dt) and dt > 0):
-            raise InputError(f"dt is {dt:g} s; it must be more than 0")
+        dt = time_step(dt)
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo that looks ahead is led to a position, and to a direction if there is one")
         aim = Aim(command.position, command.direction)

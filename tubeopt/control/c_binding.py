@@ -19,11 +19,12 @@ from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, vector
 from ..inverse.configurations import Configuration, configuration
 from ..inverse.joints import joint_space
+from ..robots.limits import FAR, MOST_TURN
 from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary, c_library
-from .command import Command, ServoOptions, ServoStep, Why
+from .command import MOST_NUMBER, Command, ServoOptions, ServoStep, Why, time_step
 from .servo import Servo
 
 LOGGER = logging.getLogger("tubeopt")
@@ -34,6 +35,11 @@ REFUSED = {
     4: "the branch does not lead there: the robot would snap",
     5: "the motion is longer than one call may be",
 }
+TOO_LARGE = (
+    f"a number is too large: rotations may be {MOST_TURN:g} rad, every other number {MOST_NUMBER:g} in SI units, and a "
+    f"tube may be drawn back by {FAR:g} of its lengths"
+)
+
 """What the functions return when they do not answer; 2 is bad input."""
 
 
@@ -127,6 +133,8 @@ class CRobot:
                 f"{name} was called with a number that is not finite, a translation that is not possible, or more than "
                 "it can take"
             )
+        if status == 6:
+            raise InputError(f"{name} is refused: {TOO_LARGE}")
         if status:
             raise SolveError(REFUSED[status])
 
@@ -249,16 +257,18 @@ class CServo:
 
     def step(self, command: Command, dt: float) -> ServoStep[CPose]:
         """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
+        dt = time_step(dt)
         if command.pivot is not None:
             raise InputError("the servo of a C library knows no pivot")
         here, o = self.equilibrium, self.options
         self._before = here
         if command.joints is not None:
-            rotations, translations = command.joints
-            return self._straight(rotations, translations, dt)
+            rotations, shift = self.space.split(configuration(self.space, "joints", command.joints))
+            return self._straight(rotations, np.array(shift), dt)
         place = here.tip_position if command.position is None else command.position
         if command.velocity is not None:
-            place = here.tip_position + command.velocity * dt
+            way = command.velocity * dt
+            place = here.tip_position + way * min(1.0, self.space.length / max(float(np.linalg.norm(way)), 1e-300))
         pointing = np.zeros(3) if command.direction is None else command.direction
         push = o.push if o.objective else 0.0
         told = np.concatenate([[dt], place, pointing, [o.speed, o.turn_rate, o.shift_rate, o.min_margin, push]])
@@ -281,14 +291,16 @@ class CServo:
         )
         share = 1 / max(float(most), 1.0)
         why = Why.RATE if share < 1 else Why(0)
+        goal = here.rotations + share * turn, here.translations + share * shift
+        if not self.space.admissible(self.space.join(*goal)):
+            return ServoStep(here, Why.HELD | Why.RANGE, np.nan, np.nan)
         try:
-            there = self._robot.follow(here.rotations + share * turn, here.translations + share * shift)
+            there = self._robot.follow(*goal)
         except (SolveError, InputError):
             return ServoStep(here, Why.HELD, np.nan, np.nan)
-        inside = self.space.admissible(self.space.join(there.rotations, there.translations))
-        if there.margin < min(o.min_margin, here.margin) or not inside:
+        if there.margin < min(o.min_margin, here.margin):
             self._robot.undo()
-            return ServoStep(here, Why.HELD | (Why.RANGE if not inside else Why.MARGIN), np.nan, np.nan)
+            return ServoStep(here, Why.HELD | Why.MARGIN, np.nan, np.nan)
         self.equilibrium = there
         return ServoStep(there, why, np.nan, np.nan)
 

@@ -23,6 +23,7 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
+from ..robots.limits import FAR, MOST_TURN
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.library import MOST_TUBES, ROOM, Room, kernel_text
 from ..solvers.compiled.text import c_tables, numbers, with_included
@@ -30,6 +31,7 @@ from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .c_loads import SPARE, loaded_cases, loads_source
 from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
+from .command import MOST_NUMBER
 
 CASES = 24
 """Configurations whose answers the test of the library knows."""
@@ -75,6 +77,9 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         "loads": str(int(loads)),
         "compliance": str(int(plain or loads)),
         "bodies": str(int(plain)),
+        "most_turn": f"{MOST_TURN:g}.0",
+        "most_back": f"{FAR:g}.0",
+        "most_number": f"{MOST_NUMBER:g}",
         "how": "" if plain else ", by differences of equilibria side by side",
     }
     texts = {

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ..display import Displayed
-from ..errors import InputError, choice, positive, vector
+from ..errors import InputError, choice, finite, positive, vector
 from ..inverse.configurations import Configuration
 from ..typing import Array, Of
 
@@ -20,6 +20,25 @@ Vector = Any
 """(3,) numbers, given as any sequence and kept as an array."""
 
 T = TypeVar("T")
+
+MOST_NUMBER = 1e6
+"""Largest number of a command, in SI units: beyond, squares and products would no longer be numbers."""
+
+
+def time_step(dt: float) -> float:
+    """The seconds of a step if they make sense; raises InputError where they do not."""
+    seconds = finite("dt", dt)
+    if not 0 < seconds <= MOST_NUMBER:
+        raise InputError(f"dt is {seconds:g} s; it must be more than 0, and at most {MOST_NUMBER:g} s")
+    return seconds
+
+
+def at_most(value: Any, name: str) -> Any:
+    """Numbers of which none is larger than MOST_NUMBER; raises InputError naming the first that is."""
+    most = float(np.abs(value).max())
+    if most > MOST_NUMBER:
+        raise InputError(f"{name} has {most:g}; it must be at most {MOST_NUMBER:g}, in SI units")
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +60,16 @@ class Command:
         for name in TASKS[:4]:
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, vector(name, value, 3, "x, y, z"))
+                numbers = vector(name, value, 3, "x, y, z")
+                object.__setattr__(self, name, numbers if name == "direction" else at_most(numbers, name))
         if self.position is not None and self.velocity is not None:
             raise InputError("position and velocity are both given; a command has one of them")
         if self.direction is not None:
-            length = float(np.linalg.norm(self.direction))
-            if not length > 0:
+            largest = float(np.abs(self.direction).max())
+            if not largest > 0:
                 raise InputError("direction has no length")
-            object.__setattr__(self, "direction", self.direction / length)
+            ahead = self.direction / largest  # so that its square is a number
+            object.__setattr__(self, "direction", ahead / np.linalg.norm(ahead))
 
 
 @dataclass(frozen=True)
@@ -75,7 +96,7 @@ class ServoOptions:
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
-            object.__setattr__(self, name, positive(name, getattr(self, name), zero=True))
+            object.__setattr__(self, name, at_most(positive(name, getattr(self, name), zero=True), name))
         if not 0 < self.min_margin < 1:
             raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
         named = [name for group in self.priorities for name in group.split("+")]

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import InputError, nearest, vector
 from ..files.units import TO_MM
-from ..inverse.joints import configuration
+from ..inverse.configurations import configuration
 from ..typing import Array
 from .c_binding import CServo
 from .command import Command, Why
@@ -218,12 +218,13 @@ class CrtkRobot:
 
     def _pose(self, message: Mapping[str, Any]) -> Command:
         place, pointing = _numbers(message, "position", "m"), message.get("direction")
+        command = Command(position=place, direction=None if pointing is None else _numbers(message, "direction", ""))
         far, longest = float(np.linalg.norm(place)), self.servo.space.longest
         if far > longest + ROUND_OFF:
             raise InputError(
                 f"position is {far:g} m from the plate; it must be at most {longest:g} m, the length of the longest arm"
             )
-        return Command(position=place, direction=None if pointing is None else _numbers(message, "direction", ""))
+        return command
 
     def report(self, now: float) -> dict[str, Any]:
         """What watchers are told: plain data in SI units under the names of CRTK, with margin and warning beside."""

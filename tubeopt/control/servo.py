@@ -27,7 +27,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.quadratic import least_squares_of
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index
-from .command import Command, ServoOptions, ServoStep, Why
+from .command import Command, ServoOptions, ServoStep, Why, at_most, time_step
 from .guard import Guard
 
 DAMPING = 1e-3
@@ -93,9 +93,12 @@ class Servo:
 
     @small
     def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
-        """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
-        if not 0 < dt < np.inf:
-            raise InputError(f"dt is {dt:g} s; it must be more than 0")
+        """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe.
+
+        Raises:
+            InputError: `dt` or the joint values of the command make no sense.
+        """
+        dt = time_step(dt)
         here = self.guard.before = self.guard.here
         told = self.guard.left(command)
         groups = (self._task(group, command, here, dt) for group in self._groups)
@@ -251,7 +254,7 @@ class Servo:
     def _joints(self, goal: Configuration, at: Posture, dt: float) -> tuple[Array, Array]:
         """Straight there, as fast as the slowest joint allows."""
         space, n = self.space, self.space.robot.n_tubes
-        gap = configuration(space, "joints", goal) - at.q
+        gap = at_most(configuration(space, "joints", goal), "joints") - at.q
         rate = np.where(np.arange(len(gap)) < n, self.options.turn_rate, self.options.shift_rate) * dt
         share = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
         return np.diag(1 / space.scale), gap / max(share, 1.0) / space.scale

@@ -22,11 +22,16 @@ from .solving import discretisation_of, polish
 WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "curved_length"))
 
 
+NUDGE = 1e-7
+"""Motion (m) by which it is seen what lies to a side."""
+
+
 def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
     """The equilibrium with a tube moved a little: where breakpoints coincide its derivatives stand for those to that
-    side, and are off by about the motion times the second ones."""
+    side, and are off by about the motion times the second ones. A tube that is wholly advanced moves back only."""
     shift = equilibrium.translations.copy()
-    shift[tube] += side * 1e-7
+    advanced = shift[tube] + NUDGE > equilibrium.robot.tubes[tube].straight_length
+    shift[tube] += -NUDGE if advanced else side * NUDGE
     moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
     return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
 

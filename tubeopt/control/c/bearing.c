@@ -54,7 +54,9 @@ tubeopt_status tubeopt_bear(tubeopt_memory *m, const tubeopt_load *load, tubeopt
     double size = 0;
     for (int r = 0; r < 3; r++) size += fabs(load->force[r]) + fabs(load->gravity[r]);
     if (!m->started) return TUBEOPT_NOT_STARTED;
-    if (!isfinite(size)) return TUBEOPT_BAD_INPUT;
+    tubeopt_status pushed = bounded(load->force, 3, TUBEOPT_MOST_NUMBER);
+    tubeopt_status weighed = bounded(load->gravity, 3, TUBEOPT_MOST_NUMBER);
+    if (pushed || weighed) return pushed == TUBEOPT_BAD_INPUT || !weighed ? pushed : weighed;
     m->before = NULL;
     if (size > 0 && m->bears && change_load(m, load)) return TUBEOPT_SNAP;
     if (size > 0 && !m->bears) {

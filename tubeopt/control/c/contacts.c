@@ -16,7 +16,7 @@ static void keep_clear(const tubeopt_memory *m, const Bodies *bodies, double ris
         double s = contact->arc_length, by[2 * N] = {0}, row[JOINTS], most = 0;
         double least = 0.5 * (bodies->clearance + APART - contact->distance);
         int k = piece_at(a->arc_length, last, s);
-        double x = (s - a->arc_length[k]) / (a->arc_length[k + 1] - a->arc_length[k]);
+        double x = last ? (s - a->arc_length[k]) / (a->arc_length[k + 1] - a->arc_length[k]) : 0;
         for (int r = 0; r < 3; r++) {
             double ahead = (1 - x) * a->frame[k][3 * r + 2] + x * a->frame[k + 1][3 * r + 2];
             for (int j = 0; j < 2 * N; j++)
@@ -30,18 +30,25 @@ static void keep_clear(const tubeopt_memory *m, const Bodies *bodies, double ris
     }
 }
 
+/* The place on the centreline of an arm at arc length s: the plate where the arm has no length. */
+static void place_on(const Answer *a, double s, double *out) {
+    int last = (int)a->pieces * STEPS;
+    memset(out, 0, 3 * sizeof(double));
+    if (last) on_curve(a->arc_length, a->position, a->frame, piece_at(a->arc_length, last, s), s, out);
+}
+
 /* Whether the next answer brings a contact closer than it may. */
 static int too_close(const tubeopt_memory *m, const Bodies *bodies) {
     const Answer *here = m->answers + m->here, *next = m->answers + !m->here;
-    int last = (int)here->pieces * STEPS, end = (int)next->pieces * STEPS;
+    long long last = here->pieces * STEPS, end = next->pieces * STEPS;
     for (int i = 0; i < bodies->count; i++) {
         const tubeopt_contact *contact = bodies->contacts + i;
         double s = contact->arc_length, then = s, was[3], is[3], distance = contact->distance;
         for (int j = 0; j < N; j++)
             if (at_edge(here, j, s)) then = next->tube_end[j];
         if (s >= here->arc_length[last] - EDGE || then > next->arc_length[end]) then = next->arc_length[end];
-        on_curve(here->arc_length, here->position, here->frame, piece_at(here->arc_length, last, s), s, was);
-        on_curve(next->arc_length, next->position, next->frame, piece_at(next->arc_length, end, then), then, is);
+        place_on(here, s, was);
+        place_on(next, then, is);
         for (int r = 0; r < 3; r++) distance += contact->normal[r] * (is[r] - was[r]);
         if (distance < bodies->clearance && distance < contact->distance) return 1;
     }

@@ -85,15 +85,28 @@ tubeopt_memory *tubeopt_start(void *memory) {
     return memory;
 }
 
-static int sensible(const tubeopt_joints *joints) {
+/* Whether numbers are finite and none is too large: TUBEOPT_DONE, or what they are refused with. */
+static tubeopt_status bounded(const double *numbers, int count, double most) {
+    tubeopt_status found = TUBEOPT_DONE;
+    for (int k = 0; k < count; k++) {
+        if (!isfinite(numbers[k])) return TUBEOPT_BAD_INPUT;
+        if (fabs(numbers[k]) > most) found = TUBEOPT_TOO_LARGE;
+    }
+    return found;
+}
+
+static tubeopt_status refused(const tubeopt_joints *joints) {
+    tubeopt_status turned = bounded(joints->rotations, N, TUBEOPT_MOST_TURN);
+    tubeopt_status moved = bounded(joints->translations, N, TUBEOPT_MOST_NUMBER);
+    if (turned == TUBEOPT_BAD_INPUT || moved == TUBEOPT_BAD_INPUT) return TUBEOPT_BAD_INPUT;
     for (int i = 0; i < N; i++) {
-        if (!isfinite(joints->rotations[i]) || !isfinite(joints->translations[i])) return 0;
-        if (joints->translations[i] - ROBOT.straight[i] > ROUND_OFF_LENGTH) return 0;
+        if (joints->translations[i] < -TUBEOPT_MOST_BACK * ROBOT.whole[i]) moved = TUBEOPT_TOO_LARGE;
+        if (joints->translations[i] - ROBOT.straight[i] > ROUND_OFF_LENGTH) return TUBEOPT_BAD_INPUT;
         for (int j = 0; j < i; j++)
             if (CARRIAGES[j] == CARRIAGES[i] && fabs(joints->translations[j] - joints->translations[i]) > ROUND_OFF_LENGTH)
-                return 0;
+                return TUBEOPT_BAD_INPUT;
     }
-    return 1;
+    return turned ? turned : moved;
 }
 
 static void tell(const tubeopt_memory *m, tubeopt_pose *pose) {
@@ -190,7 +203,8 @@ static tubeopt_joints between(const tubeopt_joints *from, const tubeopt_joints *
 #endif
 
 tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tubeopt_pose *pose) {
-    if (!sensible(joints)) return TUBEOPT_BAD_INPUT;
+    tubeopt_status not_taken = refused(joints);
+    if (not_taken) return not_taken;
     m->fresh = 0;
     m->before = NULL;
     if (solve_one(&ROBOT, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
@@ -208,7 +222,8 @@ tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tu
 
 tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, tubeopt_pose *pose) {
     if (!m->started) return TUBEOPT_NOT_STARTED;
-    if (!sensible(joints)) return TUBEOPT_BAD_INPUT;
+    tubeopt_status not_taken = refused(joints);
+    if (not_taken) return not_taken;
     const Answer *last = m->answers + m->here;
     tubeopt_joints from = m->joints;
     double length = fmax(last->arc_length[last->pieces * STEPS], LONGEST_TUBE / 10), parts = parts_of(&from, joints, length);
@@ -310,6 +325,11 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_len
 #if TUBEOPT_LOADS
     if (m->bears) last = tubeopt_bearing_arm((const char *)m + OWN_ROOM, &along, &place, &frame);
 #endif
+    if (!last) { /* an arm of length zero */
+        memset(arc_length, 0, count * sizeof(double));
+        memset(position, 0, count * sizeof position[0]);
+        return TUBEOPT_DONE;
+    }
     for (int c = 0; c < count; c++) {
         arc_length[c] = along[last] * c / (count - 1);
         while (k + 1 < last && along[k + 1] < arc_length[c]) k++;

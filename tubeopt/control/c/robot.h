@@ -19,6 +19,10 @@ extern "C" {
 #define TUBEOPT_COMPLIANCE {compliance} /* whether the compliance of the tip is known */
 #define TUBEOPT_BODIES {bodies}     /* whether the servo keeps clear of bodies */
 
+#define TUBEOPT_MOST_TURN {most_turn} /* rad, of a rotation to either side */
+#define TUBEOPT_MOST_BACK {most_back} /* lengths of itself by which a tube may be drawn back from home */
+#define TUBEOPT_MOST_NUMBER {most_number} /* of every other number, in SI units */
+
 typedef struct tubeopt_memory tubeopt_memory;
 
 typedef enum {
@@ -28,7 +32,8 @@ typedef enum {
                               that the lengths of the tubes leave no play */
     TUBEOPT_NOT_STARTED = 3, /* there is no equilibrium to go on from */
     TUBEOPT_SNAP = 4,       /* the branch does not lead there, or Newton's method is not sure that it does */
-    TUBEOPT_TOO_FAR = 5     /* more than one step may be: 64 of 0.3 rad or of a twentieth of the arm */
+    TUBEOPT_TOO_FAR = 5,    /* more than one step may be: 64 of 0.3 rad or of a twentieth of the arm */
+    TUBEOPT_TOO_LARGE = 6   /* a number is finite, but beyond the limits below: is it in SI units? */
 } tubeopt_status;
 
 typedef struct {

@@ -145,10 +145,12 @@ static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const Bodie
     return 1;
 }
 
-static int commanded(const tubeopt_command *c) {
-    double sum = c->step + c->speed + c->turn_rate + c->shift_rate + c->min_margin + c->push;
-    for (int r = 0; r < 3; r++) sum += c->position[r] + c->direction[r];
-    return isfinite(sum) && c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
+static tubeopt_status not_commanded(const tubeopt_command *c) {
+    double all[12] = {c->step, c->speed, c->turn_rate, c->shift_rate, c->min_margin, c->push};
+    memcpy(all + 6, c->position, sizeof c->position);
+    memcpy(all + 9, c->direction, sizeof c->direction);
+    int possible = c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
+    return possible ? bounded(all, 12, TUBEOPT_MOST_NUMBER) : TUBEOPT_BAD_INPUT;
 }
 
 static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, tubeopt_pose *pose,
@@ -157,7 +159,8 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
     tubeopt_joints next;
     double q[JOINTS], step[JOINTS], there[JOINTS], floor;
     if (!m->started) return TUBEOPT_NOT_STARTED;
-    if (!commanded(c)) return TUBEOPT_BAD_INPUT;
+    tubeopt_status not_taken = not_commanded(c);
+    if (not_taken) return not_taken;
     independent(&m->joints, q); /* which has one translation for all tubes without play between them */
     dependent(q, &next);
     for (int i = 0; i < N; i++)
@@ -200,11 +203,14 @@ tubeopt_status tubeopt_servo_among(tubeopt_memory *m, const tubeopt_command *c, 
                                    const tubeopt_contact *contacts, double clearance, tubeopt_pose *pose,
                                    tubeopt_report *report) {
     const Bodies bodies = {count, clearance, contacts};
-    double sum = clearance;
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (count < 0 || count > TUBEOPT_MOST_CONTACTS || bears(m)) return TUBEOPT_BAD_INPUT;
-    for (int k = 0; k < count; k++)
-        sum += contacts[k].arc_length + dot(contacts[k].normal, contacts[k].normal, 3) + contacts[k].distance;
-    return isfinite(sum) ? servo_step(m, c, &bodies, pose, report) : TUBEOPT_BAD_INPUT;
+    tubeopt_status not_taken = bounded(&clearance, 1, TUBEOPT_MOST_NUMBER);
+    for (int k = 0; k < count && !not_taken; k++) {
+        const tubeopt_contact *at = contacts + k;
+        double all[5] = {at->arc_length, at->normal[0], at->normal[1], at->normal[2], at->distance};
+        not_taken = bounded(all, 5, TUBEOPT_MOST_NUMBER);
+    }
+    return not_taken ? not_taken : servo_step(m, c, &bodies, pose, report);
 }
 #endif

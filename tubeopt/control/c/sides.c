@@ -12,7 +12,7 @@ static int moved(const tubeopt_memory *m, int joint, double by, tubeopt_joints *
     if (joint < N) there->rotations[joint] += by;
     for (int i = 0; i < N; i++)
         if (CARRIAGES[i] == joint - N) there->translations[i] += by;
-    return sensible(there);
+    return !refused(there);
 }
 
 /* Derivatives by a joint that is moved by `by`: of second order where `exact`, else of first. 1 where that fails. */

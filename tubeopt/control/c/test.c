@@ -94,6 +94,12 @@ static void bad_input(tubeopt_memory *robot) {
     joints = joints_of(CASES[0]);
     joints.translations[0] = 10;
     check(tubeopt_follow(robot, &joints, &pose) == TUBEOPT_BAD_INPUT, "and a tube out of its actuator");
+    joints = joints_of(CASES[0]);
+    joints.rotations[N - 1] = -1e308;
+    check(tubeopt_solve(robot, &joints, &pose) == TUBEOPT_TOO_LARGE, "a rotation of 1e308 rad is too large");
+    check(tubeopt_follow(robot, &joints, &pose) == TUBEOPT_TOO_LARGE, "to be followed as well");
+    command = (tubeopt_command){.step = 1e-3, .speed = 1, .position = {1e308, 0, 0}};
+    check(tubeopt_servo(robot, &command, &pose, &report) == TUBEOPT_TOO_LARGE, "so is a place 1e308 m away");
     tubeopt_start(robot);
     joints = joints_of(CASES[0]);
     check(tubeopt_follow(robot, &joints, &pose) == TUBEOPT_NOT_STARTED, "nothing is followed before it is solved");

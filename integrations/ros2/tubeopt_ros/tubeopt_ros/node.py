@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from functools import partial
 
@@ -55,25 +56,51 @@ class RobotNode(Node):
         self.create_timer(self._period, self.tick)
 
     def _hear(self, op, read, message) -> None:
-        try:
+        with self._surviving(op):
             self.robot.command({"op": op, **read(message)}, time.monotonic())
-        except (tubeopt.InputError, KeyError) as error:
-            self.get_logger().warning(f"{op}: {error}")
+
+    @contextlib.contextmanager
+    def _surviving(self, op):
+        """What makes no sense is warned of; whatever else goes wrong holds the robot, and the node goes on."""
+        try:
+            yield
+        except tubeopt.InputError as error:
+            self.get_logger().warning(f"{op} is refused: {error}")
+        except Exception as error:
+            words = f"the robot is held: {type(error).__name__} in {op}: {error}"
+            self.robot.hold(words)
+            self.get_logger().warning(words)
 
     def _joints(self, message) -> dict:
-        at = dict(zip(message.name, message.position, strict=True))
-        rotations, translations = (
-            [at[f"{kind}_{i + 1}"] for i in range(self._n)] for kind in ("rotation", "translation")
-        )
-        return {"rotations": rotations, "translations": translations}
+        names = [f"{kind}_{i + 1}" for kind in ("rotation", "translation") for i in range(self._n)]
+        given, position = list(message.name), [float(value) for value in message.position]
+        if given and sorted(given) != sorted(names):
+            raise tubeopt.InputError(
+                f"name is {', '.join(given)}; it must be empty or have each of {', '.join(names)} once"
+            )
+        if len(position) != len(names):
+            raise tubeopt.InputError(
+                f"position has {len(position)} numbers; it must have {len(names)}, in this order: {', '.join(names)}"
+            )
+        # Clients of CRTK name no joints: positions are then in the order of the joints.
+        at = dict(zip(given or names, position, strict=True))
+        ordered = [at[name] for name in names]
+        return {"rotations": ordered[: self._n], "translations": ordered[self._n :]}
 
     def feel(self, message) -> None:
         """Tell the force at the tip that moves it from where the model has it to where a sensor sees it."""
-        compliance, place = self.robot.servo.compliance, message.pose.position
+        with self._surviving("sensor_cp"):
+            self._feel(message)
+
+    def _feel(self, message) -> None:
+        compliance, place = self.robot.servo.compliance, _place(message)
         if compliance is None:
-            self.get_logger().warning("sensor_cp: the C library of this robot knows no compliance")
-            return
-        gap = np.array([place.x, place.y, place.z]) - self.robot.servo.equilibrium.tip_position
+            raise tubeopt.InputError("the C library of this robot knows no compliance")
+        gap = np.array(place) - self.robot.servo.equilibrium.tip_position
+        if not np.isfinite(gap).all():
+            raise tubeopt.InputError(f"position is {place}; every number must be finite")
+        if not np.linalg.norm(gap) <= self.robot.servo.space.length:
+            raise tubeopt.InputError(f"position is {np.linalg.norm(gap):g} m from the tip; it is in metres")
         told = WrenchStamped()
         told.header.stamp, told.header.frame_id = self.get_clock().now().to_msg(), "plate"
         force = told.wrench.force
@@ -82,7 +109,12 @@ class RobotNode(Node):
 
     def tick(self) -> None:
         """One step, and what is told of it."""
-        self.robot.tick(time.monotonic, self._period)
+        with self._surviving("a step"):
+            self.robot.tick(time.monotonic, self._period)
+        with self._surviving("a report"):
+            self._report()
+
+    def _report(self) -> None:
         told, stamp = self.robot.report(time.monotonic()), self.get_clock().now().to_msg()
         for name in ("measured_js", "setpoint_js"):
             message = JointState(name=told[name]["name"], position=told[name]["position"])
@@ -110,13 +142,27 @@ def quaternion(rotation: np.ndarray) -> tuple[float, ...]:
     return tuple((vector * (1 if vector[0] >= 0 else -1)).tolist())
 
 
+def _in_plate(message) -> None:
+    """Raise InputError where a message is in a frame other than that of the plate."""
+    frame = getattr(getattr(message, "header", None), "frame_id", "")
+    if frame not in ("", "plate"):
+        raise tubeopt.InputError(f"frame_id is {frame!r}; it must be empty or 'plate', in which the robot is led")
+
+
+def _place(message) -> list:
+    _in_plate(message)
+    p = message.pose.position
+    return [p.x, p.y, p.z]
+
+
 def _pose(message) -> dict:
-    p, q = message.pose.position, message.pose.orientation
+    place, q = _place(message), message.pose.orientation
     ahead = [2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), q.w**2 + q.z**2 - q.x**2 - q.y**2]
-    return {"position": [p.x, p.y, p.z], "direction": ahead if any(ahead) else None}
+    return {"position": place, "direction": ahead if any(ahead) else None}
 
 
 def _twist(message) -> dict:
+    _in_plate(message)
     v = message.twist.linear
     return {"linear": [v.x, v.y, v.z]}
 
