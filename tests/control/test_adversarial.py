@@ -96,6 +96,7 @@ def attack(servo: Servo | CServo, random: np.random.Generator, count: int) -> di
             done["refused"] += is_sentence(refused)
             assert servo.equilibrium is here
             continue
+        dt = float(dt)
         moved = np.abs(step.rotations - here.rotations), np.abs(step.translations - here.translations)
         assert (moved[0] <= options.turn_rate * dt * (1 + 1e-9) + 1e-15).all()
         assert (moved[1] <= options.shift_rate * dt * (1 + 1e-9) + 1e-15).all()
@@ -146,10 +147,10 @@ def attack_messages(arm: CrtkRobot, random: np.random.Generator, count: int) -> 
             arm.command(message, now)
         except InputError as error:
             refused += is_sentence(error)
-        begun = now = now + random.choice([1e-5, 2e-4, 1e-3, 3e-3])
-        reads = iter([begun, *(begun + random.choice([1e-5, 3e-4]) * (k + 1) for k in range(4))])
+        begun, takes = now + random.choice([1e-5, 2e-4, 1e-3, 3e-3]), random.choice([1e-5, 3e-4])
+        reads = iter(begun + takes * np.arange(9))
         arm.tick(lambda reads=reads: next(reads), 1e-3)  # type: ignore[misc]
-        now = begun + 5e-4
+        now = float(next(reads))
         here = arm.servo.equilibrium
         if last is not None and arm.sent is not None and arm.sent > last[0]:
             passed = (arm.sent - last[0]) * (1 + 1e-9)

@@ -24,7 +24,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary, c_library
-from .command import MOST_NUMBER, Command, ServoOptions, ServoStep, Why, time_step
+from .command import MOST_NUMBER, Command, ServoOptions, ServoStep, Why, at_most, time_step
 from .servo import Servo
 
 LOGGER = logging.getLogger("tubeopt")
@@ -263,7 +263,7 @@ class CServo:
         here, o = self.equilibrium, self.options
         self._before = here
         if command.joints is not None:
-            rotations, shift = self.space.split(configuration(self.space, "joints", command.joints))
+            rotations, shift = self.space.split(at_most(configuration(self.space, "joints", command.joints), "joints"))
             return self._straight(rotations, np.array(shift), dt)
         place = here.tip_position if command.position is None else command.position
         if command.velocity is not None:
