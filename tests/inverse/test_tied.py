@@ -153,3 +153,43 @@ def test_spaces_have_the_translations_they_are_made_for(gap: float) -> None:
     np.testing.assert_array_equal(apart.split(q)[1], shift)
     assert apart.outside(q) == ""
     assert space.holding(apart.joint(apart.inside())[2:] * 0 + space.joint(space.inside())[2:]) is space
+
+
+def nearly_equal(eps: float, n: int = 2) -> tubeopt.ConcentricRobot:
+    """Tubes of 150 mm, each longer than the next one by `eps` (m)."""
+    tubes, diameter = [], 1e-3
+    for i in range(n):
+        straight = 0.08 - 0.03 * i
+        length = 0.15 + (n - 1 - i) * eps
+        tubes.append(tubeopt.Tube(diameter, 0.8 * diameter, straight, length - straight, 10.0 - 2 * i))
+        diameter *= 1.35
+    return tubeopt.ConcentricRobot(tuple(tubes))
+
+
+@pytest.mark.parametrize("eps", [0.0, 1e-12, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-3])
+def test_targets_are_reached_as_soon_by_tubes_of_nearly_equal_length(eps: float) -> None:
+    robot = nearly_equal(eps)
+    space = joint_space(robot)
+    assert (len(space.carriages) == 1) is (eps <= 1e-9)
+    few = space.sample(24)
+    assert np.ptp(few[:, 2]) > 0.05  # the starts are spread over all insertions, however little the play
+    for k in range(4):
+        pose = tubeopt.forward_kinematics(robot, *space.split(few[k]))
+        found = tubeopt.inverse_kinematics(robot, pose.tip_position, seed=space.split(few[12 + k]), min_margin=0.0)
+        assert found.reached
+        assert space.outside(space.join(found.rotations, found.translations)) == ""
+        assert found.statistics.solves < 400
+
+
+@pytest.mark.parametrize("width", [0.0, 1e-12, 1e-9, 1e-6])
+def test_joints_whose_ranges_have_no_width_are_solved_for_with_the_others(width: float) -> None:
+    free = nearly_equal(1e-6, 3)
+    space = joint_space(free)
+    rotations, shift = space.split(space.sample(8)[5])
+    shifts = list(free.limits.translations)
+    shifts[1] = shift[1] - width, shift[1] + width
+    robot = tubeopt.ConcentricRobot(free.tubes, joint_limits=tubeopt.JointLimits(free.limits.rotations, tuple(shifts)))
+    pose = tubeopt.forward_kinematics(robot, rotations, shift)
+    found = tubeopt.inverse_kinematics(robot, pose.tip_position, min_margin=0.0)
+    assert found.reached
+    assert abs(found.translations[1] - shift[1]) <= width + 2e-9

@@ -1,0 +1,87 @@
+"""Home is admissible for every robot and the same for all; which tube is the tip where ends are out of order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tubeopt
+from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE
+from tubeopt.inverse.joints import joint_space
+from tubeopt.robots.limits import JointLimits
+from tubeopt.robots.order import ends_inside, tip_tube
+from tubeopt.robots.robot import Robot
+from tubeopt.runs.base import joints_of
+from tubeopt.show.plots.style import caption
+from tubeopt.show.viewer import open_session
+
+ROBOTS = {path.stem: path for path in sorted(CONFIGS.glob("*.yaml"))}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ROBOTS)
+def test_home_keeps_limits_and_order_and_is_one_for_all(name: str) -> None:
+    robot = tubeopt.load_robot(ROBOTS[name])
+    space, home = joint_space(robot), robot.home_translations
+    q = space.join(robot.home_rotations, home)
+    assert space.admissible(q)
+    np.testing.assert_array_equal(space.middle(), q)
+    np.testing.assert_array_equal(joints_of(robot, None, None)[1], home)
+    np.testing.assert_array_equal(open_session(robot).equilibrium.translations, home)
+    np.testing.assert_array_equal(tubeopt.forward_kinematics(robot, np.zeros(robot.n_tubes)).translations, home)
+    zero = np.zeros(robot.n_tubes)
+    assert home.any() != space.admissible(space.join(zero, zero))
+    # Nearest to 0, from the outermost tube inwards: a little nearer is out of order.
+    for tube in np.flatnonzero(home):
+        nearer = home.copy()
+        nearer[tube] *= 1 - 1e-6
+        moved = next(tubes for tubes in robot.moving_together if tube in tubes)
+        nearer[list(moved)] = nearer[tube]
+        assert space.outside(space.join(zero, nearer))
+
+
+def test_home_of_the_crl_robot_moves_the_inner_tube_to_the_end_of_the_next() -> None:
+    # Curved parts of 41, 100 and 100 mm.
+    np.testing.assert_array_equal(CRL.home_translations, [0.059, 0.0, 0.0])
+
+
+def test_limits_move_home_and_a_robot_that_has_nothing_in_order_has_the_home_of_its_lengths() -> None:
+    turns = ((0.5, 1.0), (-1.0, 1.0), (-1.0, -0.5))
+    limits = JointLimits(turns, ((-0.2, 0.2), (-0.15, -0.02), (-0.1, 0.1)))
+    robot = replace(THESIS, joint_limits=limits)
+    np.testing.assert_array_equal(robot.home_rotations, [0.5, 0.0, -0.5])
+    # The middle tube ends with the outer one at best: the outer one goes back with it, the inner one may stay.
+    np.testing.assert_allclose(robot.home_translations, [0.0, -0.02, 0.0], atol=1e-15)
+    assert joint_space(robot).admissible(joint_space(robot).middle())
+    none = JointLimits(turns, ((-0.2, -0.19), (-0.15, 0.15), (0.09, 0.1)))
+    np.testing.assert_array_equal(replace(THESIS, joint_limits=none).home_translations, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("robot", "translations", "tip", "words"),
+    [
+        (THESIS, (0.0, 0.0, 0.0), 1, ""),
+        (TWO_TUBE, (0.0, 0.0), 1, ""),
+        (TWO_TUBE, (-0.02, -0.005), 2, "the end of tube 2, since tube 1 ends 15 mm inside tube 2"),
+        (CRL, (0.0, 0.0, 0.0), 2, "the end of tube 2, since tube 1 ends 59 mm inside tube 2"),
+        (CRL, (0.06, -0.01, 0.0), 1, "the end of tube 1, since tube 2 ends 10 mm inside tube 3"),
+    ],
+)
+def test_the_tip_is_the_tube_that_ends_farthest(
+    robot: Robot, translations: tuple[float, ...], tip: int, words: str
+) -> None:
+    from tubeopt.show.words import tip_in_words, tip_number
+
+    e = tubeopt.forward_kinematics(robot, np.zeros(robot.n_tubes), translations)
+    assert tip_number(e) == tip
+    assert tip_in_words(robot, e.tube_end) == words
+    assert ("the tip is the end of tube" in caption(e)) is bool(words)
+    # The arm ends where that tube does.
+    assert e.tube_end[tip - 1] == pytest.approx(e.arc_length[-1], abs=1e-12)
+
+
+def test_tubes_that_are_wholly_withdrawn_have_no_tip() -> None:
+    assert tip_tube(np.array([-0.01, 0.0])) is None
+    assert ends_inside(TWO_TUBE, np.array([-0.01, 0.0])) == ()
