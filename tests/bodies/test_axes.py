@@ -34,8 +34,8 @@ def ball() -> Any:
 
 def write_mesh(path: Path, words: str) -> None:
     """As 3D Slicer writes it: the axes in the header of a binary STL, in the name of a text one, in comments."""
-    kind = "stl_ascii" if path.name.startswith("text") else None
-    content = ball().export(file_type=kind or path.suffix[1:])
+    kind = "stl_ascii" if path.name == "text.stl" else None
+    content = b"" if path.suffix == ".vtk" else ball().export(file_type=kind or path.suffix[1:])
     if path.suffix == ".stl" and kind is None:
         content = words.encode().ljust(80, b"\0") + content[80:]
     elif kind is not None:
@@ -43,6 +43,8 @@ def write_mesh(path: Path, words: str) -> None:
     elif path.suffix == ".ply":
         content = content.replace(b"ply\n", f"ply\ncomment {words}\n".encode(), 1)
         content = content.replace(b"\nformat", b"\nformat") if words else content
+    elif path.suffix == ".vtk":
+        content = vtk(words, ball(), binary=path.name != "text.vtk", new=path.name == "new.vtk")
     elif path.suffix == ".obj":
         content = f"# {words}\n{content}".encode()
     else:
@@ -55,7 +57,27 @@ def written(folder: Path, part: dict[str, Any]) -> Path:
     return folder / "a.yaml"
 
 
-NAMES = ["a.stl", "text.stl", "a.ply", "a.obj", "a.off"]
+NAMES = ["a.stl", "text.stl", "a.ply", "a.obj", "a.off", "a.vtk", "text.vtk", "new.vtk"]
+
+
+def vtk(words: str, mesh: Any, *, binary: bool, new: bool) -> bytes:
+    """Legacy VTK of version 4.2, as Slicer writes it, or of 5.1, with colours behind."""
+    n, f = len(mesh.vertices), len(mesh.faces)
+    head = f"# vtk DataFile Version {'5.1' if new else '4.2'}\n{words}\n{'BINARY' if binary else 'ASCII'}\n"
+
+    def numbers(array: Any, form: str) -> bytes:
+        flat = np.asarray(array).ravel()
+        return flat.astype(form).tobytes() if binary else "\n".join(map(repr, flat.tolist())).encode()
+
+    content = f"{head}DATASET POLYDATA\nPOINTS {n} float\n".encode() + numbers(mesh.vertices, ">f4") + b"\n"
+    content += b"METADATA\nINFORMATION 0\n\n"
+    if new:
+        content += f"POLYGONS {f + 1} {3 * f}\nOFFSETS vtktypeint64\n".encode() + numbers(np.arange(f + 1) * 3, ">i8")
+        content += b"\nCONNECTIVITY vtktypeint64\n" + numbers(mesh.faces, ">i8") + b"\n"
+    else:
+        rows = np.column_stack([np.full(f, 3), mesh.faces])
+        content += f"POLYGONS {f} {4 * f}\n".encode() + numbers(rows, ">i4") + b"\n"
+    return content + f"\nPOINT_DATA {n}\nSCALARS colour float 1\nLOOKUP_TABLE default\n".encode()
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -81,6 +103,20 @@ def test_meshes_lie_where_they_say(tmp_path: Path, name: str, key: str) -> None:
     write_mesh(tmp_path / name, "SPACE=LPS SPACE=RAS")
     with pytest.raises(InputError, match=f"{name}: it states two kinds of axes, LPS and RAS"):
         load_anatomy(written(tmp_path, {key: [part]}))
+
+
+@pytest.mark.parametrize("name", ["a.vtk", "text.vtk", "new.vtk"])
+def test_vtk_has_the_surface_that_was_written(tmp_path: Path, name: str) -> None:
+    write_mesh(tmp_path / name, "3D Slicer output. SPACE=RAS")
+    found, wanted = load_mesh(tmp_path / name), ball()
+    assert found.closed
+    assert np.array(found.vertices) == pytest.approx(np.asarray(wanted.vertices) * 1e-3, abs=1e-8)
+    assert np.array_equal(found.faces, wanted.faces)
+    content = (tmp_path / name).read_bytes()
+    for broken in (content[: len(content) // 3], b"# vtk DataFile Version 4.2\n\nASCII\nDATASET UNSTRUCTURED_GRID\n"):
+        (tmp_path / name).write_bytes(broken)
+        with pytest.raises(InputError, match=r"no legacy VTK file of polygons|has no|corners that are no points"):
+            load_mesh(tmp_path / name)
 
 
 def test_an_obstacle_is_read_in_the_axes_that_its_file_states(tmp_path: Path) -> None:

@@ -59,9 +59,11 @@ def _statements(path: str | PathLike[str]) -> bytes:
     head = content[:HEAD]
     if suffix == ".stl":  # text, or a binary one whose header begins as text does
         return head.split(b"\n", 1)[0][:HEAD]
+    if suffix == ".vtk":
+        return b"\n".join(head.split(b"\n")[:2])
     begins = tuple(COMMENTS.get(suffix, b"").split())
     if not begins:
-        return head if suffix in (".vtk", ".vtp", ".vtu") else b""
+        return b""
     return b"\n".join(line for line in head.splitlines() if line.lstrip().startswith(begins))
 
 

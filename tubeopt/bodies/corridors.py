@@ -24,6 +24,7 @@ from .frames import Frame, ras
 from .obstacles import Point3, RoundCone, as_points, distance_of_numbers, greater
 from .scene import Scene
 from .triangles import Triangles, oriented
+from .vtk_file import read_vtk
 
 LOGGER = logging.getLogger(__name__)
 
@@ -217,7 +218,7 @@ def open_surface(name: str, count: int) -> str:
 
 
 def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
-    """The surface in an STL, PLY, OBJ (or other mesh) file, whose unit is `scale` m: by default mm.
+    """The surface in an STL, PLY, OBJ, legacy VTK (or other mesh) file, whose unit is `scale` m: by default mm.
 
     Args:
         axes: RAS or LPS, of the file; where it states its own they must agree. Without either they are not changed.
@@ -282,6 +283,9 @@ SMALLEST, LARGEST = 2e-4, 5.0
 def _loaded(path: str | PathLike[str], force: str | None) -> Any:
     """What trimesh reads."""
     trimesh = extra("trimesh", "anatomy", "meshes")
+    if Path(path).suffix.lower() == ".vtk":
+        points, faces = read_vtk(path)
+        return trimesh.Trimesh(points, faces, process=force is not None)
     try:
         # Of what is no mesh alone every point counts, also one that is of no triangle.
         found: Any = trimesh.load(str(path), force=force, process=force is not None)

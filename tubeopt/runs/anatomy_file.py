@@ -143,7 +143,7 @@ class StructurePart(Entry):
 
 
 class MeshPart(Entry):
-    """A surface in an STL, PLY or OBJ file."""
+    """A surface in an STL, PLY, OBJ or legacy VTK file."""
 
     file: Annotated[Path, in_file(Path, "a mesh file")]
     keep: Literal["in", "out"] = Field(
@@ -162,7 +162,7 @@ class MeshPart(Entry):
 
 
 class PointsPart(Entry):
-    """Points in a PLY or CSV file, each the centre of a ball; of a file with faces all that is near these."""
+    """Points in a PLY, VTK or CSV file, each the centre of a ball; of a file with faces all that is near these."""
 
     file: Annotated[Path, in_file(Path, "a PLY or CSV file")]
     radius_mm: Positive = Field(

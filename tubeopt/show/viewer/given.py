@@ -15,7 +15,7 @@ from ...files.yaml_file import load_yaml
 from ...runs.anatomy_file import load_anatomy
 from ...runs.obstacle_file import load_obstacles
 
-TABLES, IMAGES, MESHES = (".yaml", ".yml"), (".nii", ".nii.gz", ".mgz", ".nrrd"), (".stl", ".ply", ".obj")
+TABLES, IMAGES, MESHES = (".yaml", ".yml"), (".nii", ".nii.gz", ".mgz", ".nrrd"), (".stl", ".ply", ".obj", ".vtk")
 
 YAML = ".yaml,.yml,application/yaml"
 """Files that a browser offers to be loaded as YAML."""
