@@ -31,30 +31,31 @@ const char *const STOPS[] = {
 
 // --- what is remembered -------------------------------------------------------------------------------------------------
 
+// All of it is 0 when the board starts.
 State state = IDLE;
 Stop reason = NOT_STOPPED;
-bool dry = false;  // Everything but the current: the MOSFET stays off.
+bool dry;  // Everything but the current: the MOSFET stays off.
 
-uint8_t table = 0;   // Schedule for the battery's voltage at rest.
-uint16_t place = 0;  // Slot of the schedule.
-float total = 0;     // Integral share.
-float owed = 0;      // Counts that rounding left out.
-uint32_t waited = 0; // ms for which the schedule waited for the tube.
-uint8_t count = 0;
+uint8_t table;   // Schedule for the battery's voltage at rest.
+uint16_t place;  // Slot of the schedule.
+float total;     // Integral share.
+float owed;      // Counts that rounding left out.
+uint32_t waited; // ms for which the schedule waited for the tube.
+uint8_t count;
 
-uint32_t started = 0, next_tick = 0;
-uint8_t ticks = 0; // Of this slot.
+uint32_t started, next_tick;
+uint8_t ticks; // Of this slot.
 
 // What a computer wants of the next slots, in counts, and how many are left of them.
-float lead = 0, lead_step = 0;
-uint8_t led = 0;
+float lead, lead_step;
+uint8_t led;
 
-float reading = 0, volt = 0, ampere = 0, leaking = 0;
-bool electrics = false;
-float stuck_at = 0;
-uint32_t stuck_since = 0;
-float missed_rise = 0; // K that the schedule rose since the reading moved.
-uint8_t bad_readings = 0, bad_currents = 0;
+float reading, volt, ampere, leaking;
+bool electrics;
+float stuck_at;
+uint32_t stuck_since;
+float missed_rise; // K that the schedule rose since the reading moved.
+uint8_t bad_readings, bad_currents;
 
 // --- reports ------------------------------------------------------------------------------------------------------------
 
