@@ -107,4 +107,4 @@ def missed_by(model: ThermalModel, spec: HeatingSpec, pace: Pace, hold: int) -> 
     """(P,) by how much the window is missed where the hold, `hold` duties long, begins with each of the duties, K."""
     coldest, hottest, _ = np.lib.stride_tricks.sliding_window_view(pace.seen(model), hold + 1, axis=1)
     low, high = spec.window_degC
-    return np.maximum(low - coldest.min(1), hottest.max(1) - high)
+    return np.asarray(np.maximum(low - coldest.min(1), hottest.max(1) - high))
