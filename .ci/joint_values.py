@@ -25,8 +25,8 @@ from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
 ROBOTS = sorted((Path(__file__).parents[1] / "configs" / "robots").glob("*.yaml"))
-KINDS = ("inside", "at an end", "home", "beyond", "out of order", "withdrawn", "apart")
-PLAN = tubeopt.PlanOptions(time_limit=1.0)
+KINDS = ("inside", "inside", "apart", "at an end", "home", "beyond", "out of order", "withdrawn", "apart")
+PLAN = tubeopt.PlanOptions(time_limit=3.0)
 INVERSE = InverseOptions(time_limit=1.0)
 
 
