@@ -9,13 +9,16 @@ import pytest
 
 from tubeopt import (
     ConcentricRobot,
+    Friction,
     InputError,
     Load,
     SolveError,
+    follow,
     forward_kinematics,
     inverse_kinematics,
     load_equilibrium,
     load_robot,
+    save_solid,
 )
 from tubeopt.control.command import Command, Why
 from tubeopt.control.servo import Servo
@@ -24,6 +27,8 @@ from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
+from tubeopt.show.arm_surfaces import Centreline
+from tubeopt.show.plots.shape import plot_shape
 
 ROBOTS = Path("configs/robots")
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
@@ -164,6 +169,25 @@ def test_what_needs_an_arm_says_that_there_is_none(tmp_path: Path) -> None:
             forward_kinematics(at.robot, at.rotations, at.translations + length, load=Load(force=(0.1, 0, 0)))
     at.save(tmp_path / "at")
     assert load_equilibrium(tmp_path / "at").tip_position == pytest.approx([0, 0, 0])
+
+
+@pytest.mark.parametrize("name", ["thesis_ctr", "two_tube", "example_pieces"])
+@pytest.mark.parametrize("friction", [Friction(torque=1e-3), Friction(plate=1e-3, jumps=1e-4, ends=1e-4)])
+def test_a_motion_with_friction_begins_and_ends_at_the_plate(name: str, friction: Friction) -> None:
+    at = withdrawn(name)
+    turns = at.rotations + np.array([0.0, 0.3, 0.3, 0.0])[:, None]
+    shifts = at.translations + np.array([0.0, 0.0, 0.02, 0.0])[:, None]
+    path = follow(at.robot, turns, shifts, friction=friction)
+    assert path.equilibria[-1].tip_position == pytest.approx([0, 0, 0], abs=1e-12)
+
+
+def test_an_arm_of_length_zero_is_drawn_and_has_no_surface(tmp_path: Path) -> None:
+    at = withdrawn("thesis_ctr")
+    assert plot_shape(at) is not None
+    assert not Centreline(at).position([0.0]).any()
+    with pytest.raises(InputError, match="no tube is in front of the plate"):
+        save_solid(at, tmp_path / "arm.stl")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_section_next_to_nothing_has_tubes_in_it() -> None:

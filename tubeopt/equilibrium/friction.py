@@ -87,9 +87,11 @@ class Held:
     def theta(self, arc_length: Array) -> Array:
         """(X, n) elastic rotations at arc lengths (X,), m; behind the plate by the twist of the transmission."""
         problem = self.contact.problem
+        if not len(problem.mesh.length):  # nothing twists an arm of length zero
+            return np.tile(self.rotations, (len(arc_length), 1))
         inside = arms.interpolate(problem, self.profile, np.maximum(arc_length, 0.0))
         behind = np.minimum(arc_length, 0.0)
-        if behind.any() and len(self.profile.twist):
+        if behind.any():
             inside += self._softer(behind) * self.profile.twist[0]
         return inside
 

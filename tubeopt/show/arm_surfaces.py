@@ -40,8 +40,10 @@ class Centreline:
     def __init__(self, equilibrium: Equilibrium) -> None:
         s, keep = np.unique(equilibrium.arc_length, return_index=True)
         self.length = float(s[-1])
-        frame = equilibrium.frame[keep]
-        self._position = scipy.interpolate.CubicHermiteSpline(s, equilibrium.position[keep], frame[:, :, 2])
+        frame, position = equilibrium.frame[keep], equilibrium.position[keep]
+        if len(s) < 2:  # an arm of length zero: the tangent at the plate, of any length
+            s, frame, position = np.array([0.0, 1.0]), np.repeat(frame, 2, axis=0), np.array([[0, 0, 0], [0, 0, 1.0]])
+        self._position = scipy.interpolate.CubicHermiteSpline(s, position, frame[:, :, 2])
         self._across = scipy.interpolate.interp1d(s, frame[:, :, 0], axis=0)
 
     def position(self, s: ArrayLike) -> Array:

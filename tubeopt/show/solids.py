@@ -43,7 +43,8 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
             of MuJoCo), cylinders and capsules along the arm, fixed to each other, with a frame at the tip.
 
     Raises:
-        InputError: another ending, a file that cannot be written, or, for surfaces, trimesh is not installed.
+        InputError: another ending, an arm of length zero, a file that cannot be written, or, for surfaces, trimesh is
+            not installed.
 
     Examples:
         >>> import tempfile
@@ -58,6 +59,8 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
     write = WRITERS.get(path.suffix.lower())
     if write is None:
         raise InputError(f"the name of the solid is {str(path)!r}; it must end in {', '.join(WRITERS)}")
+    if len(equilibrium.arc_length) < 2:
+        raise InputError("no tube is in front of the plate: there is no arm whose surface could be saved")
     with atomic_write(path) as temporary:
         write(equilibrium, temporary)
     return path
