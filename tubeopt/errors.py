@@ -34,6 +34,13 @@ class SolveError(RuntimeError):
         self.solution = solution
 
 
+class TimeLimitError(SolveError):
+    """A time limit was reached before there was an answer; the message names the limit.
+
+    ``solution`` holds the best that was found by then, or None.
+    """
+
+
 class NotProvedError(RuntimeError):
     """An answer was found, and given, whose proof was not finished in time; the message says how far it came."""
 

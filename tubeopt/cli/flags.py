@@ -197,7 +197,7 @@ def ask(study: Study, output: Output) -> Any:
     LOGGER.debug(f"{study.doing}: {study!r:.200}")
     with working(study.doing, shown=not output.quiet) as progress, keeping(kept):
         try:
-            return study.run_in(output.out, progress)
+            return study.ask(output.out, progress)
         except SolveError as error:
             raise _with_what_was_found(error, output.out) from None
 

@@ -7,7 +7,7 @@ from .optimize import DesignSolution, optimize_design
 from .parameters import Free
 from .pareto import FrontPoint, ParetoFront, pareto_front
 from .rechecks import Check
-from .relaxation import Change, InfeasibleDesignError, Relaxation
+from .relaxation import Change, DesignNotFoundError, InfeasibleDesignError, Relaxation
 from .remarks import Dimension
 from .requirements import (
     Avoid,
@@ -42,6 +42,7 @@ __all__ = [
     "Corridor",
     "Coverage",
     "Deployment",
+    "DesignNotFoundError",
     "DesignSolution",
     "DesignSolver",
     "DesignTask",

@@ -27,6 +27,8 @@ from ..physics.strain import surface_strain
 from ..robots.assembly import assemble
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
+from ..solvers.named_program import in_time
+from ..solvers.time_limit import check_time
 from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
@@ -217,12 +219,13 @@ class _Collocated:
 
     def solved(self) -> tuple[Array, str]:
         """x (X,) where IPOPT ended, and in its words why not at an optimum, "" where it did."""
-        self.opti.solver("ipopt", {**self.program.task.solver.collocation.options(warm=False), **EXACT})
+        self.opti.solver("ipopt", {**in_time(self.program.task.solver.collocation).options(warm=False), **EXACT})
         solution: Any
         try:
             solution = self.opti.solve()
         except RuntimeError:
             solution = self.opti.debug
+        check_time()
         for k, block in self.blocks.items():
             for text in block.meetings(solution):
                 where = f"task pose {k + 1}" if isinstance(k, int) else f"task pose {k[0] + 1}, drawn back,"

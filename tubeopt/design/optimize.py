@@ -15,6 +15,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import SolveError, choice, instance, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
@@ -23,12 +24,12 @@ from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .program import Added, Program, compile_task, recompiled
 from .rechecks import Check
-from .relaxation import InfeasibleDesignError, best_of
+from .relaxation import DesignNotFoundError, best_of
 from .remarks import Dimension, remarks
 from .requirements import Avoid, SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
-from .solve import METHODS, Ranking, multistart, rank, solve
+from .solve import METHODS, Ranking, multistart, rank, solve_from
 from .solve_one import Attempt, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
@@ -38,6 +39,7 @@ class DesignStatus(Sentence):
     """What became of a design; every value reads as a sentence."""
 
     KEPT = "the design keeps all that was demanded"
+    STOPPED = "the design keeps all that was demanded; the time limit ended the search for a better one"
     BROKEN = "a design was found, but looked at again it does not keep all that was demanded"
 
 
@@ -82,6 +84,8 @@ class DesignSolution(Displayed):
     """All promises, checked again."""
     seconds: float
     """Of the whole computation."""
+    out_of_time: bool = False
+    """Whether the time limit ended the search: a better design may be near."""
 
     @property
     def value(self) -> ConcentricRobot:
@@ -91,15 +95,19 @@ class DesignSolution(Displayed):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is worth knowing of it: dimensions on a bound, tubes that hardly bend the arm, obstacles that are no
-        solids."""
+        solids, and how it was found where that is not as usual."""
         kept = of_kind(self.task.requirements, Avoid)
         said = (words for one in kept for words in scene_of(one.obstacles).stands_for)
-        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in said))
+        late = ("the time limit ended the search: a better design may be near",) if self.out_of_time else ()
+        how = (*late, *filter(None, (self.attempt.remark,)))
+        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in said), *how)
 
     @property
     def status(self) -> DesignStatus:
-        """Whether it keeps what was demanded when it is looked at again."""
-        return DesignStatus.KEPT if self.verification.kept else DesignStatus.BROKEN
+        """Whether it keeps what was demanded when it is looked at again, and whether its search came to an end."""
+        if not self.verification.kept:
+            return DesignStatus.BROKEN
+        return DesignStatus.STOPPED if self.out_of_time else DesignStatus.KEPT
 
     @property
     def statistics(self) -> DesignStatistics:
@@ -112,8 +120,13 @@ class DesignSolution(Displayed):
         return self.ranking.designs[0]
 
 
+SEARCH_SHARE = 0.8
+"""Of the time limit, for the search; what was found is checked in the rest."""
+
+
 @small
-def optimize_design(
+@limited
+def optimize_design(  # noqa: PLR0913
     task: DesignTask,
     *,
     method: str = "reduced",
@@ -123,6 +136,7 @@ def optimize_design(
     turns: int = 6,
     progress: Progress | None = None,
     begin: Attempt | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> DesignSolution:
     """The best robot that keeps all requirements of a task.
 
@@ -144,12 +158,16 @@ def optimize_design(
         progress: called with the number of starts done, and of all; where it has a method `iteration`, that is called
             with stage and measure after each iteration, with one worker.
         begin: an earlier answer for a task with the same unknowns, from which to start instead.
+        time_limit: s, on the clock. The best design that was found by then is the answer, with the status
+            `DesignStatus.STOPPED`; a fifth of the time is for its checks.
 
     Raises:
         InputError: no task, fewer than one start or worker, a seed or turns below 0; a requirement that the method does
             not take; an own requirement or objective whose expression makes no sense.
-        InfeasibleDesignError: (a SolveError) no start leads to a feasible design; the message says which limits would
-            have to move.
+        DesignNotFoundError: (a SolveError) no start leads to a feasible design; the message names the limits that were
+            violated most, and other ones with which a design was found.
+        InfeasibleDesignError: (a DesignNotFoundError) it is shown that there is none.
+        TimeLimitError: (a SolveError) what was found could not be checked in time.
         SolveError: worst cases did not end, or the design breaks a promise when it is checked again.
 
     Examples:
@@ -169,9 +187,16 @@ def optimize_design(
     began = time.perf_counter()
     search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
     one = next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
+    share = SEARCH_SHARE * time_left()
     if one is not None:
-        return _bearing(task, one, search, turns, began)
-    return solution_of(task, search(task, begin=begin), turns, began)
+        return _bearing(task, one, search, turns, (began, share))
+    with within(share):
+        found = search(task, begin=begin)
+    try:
+        return solution_of(task, found, turns, began)
+    except LateError as late:
+        late.best = found[0].designs[0]
+        raise
 
 
 def _searched(
@@ -191,43 +216,58 @@ def _searched(
     if begin is None:
         ranking = search(compile_task(task), starts=starts)
     else:
-        ranking = rank([solve(recompiled(task, begin.program), begin.x, report, method)])
+        ranking = rank([solve_from(recompiled(task, begin.program), begin.x, report, method, keep=True)])
     retries = task.solver.starts.retries
-    if not ranking.designs and starts < retries:
+    if not ranking.designs and starts < retries and not ranking.late:
         ranking = search(compile_task(task, added), starts=retries)
     best, rounds = settle(best_of(ranking), report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
-    return replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds
+    late = ranking.late + best.late
+    return replace(ranking, designs=(best, *(others or ranking.designs[1:])), late=late), rounds
 
 
 def _bearing(
-    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], tuple[Ranking, int]], turns: int, began: float
+    task: DesignTask,
+    one: SnapFree,
+    search: Callable[[DesignTask], tuple[Ranking, int]],
+    turns: int,
+    times: tuple[float, float],
 ) -> DesignSolution:
     """The design for a task that names a force; only the one that bears it is verified.
 
     The certificate under force is at most that without, and falls with it. So the floor of that one is raised until the
     design that is best above it keeps the other, which is computed anew for every such design (see
     `stability.loaded_certificate`). The answer is the best among designs of that certificate without force; another
-    with a smaller one may bear the force too.
+    with a smaller one may bear the force too. `times`: when it began, and how long the search may take, s.
     """
+    began, share = times
     known: dict[float, tuple[tuple[Ranking, int], Check]] = {}
 
     def bears(floor: float) -> float:
         try:
             found = search(_without_force(task, one, floor))
-        except InfeasibleDesignError as error:
+        except DesignNotFoundError as error:
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
         best = found[0].designs[0]
+        check_time()
         value, check = _under_force(best.program, best.robot, one)
         known[floor] = found, check
         return value
 
-    floor = _raised(one, bears, task.solver)
+    try:
+        with within(share):
+            floor, late = _raised(one, bears, task.solver), False
+    except LateError:
+        kept = [floor for floor, (_, check) in known.items() if check.kept]
+        if not kept:
+            raise
+        floor, late = min(kept), True
     found, check = known[floor]
     solution = solution_of(_without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, check))
-    return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
+    seconds, late = time.perf_counter() - began, late or solution.out_of_time
+    return replace(solution, task=task, verification=verification, seconds=seconds, out_of_time=late)
 
 
 def _without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:
@@ -266,17 +306,21 @@ def _raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver
 
 
 def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
-    """A design for which all cases hold, and how many rounds of adding the worst of them that took."""
+    """A design for which all cases hold, and how many rounds of adding the worst of them that took; where a time limit
+    ends that, the last one."""
     rounds = 0
     while True:
-        added, why = violations(found.program, found.x)
+        try:
+            added, why = violations(found.program, found.x)
+        except LateError:
+            return replace(found, late=True), rounds
         if not why:
             return found, rounds
         if rounds >= found.program.task.solver.exchange.rounds:
             raise SolveError(f"after {rounds} rounds of adding worst cases there are still some: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
-        found = best_of(rank([solve(program, start, report, method)]))
+        found = best_of(rank([solve_from(program, start, report, method, keep=True)]))
 
 
 def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began: float) -> DesignSolution:
@@ -304,6 +348,7 @@ def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began:
         added=program.added,
         verification=verification,
         seconds=time.perf_counter() - began,
+        out_of_time=bool(ranking.late),
     )
     if not verification.kept:
         raise SolveError(f"the design that was found does not keep what it promises: {verification.broken}", solution)

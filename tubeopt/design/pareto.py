@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Progress
 from .objectives import key_of
 from .optimize import settle
 from .program import compile_task, recompiled
 from .relaxation import best_of
 from .requirements import SnapFree, SnapFreeInUse
-from .solve import multistart, solve
+from .solve import multistart, solve_from
 from .solve_one import Attempt
 from .task import DesignTask
 
@@ -29,14 +30,16 @@ class FrontPoint:
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Designs in order of the margin demanded, up to the greatest that is feasible."""
+    """Designs in order of the margin demanded, up to the greatest for which one was found."""
 
     task: DesignTask
     objective: str
     """The kind of what is traded for it."""
     points: tuple[FrontPoint, ...]
     ended: float | None
-    """The first margin demanded that no design near the front keeps, None where all do."""
+    """The first margin demanded for which no design was found near the front, None where one was for all."""
+    out_of_time: bool = False
+    """Whether the time limit ended the front there."""
 
 
 def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
@@ -55,6 +58,7 @@ def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float,
     return out
 
 
+@limited
 def pareto_front(
     task: DesignTask,
     margins: Sequence[float],
@@ -62,17 +66,19 @@ def pareto_front(
     begin: Attempt | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> ParetoFront:
     """The best objective at each of several margins, each solve warm-started from the one before.
 
     Args:
         margins: demanded of the certificate or in use; they are taken in order of size.
         begin: an answer for the least of them, or near it.
+        time_limit: s, on the clock, at which the front ends.
 
     Raises:
         InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
             or with several objectives.
-        SolveError: not even the least margin is feasible.
+        SolveError: no design was found for the least margin.
     """
     one = task.objectives[0]
     points: list[FrontPoint] = []
@@ -82,15 +88,17 @@ def pareto_front(
         if here is None:
             found = best_of(multistart(compile_task(eased), starts=4, seed=seed))
         else:
-            found = solve(recompiled(eased, here.program), here.x)
+            found = solve_from(recompiled(eased, here.program), here.x, keep=True)
         try:
             if not found.feasible:
-                raise SolveError("infeasible")
+                raise SolveError(f"no design was found that keeps a margin of {margin:g}")
             found, _ = settle(found)
         except SolveError:
             if not points:
                 raise
-            return ParetoFront(task, key_of(one), tuple(points), margin)
+            return ParetoFront(task, key_of(one), tuple(points), margin, found.late)
+        if found.late and points:
+            return ParetoFront(task, key_of(one), tuple(points), margin, True)
         points.append(FrontPoint(margin, found.value(one), found.robot))
         here = found
         if progress is not None:

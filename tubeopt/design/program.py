@@ -16,7 +16,7 @@ import numpy as np
 from ..block.quantities import Expression, PoseNumber, Quantity
 from ..errors import InputError, SolveError
 from ..robots.concentric import ConcentricRobot
-from ..solvers.smooth import Values
+from ..solvers.time_limit import check_time
 from ..typing import Array
 from .lookup import at_state
 from .objectives import POSED as OF_POSES
@@ -61,12 +61,35 @@ class Added:
     """Of each workspace box, m."""
 
 
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """A design on the way of a search: x (X,), its objective as minimised, its largest violation, in steps of its
+    limit, and the words of that limit."""
+
+    x: Array
+    objective: float
+    violation: float
+    worst: str
+
+    @property
+    def order(self) -> tuple[float, float]:
+        """By which the better one comes first."""
+        return self.violation, self.objective
+
+
 class Lately:
-    """The state that was asked for last, since several ask for the same one after another; left behind where a program
-    goes to another process. Older ones are not kept: their poses began elsewhere."""
+    """The state that was asked for last, since several ask for the same one after another, and the best design that a
+    search passed, which is the answer where time ends it; left behind where a program goes to another process. Older
+    states are not kept: their poses began elsewhere."""
 
     def __init__(self) -> None:
         self.state: State | None = None
+        self.best: Reached | None = None
+
+    def note(self, found: Reached) -> None:
+        """Keep a design where it is the best."""
+        if self.best is None or found.order < self.best.order:
+            self.best = found
 
     def __reduce__(self) -> tuple[type[Lately], tuple[()]]:
         return Lately, ()
@@ -345,6 +368,7 @@ def robot_at(program: Program, x: Array) -> ConcentricRobot:
 
 def evaluate(program: Program, x: Array) -> tuple[State, list[Rows], tuple[Array, Array]] | None:
     """State, groups of rows and fixed rows at x, SI; None where there is no such robot or no equilibrium."""
+    check_time()
     state = state_at(program, x)
     try:
         return state, groups(program, state), fixed_rows(program, state)
@@ -356,9 +380,3 @@ def stack(found: Sequence[Rows], fixed: tuple[Array, Array]) -> tuple[Array, Arr
     """All rows, those that can be relaxed first."""
     values = np.concatenate([*(group.values for group in found), fixed[0]])
     return values, np.concatenate([*(group.jacobian for group in found), fixed[1]])
-
-
-def nowhere(rows_count: int, size: int) -> Values:
-    """Values where the functions are not defined."""
-    nan = np.full(rows_count, np.nan)
-    return Values(np.nan, np.full(size, np.nan), nan, np.full((rows_count, size), np.nan))

@@ -1,15 +1,18 @@
-"""Why a task is infeasible: the smallest relaxation of its limits that makes it feasible, in words, and verified."""
+"""Why no design was found: the smallest relaxation of the limits with which one was, in words, and verified."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import SolveError
+from ..solvers.time_limit import LateError
 from ..typing import Array
 from .program import Program, elastic, evaluate, recompiled
+from .shown import shown_infeasible
 from .solve import Ranking, best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
 from .statements import Limit, Rows, relaxed
@@ -47,8 +50,9 @@ class Relaxation:
         return " and ".join(change.words for change in self.changes)
 
 
-class InfeasibleDesignError(SolveError):
-    """No design meets all requirements; the message says which limits would have to move, and how far.
+class DesignNotFoundError(SolveError):
+    """No search ended with a design that meets all requirements, which does not show that there is none; the message
+    names the limits that were violated most, and with which other limits a design was found.
 
     relaxations: ways to make the task feasible: first the one with the least sum of moves, each in steps of its limit
     (`Limit.size`), then those in which one limit moves alone; each was verified by solving the relaxed task.
@@ -59,20 +63,37 @@ class InfeasibleDesignError(SolveError):
         self.relaxations = tuple(relaxations)
 
 
+class InfeasibleDesignError(DesignNotFoundError):
+    """It is shown that no design meets all requirements (`design.shown`); the message says how."""
+
+
 def best_of(ranking: Ranking) -> Attempt:
     """The best design of all starts.
 
     Raises:
-        InfeasibleDesignError: there is none.
+        InfeasibleDesignError: it is shown that there is none.
+        DesignNotFoundError: none was found.
     """
     if ranking.designs:
         return ranking.designs[0]
-    name, count = next(iter(ranking.failures.items()))
-    limit = name if name.startswith("an ") else f"the {name}"
-    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at {limit}"
-    ways = smallest_relaxations(ranking.failed)
-    told = ", or ".join(way.words for way in ways) or "no relaxation was found that makes the task feasible"
-    raise InfeasibleDesignError(f"{head}; {told}", ways, ranking.failed[0])
+    closest, starts = ranking.failed[0], ranking.starts
+    shown = shown_infeasible(closest.program)
+    limits = "; ".join(f"{count} failed most at {_with_article(name)}" for name, count in ranking.failures.items())
+    tried = f"of {starts} start{'s' * (starts > 1)}, {limits}"
+    if ranking.late:
+        tried += f"; the time limit ended {ranking.late} of them"
+    ways: list[Relaxation] = []
+    with suppress(LateError):
+        ways = smallest_relaxations(ranking.failed)
+    eased = ", or ".join(way.words for way in ways) or "no relaxation was found that makes the task feasible"
+    if shown:
+        raise InfeasibleDesignError(f"no design meets all requirements, since {shown}; {tried}; {eased}", ways, closest)
+    doubt = "no design was found that meets all requirements, which does not show that there is none"
+    raise DesignNotFoundError(f"{doubt}: {tried}; {eased}", ways, closest)
+
+
+def _with_article(limit: str) -> str:
+    return limit if limit.startswith(("a ", "an ")) else f"the {limit}"
 
 
 def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:

@@ -16,6 +16,7 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
 from ..typing import Array, Of, Progress
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, solution_of
@@ -218,7 +219,7 @@ def search_design(
 
     Raises:
         InputError: a task with poses, a certificate over a box or under a force; numbers that make no sense.
-        InfeasibleDesignError: no start leads to a design that keeps the requirements.
+        DesignNotFoundError: no start leads to a design that keeps the requirements.
         SolveError: the design breaks a promise when it is checked again.
 
     Examples:
@@ -231,7 +232,8 @@ def search_design(
         >>> tubeopt.search_design(task, wanted, seconds=10).after
         1.0
     """
-    (solution,), told = _searched((task,), wanted, (seconds, starts, seed, turns), progress)
+    limit = positive("seconds", seconds) + TIME_LIMIT
+    (solution,), told = without_derivatives((task,), wanted, (seconds, starts, seed, turns), progress, time_limit=limit)
     return SearchedDesign(*told, solution)
 
 
@@ -255,7 +257,7 @@ def search_pair(
 
     Raises:
         InputError: not two tasks; tasks as `search_design` refuses them; numbers that make no sense.
-        InfeasibleDesignError: no start leads to designs that keep the requirements.
+        DesignNotFoundError: no start leads to designs that keep the requirements.
         SolveError: a design breaks a promise when it is checked again.
 
     Examples:
@@ -273,36 +275,45 @@ def search_pair(
     """
     if not isinstance(tasks, (tuple, list)) or len(tasks) != 2:
         raise InputError(f"tasks are {tasks!r}; they must be two, one for each robot")
-    (one, other), told = _searched(tuple(tasks), wanted, (seconds, starts, seed, turns), progress)
+    limit = positive("seconds", seconds) + TIME_LIMIT
+    (one, other), told = without_derivatives(
+        tuple(tasks), wanted, (seconds, starts, seed, turns), progress, time_limit=limit
+    )
     return SearchedPair(*told, (one, other))
 
 
-def _searched(
+@limited
+def without_derivatives(
     tasks: tuple[DesignTask, ...],
     wanted: Wanted | WantedOfPair,
     settings: tuple[float, int, int, int],
     progress: Progress | None,
+    *,
+    time_limit: float = TIME_LIMIT,
 ) -> tuple[list[DesignSolution], tuple[str, float, float, Array, int, float]]:
-    """The best designs, one for each task, and the fields of `Searched`; `settings`: seconds, starts, seed, turns."""
+    """The best designs, one for each task, and the fields of `Searched`; `settings`: seconds, starts, seed, turns. Of
+    the `time_limit` what is more than these seconds is for the first design, and for the checks."""
     seconds, starts, seed, turns = settings
     for task in tasks:
         _check(task)
-    positive("seconds", seconds)
     for name, number, least in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
         whole(name, number, least)
     began = time.perf_counter()
     plain = [replace(task, objective=Objective("change")) for task in tasks]
     programs = tuple(compile_task(task) for task in plain)
-    first = [best_of(multistart(program, starts=1, seed=seed)).x for program in programs]
+    with within(time_limit - seconds):
+        first = [best_of(multistart(program, starts=1, seed=seed)).x for program in programs]
     note = None if progress is None else lambda count: progress(count, 0)
     search = _Search(programs, wanted, progress=note)
     zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
-    _, before = search.told([program.layout.space.start for program in programs], zero)
+    with within(time_limit - seconds):
+        _, before = search.told([program.layout.space.start for program in programs], zero)
     drawn = [start_values(program, seed + k, starts)[1:] for k, program in enumerate(programs)]
     others = ([to_feasibility(*each) for each in zip(programs, some, strict=True)] for some in zip(*drawn, strict=True))
     begin = time.perf_counter()
-    for k, designs in enumerate([first, *others]):
-        search.from_place(search.place(designs, zero), begin + seconds * (k + 1) / starts)
+    with within(seconds), suppress(LateError):
+        for k, designs in enumerate([first, *others]):
+            search.from_place(search.place(designs, zero), begin + seconds * (k + 1) / starts)
     if search.best is None:  # the time was over before anything could be told
         search.best, (_, search.value) = search.place(first, zero), search.told(first, zero)
     designs, own = search.design(search.best)

@@ -9,7 +9,9 @@ from functools import partial
 
 import numpy as np
 
+from ..errors import SolveError
 from ..solvers.parallel.executors import executor, run_all
+from ..solvers.time_limit import LateError
 from ..typing import Array, Progress
 from .cells import improve_by_cells
 from .collocation import collocate
@@ -36,7 +38,29 @@ def solve(program: Program, start: Array, report: Report | None = None, method: 
             x, missed = other, violation(program, other)[0]
     if missed > near:
         return attempt(program, x, None)
-    return collocate(program, x) if method == "collocation" else best_from(program, x, report)
+    return _collocated(program, x, report) if method == "collocation" else best_from(program, x, report)
+
+
+def _collocated(program: Program, x: Array, report: Report | None) -> Attempt:
+    """The optimum of the collocated program from a design that is nearly feasible; where IPOPT does not converge to
+    one, from the optimum of the reduced program, which is the answer where it does not converge from there either."""
+    found = _tried(program, x)
+    if found.feasible:
+        return found
+    reduced = best_from(program, x, report)
+    if not reduced.feasible:
+        return replace(reduced, worst=reduced.worst or found.worst)
+    again = _tried(program, reduced.x)
+    if again.feasible:
+        return again
+    return replace(reduced, remark=f"method 'collocation' failed at the {again.worst}; this is the design of 'reduced'")
+
+
+def _tried(program: Program, x: Array) -> Attempt:
+    try:
+        return collocate(program, x)
+    except SolveError as error:
+        return Attempt(program, x, np.inf, np.inf, f"start of the collocated program ({error})", None)
 
 
 def best_from(program: Program, x: Array, report: Report | None = None) -> Attempt:
@@ -97,6 +121,10 @@ def _worse(one: Attempt) -> tuple[bool, float]:
     return not one.feasible, one.objective if one.feasible else one.violation
 
 
+NOTHING = "a first design, which time did not suffice for"
+"""Where no design was looked at."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """What became of all starts."""
@@ -110,15 +138,34 @@ class Ranking:
     failed: tuple[Attempt, ...]
     """Where, the least violated first."""
 
+    late: int = 0
+    """How many starts a time limit ended."""
+
     @property
     def starts(self) -> int:
         """Number of starts."""
         return sum(self.found) + sum(self.failures.values())
 
 
-def solve_from(program: Program, start: Array, report: Report | None = None, method: str = "reduced") -> Attempt:
-    """`solve` on a copy of the program that remembers no poses of other starts."""
-    return solve(replace(program, guesses={}), start, report, method)
+def solve_from(
+    program: Program, start: Array, report: Report | None = None, method: str = "reduced", *, keep: bool = False
+) -> Attempt:
+    """`solve` on a copy of the program that remembers no poses of other starts, unless it is to `keep` them; the best
+    on its way where a time limit ends it."""
+    own = program if keep else replace(program, guesses={})
+    try:
+        return solve(own, start, report, method)
+    except LateError:
+        return cut_short(own)
+
+
+def cut_short(program: Program) -> Attempt:
+    """The best design that a search had passed when its time was over."""
+    best = program.lately.best
+    if best is None:
+        return Attempt(program, program.lower, np.inf, np.inf, NOTHING, None, late=True)
+    x = np.clip(best.x, program.lower, program.upper)
+    return Attempt(program, x, best.objective, best.violation, best.worst, None, late=True)
 
 
 def rank(attempts: Sequence[Attempt]) -> Ranking:
@@ -134,7 +181,8 @@ def rank(attempts: Sequence[Attempt]) -> Ranking:
             found[k] += 1
     failed = sorted((a for a in attempts if not a.feasible), key=lambda a: a.violation)
     failures = Counter(a.worst for a in failed)
-    return Ranking(tuple(designs), tuple(found), dict(failures.most_common()), tuple(failed))
+    late = sum(a.late for a in attempts)
+    return Ranking(tuple(designs), tuple(found), dict(failures.most_common()), tuple(failed), late)
 
 
 def _same(a: Attempt, b: Attempt) -> bool:

@@ -10,16 +10,16 @@ import scipy
 
 from ..errors import SolveError
 from ..robots.concentric import ConcentricRobot
-from ..solvers.smooth import Optimum, Values, minimise
+from ..solvers.smooth import Optimum, Values, minimise, nowhere
 from ..typing import Array
 from .objectives import KINDS, AnyObjective
 from .program import (
     BOUNDED,
     Program,
+    Reached,
     evaluate,
     fixed_rows,
     groups,
-    nowhere,
     objective_size,
     objective_value,
     robot_at,
@@ -55,6 +55,10 @@ class Attempt:
     """Words of the limit that is violated most; "" where none is."""
     optimum: Optimum | None
     """IPOPT's answer; None where feasibility was not reached."""
+    late: bool = False
+    """Whether a time limit ended the search here."""
+    remark: str = ""
+    """What is worth knowing of how it was found."""
 
     @property
     def feasible(self) -> bool:
@@ -140,8 +144,12 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         rows_count = len(gap)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]
+        short, words = largest_violation(found)
+        kept = short <= FEASIBLE
+        cost = total_objective(program, found[0])[0] if kept else np.inf
+        program.lately.note(Reached(full(part), cost, 0.0 if kept else short, "" if kept else words))
         if report is not None:
-            report("feasibility", largest_violation(found)[0])
+            report("feasibility", short)
         return gap
 
     def jacobian(part: Array) -> Array:
@@ -217,6 +225,7 @@ def improve(
         g, jacobian = _all_rows(found, form, rows)
         if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
             seen[:] = [(f, x * scale)]
+            program.lately.note(Reached(x * scale, f, 0.0, ""))
         return Values(f / size, slope * scale / size, g, jacobian * scale)
 
     optimum = minimise(

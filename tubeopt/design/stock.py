@@ -10,16 +10,18 @@ from typing import Annotated
 
 import numpy as np
 
-from ..errors import InputError, SolveError, positive, whole
+from ..errors import InputError, SolveError, TimeLimitError, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, check_fields, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
 from ..solvers.parallel.executors import executor, run_all
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited, time_left
 from ..typing import Progress
 from .objectives import key_of
 from .optimize import settle
 from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
+from .shown import shown_infeasible
 from .solve import multistart
 from .task import DesignTask
 
@@ -55,15 +57,15 @@ class Candidate:
     bound: float
     """The best objective that the requirements on dimensions alone allow, as minimised."""
     objective: float | None
-    """What a design reaches, in its own sign, SI, None where it was pruned or infeasible."""
+    """What a design reaches, in its own sign, SI, None where there is none."""
     robot: ConcentricRobot | None
     status: str
-    """One of "design", "infeasible" with what failed, and "pruned"."""
+    """One of "design", "not found" with what failed most, "infeasible" with what shows it, "pruned", "out of time"."""
 
 
 @dataclass(frozen=True, eq=False)
 class StockChoice:
-    """All candidates: designs first, the best first; then the infeasible, then the pruned."""
+    """All candidates: designs first, the best first; then those without one, then the pruned."""
 
     candidates: tuple[Candidate, ...]
 
@@ -78,6 +80,7 @@ class StockChoice:
         return sum(one.status.startswith(status) for one in self.candidates)
 
 
+@limited
 def choose_from_stock(
     task: DesignTask,
     stock: Sequence[StockTube],
@@ -87,6 +90,7 @@ def choose_from_stock(
     starts: int = 1,
     workers: int = 1,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> StockChoice:
     """Design with every choice of stock sizes that nest, but for those that cannot be among the best.
 
@@ -98,16 +102,18 @@ def choose_from_stock(
         clearance: least difference of diameters between a tube and the next one.
         keep: how many of the best designs are to be found for certain.
         starts: of each design.
+        time_limit: s, on the clock; choices that are not designed by then are "out of time".
 
     Raises:
         InputError: keep, starts or workers below 1, a clearance below 0, nothing in stock nests, a task in which
             diameters are free or with several objectives.
-        SolveError: no candidate is feasible.
+        SolveError: no design was found with any of them.
     """
     for name, value in (("keep", keep), ("starts", starts), ("workers", workers)):
         whole(name, value, 1)
     choices = stock_choices(task, stock, clearance)
     bounds = [_bound(with_sizes(task, sizes)) for sizes in choices]
+    late = False
     order = np.argsort(bounds, kind="stable")
     done: list[Candidate] = []
     with executor(workers) as pool:
@@ -115,15 +121,18 @@ def choose_from_stock(
             best = sorted(_minimised(task, one) for one in done if one.robot is not None)
             limit = best[keep - 1] if len(best) >= keep else np.inf
             batch = order[k : k + workers]
-            done += [Candidate(choices[i], bounds[i], None, None, "pruned") for i in batch if bounds[i] >= limit]
-            tasks = [(with_sizes(task, choices[i]), choices[i], bounds[i]) for i in batch if bounds[i] < limit]
+            late = late or time_left() == 0
+            ended = [i for i in batch if late or bounds[i] >= limit]
+            done += [Candidate(choices[i], bounds[i], None, None, "out of time" if late else "pruned") for i in ended]
+            tasks = [(with_sizes(task, choices[i]), choices[i], bounds[i]) for i in batch if i not in ended]
             done += run_all(partial(_design, starts=starts), tasks, pool)
             if progress is not None:
                 progress(len(done), len(order))
     designs = sorted((one for one in done if one.robot is not None), key=lambda one: _minimised(task, one))
     if not designs:
-        raise SolveError(f"none of {len(choices)} choices from stock meets all requirements: {done[0].status}")
-    rest = sorted((one for one in done if one.robot is None), key=lambda one: one.status == "pruned")
+        why = f"no design was found with any of {len(choices)} choices from stock: {done[0].status}"
+        raise TimeLimitError(f"{why}; the time limit was {time_limit:g} s") if late else SolveError(why)
+    rest = sorted((one for one in done if one.robot is None), key=lambda one: one.status in ("pruned", "out of time"))
     return StockChoice((*designs, *rest))
 
 
@@ -185,12 +194,16 @@ def _minimised(task: DesignTask, one: Candidate) -> float:
 def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) -> Candidate:
     """The design of one candidate."""
     task, sizes, bound = item
-    ranking = multistart(compile_task(task), starts=starts)
+    program = compile_task(task)
+    ranking = multistart(program, starts=starts)
     if not ranking.designs:
-        failed = next(iter(ranking.failures))
-        return Candidate(sizes, bound, None, None, f"infeasible: {failed}")
+        shown = shown_infeasible(program)
+        status = f"infeasible: {shown}" if shown else f"not found: {next(iter(ranking.failures))}"
+        return Candidate(sizes, bound, None, None, "out of time" if ranking.late and not shown else status)
     try:
         found, _ = settle(ranking.designs[0])
     except SolveError as error:
-        return Candidate(sizes, bound, None, None, f"infeasible: {error}")
+        return Candidate(sizes, bound, None, None, f"not found: {error}")
+    if found.late:
+        return Candidate(sizes, bound, None, None, "out of time")
     return Candidate(sizes, bound, found.value(task.objectives[0]), found.robot, "design")

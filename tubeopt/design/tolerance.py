@@ -16,6 +16,7 @@ from ..files.marks import NOT_NEGATIVE, OneOf, check_fields, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.parallel.executors import executor, run_all
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress
 
@@ -63,7 +64,8 @@ class ToleranceAnalysis:
     """Samples without a stable equilibrium at some pose."""
 
 
-def tolerance_analysis(
+@limited
+def tolerance_analysis(  # noqa: PLR0913
     robot: ConcentricRobot,
     tolerances: Tolerances,
     *,
@@ -73,6 +75,7 @@ def tolerance_analysis(
     samples: int = 500,
     workers: int = 1,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> ToleranceAnalysis:
     """Sample robots as they may be made.
 
@@ -80,10 +83,12 @@ def tolerance_analysis(
         translations: (T, n) m at which the certificate is computed; None is home.
         poses: (rotations, translations) whose tips are compared, rad and m.
         margin: of which to report how many samples keep it.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: fewer than 2 samples, joint values of another number of tubes, no `Tolerances`.
         SolveError: a pose has no equilibrium of the robot as designed.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     instance("tolerances", tolerances, Tolerances)
     whole("samples", samples, 2)

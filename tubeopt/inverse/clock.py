@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import time
 
-
-class LateError(Exception):
-    """Time is over, in the middle of what can be cut short."""
+from ..solvers.time_limit import LateError as LateError
+from ..solvers.time_limit import time_left
 
 
 class Clock:
     """Time that is left of a limit; the longer time `within` which it lies tells how crowded the machine is."""
 
     def __init__(self, limit: float, within: Clock | None = None) -> None:
-        self.began, self.limit = time.perf_counter(), limit
+        self.began, self.limit = time.perf_counter(), min(limit, time_left())
         self.since: tuple[float, float] = (self.began, time.process_time()) if within is None else within.since
         """Wall and processor time from which crowding is told, s."""
 

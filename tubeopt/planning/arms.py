@@ -23,6 +23,7 @@ from ..errors import InputError, instance, vector
 from ..inverse.clock import Clock
 from ..inverse.outline import Outline
 from ..robots.robot import Robot, check_robot
+from ..solvers.time_limit import LONG_TIME_LIMIT
 from ..typing import Array
 from .apart import PairProof, apart, tracked
 from .clearing import Table, Wanted
@@ -224,7 +225,7 @@ def verify_arms(  # noqa: PLR0913
                 )
             )
         wanted = Wanted(0.0, effort.arms_accuracy, effort.cells)
-        follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(math.inf), effort)
+        follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(LONG_TIME_LIMIT), effort)
         tracks.append(tracked(follower, first, time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []

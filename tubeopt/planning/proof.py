@@ -30,6 +30,7 @@ from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array, Of, Sentence
@@ -168,7 +169,8 @@ def verify_trajectory(  # noqa: PLR0913
         start: stable equilibrium at the first sample; by default that of `forward_kinematics`.
         obstacles, min_margin, clearance (m), rate_limits, limits: what must be kept. Rates are not limited by default;
             joint limits are those that the robot was given, else those of its lengths: rotations are then free.
-        clock: when it is over, what is not shown yet is left so, which is a fault: `.open`, `.followed`.
+        clock: one hour by default. When it is over, what is not shown yet is left so, which is a fault: `.open`,
+            `.followed`.
         max_force: N; margin and clearance hold under any force on the tip of up to that size which keeps its direction,
             as far as one bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`).
         load: that the robot bears all the way; a start without it is first loaded. What is proved is then proved of
@@ -207,7 +209,7 @@ def verify_trajectory(  # noqa: PLR0913
         raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     wanted = Wanted(clearance + moved, effort.accuracy, effort.cells)
-    follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(math.inf), effort, load)
+    follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(LONG_TIME_LIMIT), effort, load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
     if forced is not None:

@@ -13,9 +13,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from ..equilibrium.readings import to_model
-from ..files.checked import Entry, Number, Whole, in_file
+from ..files.checked import Entry, Number, Positive, Whole, in_file
 from ..robots.file import AnyRobot, load_robot
 from ..robots.robot import Robot
+from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, late_error, within
 from ..typing import Array, Progress
 
 RobotPath = Annotated[
@@ -128,11 +129,34 @@ class Study(Entry):
         """The answer to the question that the study asks; a kind of study has this or `run_in` of its own."""
         return self.run_in(None, progress)
 
+    def ask(self, out: Path | None, progress: Progress | None = None) -> Any:
+        """The answer of a command."""
+        return self.run_in(out, progress)
+
     def run_in(self, out: Path | None, progress: Progress | None = None) -> Any:
         """The answer, as `run` gives it; what can be kept of it on the way is kept in `out`, to go on from there."""
         if progress is not None and getattr(self, "workers", 1) == 1:  # a bar is a thread: processes come first
             progress(0, 0)
         return self.run(progress)
+
+
+class Timed(Study):
+    """A study whose answer takes long: its time limit."""
+
+    time_limit_s: Positive = Field(Decimal(int(LONG_TIME_LIMIT)), description="on the clock, for all of it")
+
+    def ask(self, out: Path | None, progress: Progress | None = None) -> Any:
+        """The answer, as `run_in` gives it, within the time limit.
+
+        Raises:
+            TimeLimitError: it is reached before there is an answer.
+        """
+        limit = self.si("time_limit_s")
+        try:
+            with within(limit):
+                return self.run_in(out, progress)
+        except LateError as late:
+            raise late_error(self.kind, limit, late.best) from None
 
 
 def joints_of(robot: Robot, turned: Sequence[float] | None, shifted: Sequence[float] | None) -> tuple[Array, Array]:

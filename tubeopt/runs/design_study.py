@@ -28,7 +28,7 @@ from ..files.checked import Entry, NotNegative, Number, in_file
 from ..files.fields import EntryOf
 from ..stability import ASSUMING
 from ..typing import Progress
-from .base import Count, Study
+from .base import Count, Timed
 from .design_parts import Designed, TolerancesEntry, Tried
 from .region_part import RegionAnswer, RegionEntry
 from .stock_file import load_stock
@@ -85,7 +85,7 @@ class DesignAnswer(Displayed):
         return self.solution.remarks + (() if self.region is None else self.region.remarks)
 
 
-class DesignStudy(Designed, Tried, Study):
+class DesignStudy(Designed, Tried, Timed):
     """The best robot that keeps a list of requirements."""
 
     doing = "designing"

@@ -17,7 +17,7 @@ from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
 from ..typing import Array, Progress
 from ..validation import ForceRecord, estimate_forces
-from .base import OnePerTube, Posed, RobotPath, joints_of
+from .base import OnePerTube, Posed, RobotPath, Timed, joints_of
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
 
@@ -41,7 +41,7 @@ class Bearing(Displayed):
     """Up to how many times the load was looked at."""
 
 
-class LoadLimitStudy(Posed, LoadedStudy):
+class LoadLimitStudy(Posed, LoadedStudy, Timed):
     """How many times a load can be put on a robot before its equilibrium is lost."""
 
     doing = "putting the load on"
@@ -85,7 +85,7 @@ class LoadLimitStudy(Posed, LoadedStudy):
         return Bearing(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / PUSH)
 
 
-class ForceStudy(LoadedStudy):
+class ForceStudy(LoadedStudy, Timed):
     """The force on the tip of a robot at every row of a recording of its tip, or of points along its arm."""
 
     doing = "estimating forces"

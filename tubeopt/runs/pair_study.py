@@ -21,7 +21,7 @@ from ..stability import ASSUMING
 from ..typing import Array, Progress
 from .anatomy_file import AnatomyKey, BasePart
 from .arms_study import PlacedPart, shared
-from .base import Count, Study
+from .base import Count, Timed
 from .design_parts import Designed, Tried
 from .obstacle_file import Place
 from .region_part import FEW, HARDLY, MOST, SearchPart, hurried
@@ -87,7 +87,7 @@ class BallPart(Entry):
         return np.asarray(self.si("centre_mm") + far * way / np.linalg.norm(way, axis=1, keepdims=True))
 
 
-class PairStudy(Study, SearchPart, Tried):
+class PairStudy(Timed, SearchPart, Tried):
     """The two robots, sized together, whose tips hold the most pairs of places of a region without touching."""
 
     doing = "designing"

@@ -33,7 +33,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array, Progress
-from .base import HOME, SHIFTED, OnePerTube, Posed, RobotPath, Study, joints_of
+from .base import HOME, SHIFTED, OnePerTube, Posed, RobotPath, Timed, joints_of
 from .load_file import LoadedStudy
 
 
@@ -49,7 +49,7 @@ class Equilibria(Displayed):
     equilibria: tuple[Equilibrium, ...]
 
 
-class EquilibriaStudy(Posed, LoadedStudy):
+class EquilibriaStudy(Posed, LoadedStudy, Timed):
     """Every equilibrium of a robot at given joint values, stable and unstable."""
 
     doing = "searching equilibria"
@@ -78,7 +78,7 @@ class Way(Displayed):
     """The equilibrium at the end; None where it snaps before."""
 
 
-class SnapStudy(LoadedStudy):
+class SnapStudy(LoadedStudy, Timed):
     """The first snap on the straight way between two sets of joint values."""
 
     doing = "looking for the snap"
@@ -115,7 +115,7 @@ class SnapStudy(LoadedStudy):
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
-class FollowStudy(LoadedStudy):
+class FollowStudy(LoadedStudy, Timed):
     """Slow motion through waypoints of joint values (readings, where the robot has a calibration), with the snaps."""
 
     doing = "following the path"
@@ -164,7 +164,7 @@ class Certification(Displayed):
         return Finding.OPEN
 
 
-class CertifyStudy(Study):
+class CertifyStudy(Timed):
     """Whether a robot can snap at any rotation, at given translations or anywhere in a box of them."""
 
     doing = "looking for snaps"
@@ -236,7 +236,7 @@ class RobotMap(Displayed):
     map: StabilityMap
 
 
-class StabilityMapStudy(Study):
+class StabilityMapStudy(Timed):
     """The margin and the snap boundary over two rotations."""
 
     doing = "mapping the margin"

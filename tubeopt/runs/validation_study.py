@@ -24,7 +24,7 @@ from ..validation import (
     validate,
     where_to_measure,
 )
-from .base import RobotPath, Study
+from .base import RobotPath, Timed
 from .measurement_file import load_measurements
 
 MeasurementsPath = Annotated[
@@ -36,7 +36,7 @@ MeasurementsPath = Annotated[
 
 
 @asking(FitOptions)
-class ValidationStudy(Study):
+class ValidationStudy(Timed):
     """How far measured tips are from the model's, and which parameters bring them closest."""
 
     doing = "solving shapes"
@@ -98,7 +98,7 @@ class ValidationStudy(Study):
         return validate(self.robot, self.measurements, registration=self.si("registration"), base=self._base())
 
 
-class MeasureStudy(Study):
+class MeasureStudy(Timed):
     """Configurations that determine chosen parameters of a robot best, joined without a snap."""
 
     doing = "choosing configurations"

@@ -15,7 +15,7 @@ from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
 from ..typing import Progress
-from .base import RobotPath
+from .base import RobotPath, Timed
 from .load_file import LoadedStudy
 from .obstacle_file import Surrounded
 from .plan_study import PlanStudy, RatesEntry
@@ -39,7 +39,7 @@ def _plan_study(path: str | PathLike[str]) -> PlanStudy:
     return check_kind({"plan": PlanStudy}, load_yaml(path), path)
 
 
-class VerifyStudy(Surrounded, LoadedStudy):
+class VerifyStudy(Surrounded, LoadedStudy, Timed):
     """Whether a trajectory of whatever origin snaps, collides or is too fast."""
 
     doing = "following the trajectory"

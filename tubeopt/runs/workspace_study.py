@@ -12,10 +12,10 @@ from ..files.checked import Number, Positive, Whole
 from ..typing import Progress
 from ..workspaces import Findings, examine, workspace
 from ..workspaces.loss import require_centred
-from .base import RobotPath, Study
+from .base import RobotPath, Timed
 
 
-class WorkspaceStudy(Study):
+class WorkspaceStudy(Timed):
     """Tips at many joint values within a robot's limits."""
 
     doing = "solving"

@@ -105,7 +105,7 @@ FRONT: tuple[Quantity[ParetoFront], ...] = (
     Quantity(
         "points", "margins and what they cost", lambda front: [(front, point) for point in front.points], of=FRONT_POINT
     ),
-    Quantity("infeasible_from", "the margin from which there is no design", lambda front: front.ended),
+    Quantity("infeasible_from", "the margin from which no design was found", lambda front: front.ended),
 )
 
 REGION: tuple[Quantity[RegionAnswer], ...] = (
@@ -159,8 +159,8 @@ CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
              words=lambda of: ", ".join(size.name for size in of[1].sizes)),
     Quantity("value", "of the objective", lambda of: of[1].objective and of[1].objective * of[0].factor, label="value",
              words=lambda of: "–" if of[1].objective is None else f"{of[1].objective * of[0].factor:.5g} {of[0].unit}"),
-    Quantity("status", "design, infeasible with what failed, or pruned", lambda of: of[1].status, label="",
-             words="{status}"),
+    Quantity("status", "design, not found, infeasible, pruned or out of time, and why", lambda of: of[1].status,
+             label="", words="{status}"),
 )  # fmt: skip
 """A choice from stock, by what was wanted."""
 
@@ -239,7 +239,13 @@ class DesignReport(Report[DesignAnswer]):
         """A table of the choices, the best first, and of how many more there are."""
         choices = _choices(self.answer) or []
         heads, rows = columns(choices[:STOCK_ROWS], CHOICE)
-        counts = {"design": "worse designs", "infeasible": "infeasible", "pruned": "pruned by their bound"}
+        counts = {
+            "design": "worse designs",
+            "not found": "without a design",
+            "infeasible": "infeasible",
+            "pruned": "pruned by their bound",
+            "out of time": "not tried in time",
+        }
         for status, words in counts.items():
             count = sum(one.status.startswith(status) for _, one in choices[STOCK_ROWS:])
             rows += [[f"{count} more", "–", words]] if count else []

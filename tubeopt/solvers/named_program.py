@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -17,6 +18,7 @@ from ..typing import Array
 from .closing import Stacked, function_of, ipopt_function
 from .problem_solution import ProblemSolution, ProblemStatistics, ProblemStatus
 from .settings import Ipopt
+from .time_limit import LEAST_SECONDS, check_time, time_left
 
 MENTIONED = 3
 """Constraints that the message of a failed solve names."""
@@ -201,7 +203,7 @@ class NamedProgram:
     def attempt(self, solver: Ipopt, *, start: ProblemSolution | None = None) -> ProblemSolution:
         """One solve, whatever comes of it; breakpoints keep their order."""
         began = time.perf_counter()
-        function = self._solver(solver, warm=start is not None)
+        function = self._solver(in_time(solver), warm=start is not None)
         variables, constraints = self.variables.values(), self._constraints.values()
         x, g = (Stacked(list(part)) for part in (variables, constraints))
         guess = {name: each.guess for name, each in self.variables.items()}
@@ -297,6 +299,15 @@ class NamedProgram:
                 self._solvers.pop(next(iter(self._solvers)), None)
         function: ca.Function = self._solvers[key]
         return function
+
+
+def in_time(solver: Ipopt) -> Ipopt:
+    """Settings with the time that is left of the nearest limit, cut to a power of two: a solver is built for each."""
+    check_time()
+    left = time_left()
+    if left >= solver.time_limit:
+        return solver
+    return replace(solver, time_limit=2.0 ** math.floor(math.log2(max(left, LEAST_SECONDS))))
 
 
 def _table(what: str, value: ArrayLike, size: int) -> Array:

@@ -19,6 +19,7 @@ from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, 
 from ..block.transcription.second_variation import least
 from ..typing import Array
 from .settings import NEWTON, Newton
+from .time_limit import check_time
 
 S = TypeVar("S")
 
@@ -46,6 +47,7 @@ def full_steps(
     Args:
         moved: a state after a step.   turn: largest turn of a step from a state, rad.   residual: of a state, rad.
     """
+    check_time()
     last, contraction = np.inf, 0.0
     for iteration in range(1, iterations + 1):
         change, singular = newton_step(state)
@@ -102,6 +104,7 @@ def descend(
 
     For tubes off the centreline, which have no such energy, call it on the concentric problem.
     """
+    check_time()
     state = evaluate(problem, rotations, z)
     for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)

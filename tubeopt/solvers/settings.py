@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from ..display import Displayed
 from ..errors import InputError, Settings, choice, positive, whole
+from .time_limit import TIME_LIMIT
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class Ipopt(Displayed):
     """Of constraints over their scales; None is `tolerance`."""
     iterations: int = 500
     """After how many it gives up."""
-    time_limit: float = math.inf
+    time_limit: float = TIME_LIMIT
     """s, after which it stops where it is."""
     linear_solver: str = "mumps"
     """Of the Newton steps; "mumps" comes with CasADi."""

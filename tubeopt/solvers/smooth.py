@@ -12,6 +12,7 @@ import numpy as np
 
 from ..typing import Array
 from .settings import NO_SENSITIVITIES
+from .time_limit import LEAST_SECONDS, LateError, check_time, time_left
 
 OPTIONS: dict[str, Any] = {
     **NO_SENSITIVITIES,
@@ -45,6 +46,12 @@ class Values:
     gradient: Array
     constraints: Array
     jacobian: Array
+
+
+def nowhere(rows: int, size: int) -> Values:
+    """Values where the functions are not defined."""
+    nan = np.full(rows, np.nan)
+    return Values(np.nan, np.full(size, np.nan), nan, np.full((rows, size), np.nan))
 
 
 Evaluate = Callable[[Array], Values]
@@ -143,27 +150,44 @@ def minimise(
     """Minimise f(x) subject to g(x) >= 0 and lower <= x <= upper, from `start` (X,), in the scale of x.
 
     Values may be NaN where the functions are not defined: the step is then shortened.
+
+    Raises:
+        LateError: the nearest time limit is reached.
     """
+    late: list[LateError] = []
 
     @lru_cache(maxsize=1)
     def values_at(x: bytes) -> Values:
         """So that value and gradient at one point cost one evaluation."""
-        return evaluate(np.frombuffer(x).copy())
+        try:
+            check_time()
+            return evaluate(np.frombuffer(x).copy())
+        except LateError as error:  # IPOPT has to end before it may go up
+            late.append(error)
+            return nowhere(rows, size)
 
-    size, rows = len(start), len(values_at(start.tobytes()).constraints)
+    size, rows = len(start), 0
+    rows = len(values_at(start.tobytes()).constraints)
+    if late:
+        raise late[0]
     program = _program(values_at, size, rows)
     x = ca.MX.sym("x", size)
     f, g = program(x)
     options = {**OPTIONS, **STRATEGIES[strategy], "ipopt.max_iter": iterations}
+    if time_left() < np.inf:
+        options["ipopt.max_wall_time"] = max(time_left(), LEAST_SECONDS)
     if report is not None:
         options["iteration_callback"] = _watch(report, size, rows)
     solver = ca.nlpsol("design", "ipopt", {"x": x, "f": f, "g": g}, options)
     result = solver(x0=start, lbx=lower, ubx=upper, lbg=np.zeros(rows), ubg=np.full(rows, np.inf))
     stats = solver.stats()
     found = np.clip(np.array(result["x"]).ravel(), lower, upper)
+    values = values_at(found.tobytes())
+    if late:
+        raise late[0]
     return Optimum(
         x=found,
-        values=values_at(found.tobytes()),
+        values=values,
         multipliers=-np.array(result["lam_g"]).ravel(),
         bound_multipliers=-np.array(result["lam_x"]).ravel(),
         success=bool(stats["success"]),

@@ -19,6 +19,7 @@ from ..robots.robot import Robot, shifts
 from ..solvers.newton import newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .folds import Fold, polish_fold
 
@@ -40,6 +41,7 @@ class Branch(Displayed):
 
 
 @small
+@limited
 def trace_branch(
     robot: Robot,
     start: ArrayLike,
@@ -48,6 +50,7 @@ def trace_branch(
     *,
     equilibrium: Equilibrium | None = None,
     step: float = 0.06,
+    time_limit: float = TIME_LIMIT,
 ) -> Branch:
     """Follow the branch through folds from rotations `start` until it leaves the way to `end` at either side.
 
@@ -57,10 +60,12 @@ def trace_branch(
         start, end: (n,) rotations, rad; translations (n,) m, default home.
         equilibrium: where to begin, at rotations `start`; default that of `forward_kinematics`.
         step: first change of a rotation along the arm or of the joint that turns most, rad, and half the largest.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: wrong number of joint values, start and end the same, a step that is not positive.
         SolveError: the branch could not be followed.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import numpy as np

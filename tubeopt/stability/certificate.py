@@ -17,6 +17,7 @@ from ..physics.certificate import PARAMETERS, Pattern, certificate_function, wor
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import check_time
 from ..typing import Array, Sentence
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
@@ -161,6 +162,7 @@ def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
 def estimated_certificate(robot: Robot, shift: Array) -> float:
     """What `snap_free_certificate` is but for what the mesh leaves out of tubes made of pieces, which takes longer to
     bound than the rest: where to look for the least, and no proof."""
+    check_time()
     assembly = robot.assembly(shift)
     if assembly.eccentric:
         return proof(assembly)[0]
@@ -189,6 +191,7 @@ def _at_worst(problem: ReducedProblem, opposition: Array | None = None) -> tuple
 def worst_case(problem: ReducedProblem, opposition: Array | None = None) -> tuple[float, Array, float]:
     """mu_cert, its eigenvector y (N, n) for which int kt y'^2 is 1, and the next eigenvalue; of `opposition` see
     `_at_worst`."""
+    check_time()
     count, n = problem.moment.shape
     y = np.zeros((count, n))
     if not problem.size:

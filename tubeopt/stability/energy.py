@@ -16,6 +16,7 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .equilibria import find_equilibria
 
@@ -37,6 +38,7 @@ class EnergyMap(Displayed):
 
 
 @small
+@limited
 def energy_map(
     robot: Robot,
     rotations: ArrayLike,
@@ -45,6 +47,7 @@ def energy_map(
     tubes: tuple[int, int] = (0, 1),
     samples: int = 61,
     window: ArrayLike | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> EnergyMap:
     """Energy over the tip angles of two tubes at given joint values.
 
@@ -54,11 +57,13 @@ def energy_map(
     Args:
         tubes: the two whose tips are held, from 0.   samples: points per axis.
         window: (2, 2) least and largest tip angle of each of them, rad; by default around all equilibria.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part; a
             window that is not two ranges.
         SolveError: the equilibria at these joint values are not complete.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

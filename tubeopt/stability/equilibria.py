@@ -15,6 +15,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.newton import descend, newton
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of
@@ -25,6 +26,7 @@ from .tips import preimage
 
 
 @small
+@limited
 def find_equilibria(
     robot: Robot,
     rotations: ArrayLike,
@@ -32,6 +34,7 @@ def find_equilibria(
     *,
     load: Load | None = None,
     search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH,
+    time_limit: float = TIME_LIMIT,
 ) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
 
@@ -47,12 +50,14 @@ def find_equilibria(
         load: forces that keep their direction; the equilibria are then ordered by potential energy, and found from many
             starting points, with the degree as the check (see `stability.loaded_equilibria`).
         search: how they are searched for.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load with a
             moment or one that turns with the tip, or on an eccentric robot.
         SolveError: the degree of the set that was found is not 1: an equilibrium is missing, or the joint values are
             a fold.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import numpy as np

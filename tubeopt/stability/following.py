@@ -26,6 +26,7 @@ from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, Sentence
 from .motion import Event, Place, Snap, Way, leg, steps_along, to_snap, told, way_between
 from .rubbing_following import rubbing_legs
@@ -104,6 +105,7 @@ class Path(Displayed):
 
 
 @small
+@limited
 def follow(
     robot: Robot,
     rotations: ArrayLike,
@@ -113,6 +115,7 @@ def follow(
     load: Load | None = None,
     friction: Friction | None = None,
     progress: Callable[[int], object] | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> Path:
     """Move a robot slowly through waypoints of joint values, along straight lines between them.
 
@@ -124,11 +127,13 @@ def follow(
         friction: between the tubes, which makes every state depend on the way to it. A start that bears it goes on with
             its history; one without it has none, as if it had been shaken.
         progress: called with the number of each waypoint that is reached.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, or an unstable
             start; a friction for another number of tubes, or of an eccentric robot.
         SolveError: descent from a fold found no stable equilibrium, or a motion with friction was lost.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt
@@ -219,6 +224,7 @@ Configuration = tuple[ArrayLike, ArrayLike | None]
 
 
 @small
+@limited
 def find_snap(
     robot: Robot,
     start: Configuration,
@@ -226,6 +232,7 @@ def find_snap(
     *,
     equilibrium: Equilibrium | None = None,
     load: Load | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> Snap | None:
     """The first snap on the straight path from `start` to `end`, or None where the branch reaches the end.
 
@@ -235,10 +242,12 @@ def find_snap(
         start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
         equilibrium: stable equilibrium at `start` on the branch to follow; by default that of `forward_kinematics`.
         load: forces that keep their direction and stay on the robot.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.
         SolveError: no stable equilibrium at `start`, or none where the robot lands.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import numpy as np

@@ -20,6 +20,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Sentence
 from .loaded_events import Loss, branch_end, fall
 
@@ -67,6 +68,7 @@ class LoadLimit(Displayed):
 
 
 @small
+@limited
 def find_load_limit(
     robot: Robot,
     rotations: ArrayLike,
@@ -75,6 +77,7 @@ def find_load_limit(
     *,
     equilibrium: Equilibrium | None = None,
     up_to: float = 10.0,
+    time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
     """The largest factor on a dead load that the robot bears at given joint values; None if it bears `up_to` times it.
 
@@ -85,11 +88,13 @@ def find_load_limit(
         load: forces that keep their direction.
         equilibrium: the stable, unloaded equilibrium to start from; by default that of `forward_kinematics`.
         up_to: largest factor to look at.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: joint values as in `forward_kinematics`; a load with a moment or one that turns with the tip, which
             has no energy, so that stability is not told; an equilibrium that is loaded, unstable, or elsewhere.
         SolveError: no stable equilibrium without load; or the branch is lost without a fold or bifurcation close by.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

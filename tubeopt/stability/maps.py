@@ -16,6 +16,7 @@ from ..robots.assembly import Assembly
 from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.parallel.executors import executor, run_all
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Mask, Sentence
 from .ways import straight_way
 
@@ -93,6 +94,7 @@ class StabilityMap(Displayed):
 
 
 @small
+@limited
 def stability_map(
     robot: Robot,
     translations: ArrayLike | None = None,
@@ -102,6 +104,7 @@ def stability_map(
     directions: int = 120,
     workers: int = 1,
     progress: Callable[[int, int], object] | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> StabilityMap:
     """Margin and snaps over two rotations relative to the other tubes, +-180 deg each.
 
@@ -113,10 +116,12 @@ def stability_map(
         directions: of the snap boundary, evenly around home. Where it ends between two of them, or goes on elsewhere,
             more are looked into, until that is known to a hundredth of what lies between the two.
         workers: processes; 0 is one per core.   progress: called with the tasks done and their number.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: fewer than three tubes, tubes that do not exist or are the same, a tube out of its actuator.
         SolveError: no stable equilibrium at home, or none where the robot lands.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

@@ -17,6 +17,7 @@ from ..block.transcription.buffered import mapped
 from ..block.transcription.green import reach, sections_at
 from ..block.transcription.march import march_function
 from ..block.transcription.reduced import ReducedProblem
+from ..solvers.time_limit import check_time
 from ..typing import Array, Index, Mask
 
 CHUNKS = (512, 64, 8)
@@ -154,6 +155,7 @@ def _chunks(tips: Array) -> list[Array]:
 
 def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
     """Rotations, w, travel and, if `slopes`, the derivatives of the rotations."""
+    check_time()
     state = _at_tip(tips, slopes)
     for piece in reversed(range(len(bundle.length))):
         state, _ = _over(bundle, piece, steps, state)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator
 
 import numpy as np
 
+from ..solvers.time_limit import check_time
 from ..typing import Array
 
 Search = Generator[Array, float, tuple[Array, float]]
@@ -32,6 +33,7 @@ def minimise_together(
     points = {k: next(search) for k, search in searches.items()}
     ends: dict[int, tuple[Array, float]] = {}
     while points:
+        check_time()
         told = values(np.array(list(points.values())))
         for (k, search), value in zip([(k, searches[k]) for k in points], told, strict=True):
             try:

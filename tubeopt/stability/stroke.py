@@ -17,6 +17,7 @@ from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .load_limit import LoadLimit, find_load_limit, find_loss
 from .loaded_certificate import bundle_of
@@ -24,6 +25,7 @@ from .loaded_events import Loss
 
 
 @small
+@limited
 def find_stroke_force(
     robot: Robot,
     rotations: ArrayLike,
@@ -31,6 +33,7 @@ def find_stroke_force(
     *,
     equilibrium: Equilibrium | None = None,
     up_to: float = 10.0,
+    time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
     """The largest force with which the tip can push along itself; None where it can with `up_to`, N.
 
@@ -43,9 +46,11 @@ def find_stroke_force(
         rotations, translations: (n,) rad and m; translations None for home.
         equilibrium: the stable, unloaded equilibrium to start from; by default that of `forward_kinematics`.
         up_to: largest force to look at, N.
+        time_limit: s, on the clock.
 
     Raises:
         InputError, SolveError: as `find_load_limit`.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

@@ -12,6 +12,7 @@ from ..display import Displayed
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Sentence
 from .certificate import Certificate, certify
 from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
@@ -133,12 +134,14 @@ class EccentricVerdict(Verdict):
 
 
 @small
+@limited
 def judge(
     robot: Robot,
     translations: ArrayLike | None = None,
     *,
     effort: SnapSearch = DEFAULT_SEARCH,
     progress: Callable[[int, int], object] | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> Verdict:
     """Prove that a robot cannot snap at given translations, or find a snap.
 
@@ -154,9 +157,11 @@ def judge(
         translations: (n,) m; default home.
         effort: how hard is searched where no proof decides.
         progress: called with the steps done and their likely number.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

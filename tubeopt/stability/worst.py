@@ -17,6 +17,7 @@ from ..errors import InputError, vector
 from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Index, Of
 from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
@@ -47,8 +48,13 @@ class WorstMargin(Displayed):
 
 
 @small
+@limited
 def worst_margin(
-    robot: Robot, translations: ArrayLike | None = None, *, effort: SnapSearch = DEFAULT_SEARCH
+    robot: Robot,
+    translations: ArrayLike | None = None,
+    *,
+    effort: SnapSearch = DEFAULT_SEARCH,
+    time_limit: float = TIME_LIMIT,
 ) -> WorstMargin:
     """Search for the rotations with the least margin, over all equilibria, stable or not.
 
@@ -61,10 +67,12 @@ def worst_margin(
     Args:
         translations: (n,) m; default home.
         effort: how hard is searched.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
         SolveError: the equilibrium that was found cannot be solved again, at a fold.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt
@@ -148,8 +156,14 @@ class WorstCertificate(Displayed):
 
 
 @small
+@limited
 def worst_certificate(
-    robot: Robot, lower: ArrayLike | None = None, upper: ArrayLike | None = None, *, effort: SnapSearch = DEFAULT_SEARCH
+    robot: Robot,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    *,
+    effort: SnapSearch = DEFAULT_SEARCH,
+    time_limit: float = TIME_LIMIT,
 ) -> WorstCertificate:
     """Least certificate over a box of translations.
 
@@ -162,9 +176,11 @@ def worst_certificate(
     Args:
         lower, upper: (n,) m; default the translations of `robot.limits`.
         effort: how hard is searched.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: bounds of the wrong number, not finite, crossed, or past where a tube leaves its actuator.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

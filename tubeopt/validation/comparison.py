@@ -10,6 +10,7 @@ from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array
 from .folds import Parity, parity, passes
 from .measurements import Measurements
@@ -138,12 +139,14 @@ class Validation(Displayed):
 
 
 @small
+@limited
 def validate(
     robot: Robot,
     measurements: Measurements,
     *,
     registration: str = "rigid",
     base: BasePose = SENSOR_FRAME,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> Validation:
     """Compare measured tips with the tips that the model predicts at the same joint readings.
 
@@ -153,11 +156,13 @@ def validate(
     Args:
         registration: "rigid" (rotation and translation by least squares), "base-axis" (base and axis given by `base`,
             only the yaw about the axis by least squares) or "none"; see `register`.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: measurements of another number of tubes, joint values out of range (naming the row), a registration
             that the data leave undetermined.
         SolveError: no stable shape was found for a row.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     check_tubes(robot, measurements)
     model = ArmModel(robot, measurements, (), registration, base)

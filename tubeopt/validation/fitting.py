@@ -20,6 +20,7 @@ from ..errors import InputError, instance, positive
 from ..files.marks import OneOf, check_fields
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, Sentence
 from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances
 from .descent import (
@@ -170,6 +171,7 @@ class Fit(Displayed):
 
 
 @small
+@limited
 def fit(
     robot: Robot,
     measurements: Measurements,
@@ -177,17 +179,20 @@ def fit(
     options: FitOptions | None = None,
     *,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> Fit:
     """Estimate chosen parameters of a robot from measured tips, jointly with the registration.
 
     Args:
         parameters: names out of `effects.KINDS`, such as "latency", "curvature_2", "rotation_1", "rotation_all".
         progress: called with the number of stages done and of all.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: unknown or contradicting parameters, fewer numbers than unknowns, folds out of range, and what
             `validate` raises.
         SolveError: no row has a stable shape.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     options = options or FitOptions()
     check_tubes(robot, measurements)

@@ -19,6 +19,7 @@ from ..errors import InputError, Settings, SolveError, instance, positive, vecto
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, Progress, Sentence
 from .comparison import check_tubes
 from .measurements import Measurements
@@ -139,6 +140,7 @@ class ForceRecord(Displayed):
 
 
 @small
+@limited
 def estimate_forces(
     robot: Robot,
     measurements: Measurements,
@@ -147,6 +149,7 @@ def estimate_forces(
     known: Load | None = None,
     progress: Progress | None = None,
     solver: ForceSolver = DEFAULT_FORCE,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> ForceRecord:
     """The dead force at the tip in every row of a recording, as `estimate_force`, each from the row before.
 
@@ -155,9 +158,11 @@ def estimate_forces(
             arm. What a row's sensors at one place saw counts by their mean.
         noise, known, solver: as in `estimate_force`.
         progress: called with rows done and rows in all.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: as in `estimate_force`; measurements of a robot with another number of tubes.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import numpy as np
@@ -216,6 +221,7 @@ class _Trial:
 
 
 @small
+@limited
 def estimate_force(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,
@@ -227,6 +233,7 @@ def estimate_force(  # noqa: PLR0913
     known: Load | None = None,
     guess: Equilibrium | None = None,
     solver: ForceSolver = DEFAULT_FORCE,
+    time_limit: float = TIME_LIMIT,
 ) -> ForceEstimate:
     """The dead force at the tip that fits measured positions best (Levenberg and Marquardt, with exact derivatives).
 
@@ -240,11 +247,13 @@ def estimate_force(  # noqa: PLR0913
         known: other loads, as the robot's weight; its own tip force is added to.
         guess: where to start, such as the equilibrium of the estimate before; by default without the force.
         solver: how the fit descends.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: joint values as in `forward_kinematics`, nothing measured, a point that is not on the arm, a known
             load with a moment or one that turns with the tip.
         SolveError: no equilibrium without the force, or the fit does not settle.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

@@ -19,6 +19,7 @@ from ..errors import InputError, Settings, SolveError, instance, positive
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..stability import follow
 from ..typing import Array, Mask
 from .effects import EFFECTS
@@ -77,7 +78,8 @@ class Placement(Displayed):
 
 
 @small
-def where_to_measure(
+@limited
+def where_to_measure(  # noqa: PLR0913
     robot: Robot,
     parameters: Sequence[str],
     count: int,
@@ -87,6 +89,7 @@ def where_to_measure(
     registration: str = "rigid",
     seed: int = 0,
     search: PlacementSearch = DEFAULT_PLACEMENT,
+    time_limit: float = TIME_LIMIT,
 ) -> Placement:
     """Configurations within the joint limits whose tips determine parameters best.
 
@@ -98,10 +101,12 @@ def where_to_measure(
         count: how many configurations; at least as many as give more numbers than there are unknowns.
         noise: of a measured coordinate, m.   seed: of the random configurations.
         search: how hard it is searched.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: too few configurations, a noise or margin out of range, and what `choose_parameters` raises.
         SolveError: too few configurations of the robot have the margin.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     positive("noise", noise)
     instance("search", search, PlacementSearch)

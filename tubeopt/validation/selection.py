@@ -20,6 +20,7 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
 from .comparison import ErrorSummary, check_tubes, distances
 from .descent import Descent, Weights, cost_of, descend, predicted_held_out
@@ -82,6 +83,7 @@ class Comparison(Displayed):
 
 
 @small
+@limited
 def compare_effects(
     robot: Robot,
     measurements: Measurements,
@@ -89,6 +91,7 @@ def compare_effects(
     options: FitOptions | None = None,
     *,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> Comparison:
     """The set of effects that predicts what no fit has seen by no more parameters than it must.
 
@@ -97,11 +100,13 @@ def compare_effects(
             "clearance", which takes long.
         options: as for `fit`, with folds; priors keep the many parameters in hand and are always on while comparing.
         progress: called with the number of steps done, and 0.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: an effect that is unknown or of which the data cannot speak, folds out of range, and what `validate`
             raises.
         SolveError: no row has a stable shape.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     options = options or FitOptions(folds=10)
     check_tubes(robot, measurements)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ..display import Displayed
 from ..errors import InputError, finite
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Progress
 from .loss import SnappingLoss, snapping_loss
 from .table import Workspace
@@ -30,6 +31,7 @@ class Findings(Displayed):
     loss: SnappingLoss | None
 
 
+@limited
 def examine(
     workspace: Workspace,
     size: float | None = None,
@@ -37,6 +39,7 @@ def examine(
     min_margin: float = 0.0,
     loss: int = 0,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> Findings:
     """Voxels, volumes and loss of a workspace.
 
@@ -45,9 +48,11 @@ def examine(
             count.
         loss: equilibria of all kinds from which the loss to snapping is estimated; 0 for none.
         progress: of the loss.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: as `voxels` and `snapping_loss`.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     finite("min_margin", min_margin)
     cubes = voxels(workspace, size, min_margin=min_margin)

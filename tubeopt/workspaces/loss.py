@@ -15,6 +15,7 @@ from ..display import Displayed
 from ..errors import InputError, positive
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, Progress
 from .samples import JointSamples
 from .table import Workspace, held
@@ -65,6 +66,7 @@ class SnappingLoss(Displayed):
         return len(self.lost) / max(len(self.held) + len(self.lost), 1)
 
 
+@limited
 def snapping_loss(
     robot: Robot,
     samples: int = 50_000,
@@ -73,6 +75,7 @@ def snapping_loss(
     seed: int = 0,
     reached: Workspace | None = None,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> SnappingLoss:
     """The part of the workspace that is inaccessible because the robot snaps past it.
 
@@ -86,10 +89,12 @@ def snapping_loss(
         samples: equilibria.   size: edge of the voxels, m; by default as in `voxels`.   seed: of the samples.
         reached: a workspace of the same robot, whose stable tips count as well.
         progress: called with the samples done and their number.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: tubes off the centreline, for which the equilibria cannot be listed by their tips; a workspace of
             another robot; a size that is not positive; limits of rotations that leave no equilibrium.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt
@@ -123,6 +128,7 @@ def _sorted(
     stores: tuple[Store, Store] | None = None
     done = 0
     for tips, shift in drawn.blocks():
+        check_time()
         found = from_tips(robot, tips, shift)
         sign = np.where(found.stable, 1.0, -1.0)
         table = np.column_stack([found.tip_position, found.tip_direction, sign])

@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..files.files import atomic_write, read_bytes, write_text
 from ..files.journal import lock
 from ..robots.robot import Robot
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
 from .samples import JointSamples
 from .table import Workspace, width
@@ -26,6 +27,7 @@ from .table import Workspace, width
 SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
 
 
+@limited
 def workspace(
     robot: Robot,
     samples: int = 10_000,
@@ -35,6 +37,7 @@ def workspace(
     out: str | PathLike[str] | None = None,
     workers: int = 1,
     progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> Workspace:
     """Where the tip of a robot is at many joint values within `robot.limits`, and by which margin it is stable there.
 
@@ -51,10 +54,12 @@ def workspace(
             there goes on where it was.
         workers: threads; 0 is one per core.
         progress: called with the samples done and their number.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: no number of samples, unknown method, limits that leave nothing, a directory that holds another
             workspace, that another run is writing to, or that cannot be written.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

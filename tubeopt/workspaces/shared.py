@@ -11,6 +11,7 @@ import scipy
 from ..bodies.frames import Frame, base_frame
 from ..display import Displayed
 from ..errors import InputError, positive
+from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .table import Workspace, held, require_samples
 from .voxels import cells, default_size, index_of, keys_of
@@ -81,6 +82,7 @@ def _shared(tips: Sequence[Array], bases: tuple[Frame, Frame], size: float) -> S
     return SharedWorkspace(size, volumes, len(both) * size**3, np.asarray((both + 0.5) * size), bases)
 
 
+@limited
 def place_pair(
     workspaces: Sequence[Workspace],
     *,
@@ -90,6 +92,7 @@ def place_pair(
     size: float | None = None,
     min_margin: float = 0.0,
     seed: int = 0,
+    time_limit: float = TIME_LIMIT,
 ) -> SharedWorkspace:
     """Where two robots stand best: beside each other along x, symmetric about the origin, each leaning in the plane of
     x and z and turned about its own axis so that the volume that both reach is the largest.
@@ -97,9 +100,11 @@ def place_pair(
     Args:
         least_distance, most_distance: between the middles of the plates, m.   most_tilt: of each from z, rad.
         seed: of differential evolution, by which distance, two tilts and two turns are found.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: as `shared_workspace`; distances that leave nothing.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     if not 0 < least_distance <= most_distance:
         raise InputError(

@@ -129,7 +129,7 @@ def plot_front(front: ParetoFront) -> Figure:
     if front.ended is not None:
         axes.axvline(front.ended, color=LOST, lw=1.0, ls="--")
         axes.annotate(
-            "no design", (front.ended, 0.96), xycoords=("data", "axes fraction"), xytext=(-4, 0),
+            "no design found", (front.ended, 0.96), xycoords=("data", "axes fraction"), xytext=(-4, 0),
             textcoords="offset points", color=LOST, ha="right", va="top", rotation=90,
         )  # fmt: skip
     axes.set_xlabel("margin demanded")

@@ -18,6 +18,7 @@ from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise
 from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
+from ..time_limit import check_time
 from .library import MOST_TUBES, Kernel, library
 
 SOLVED = 0
@@ -213,6 +214,7 @@ def solve_compiled(
 
     None where the kernel declines or there is none, or none of a mesh that is halved `refinement` times.
     """
+    check_time()
     began = time.perf_counter()
     prepared = with_kernel(robot, refinement)
     if prepared is None:
@@ -313,6 +315,7 @@ def solve_many_compiled(
     None where there is no kernel, and of tubes not made of pieces where `refinement` (of the mesh, by halves) is asked
     for. The interpreter is free while it runs.
     """
+    check_time()
     prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None

@@ -25,6 +25,7 @@ from ...physics.shape import rotation_matrix_function, tangent_forms, world_turn
 from ...physics.torsion import section_functions
 from ...typing import Array, Mask
 from ..settings import CONTINUATION, NEWTON
+from ..time_limit import check_time
 from .binding import address, room_of
 from .library import Kernel, load_kernel
 from .text import c_tables, c_text
@@ -212,6 +213,7 @@ def _structure(rules: LoadedRules) -> Any:
 def _usable(rules: LoadedRules) -> Kernel | None:
     """The kernel for a problem; None where there is none."""
     problem = rules.problem
+    check_time()
     n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
     fits = n <= MOST_TUBES and len(mesh.length) <= MOST_PIECES and mesh.tableau.degree == DEGREE
     return _kernel(n) if fits and problem.load.has_energy and mesh.tableau.family == "gauss" else None

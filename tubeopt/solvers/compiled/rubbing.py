@@ -13,6 +13,7 @@ from ...robots.friction import Friction
 from ...robots.robot import Robot, is_general
 from ...typing import Array
 from ..sticking import Signs
+from ..time_limit import check_time
 from .binding import address, room_of, with_kernel
 from .constants import rubbing_constants
 from .library import MOST_TUBES, MOST_UNKNOWNS, Kernel, kernel_text, load_kernel
@@ -78,6 +79,7 @@ def rub_compiled(
     As many as go well: where a step asks for more care, they end before it. None where there is no kernel for this
     robot and this friction, or no room in it.
     """
+    check_time()
     n, (unknowns, torque, signs) = robot.n_tubes, state
     if is_general(robot) or not simple(friction) or max(len(unknowns), len(torque)) > MOST_UNKNOWNS:
         return None

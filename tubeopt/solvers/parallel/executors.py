@@ -23,6 +23,7 @@ from typing import Any, Generic, TypeVar
 
 from ...errors import InputError, SolveError
 from ...typing import Progress
+from ..time_limit import LateError, timed
 from .common import COMMON, NotLoadedError, common_data, packed, unpacked, using
 
 A = TypeVar("A")
@@ -119,7 +120,7 @@ def run_all(
     function: Callable[[A], B], items: Sequence[A], pool: Executor, progress: Progress | None = None
 ) -> list[B]:
     """`function` of every item, in order."""
-    answers = map(function, items) if isinstance(pool, SerialExecutor) else pool.map(function, items)
+    answers = map(function, items) if isinstance(pool, SerialExecutor) else pool.map(timed(function), items)
     out = []
     for answer in answers:
         out.append(answer)
@@ -181,7 +182,7 @@ def each(
     """
     numbered = enumerate(items)
     while True:
-        with executor(workers, scheduler=scheduler, common=function) as pool:
+        with executor(workers, scheduler=scheduler, common=timed(function)) as pool:
             run: _Run[A, B] = _Run(pool, _in_flight(pool, workers, scheduler))
             yield from run.all(numbered)
         if not run.lost:
@@ -231,7 +232,7 @@ class _Run(Generic[A, B]):
         except BrokenProcessPool:
             self.lost = sorted([*self.lost, (index, item)], key=lambda lost: lost[0])
             return None
-        except NotLoadedError:
+        except (NotLoadedError, LateError):
             raise
         except CancelledError:
             raise SolveError("the connection to the cluster is lost; what was computed before is kept") from None
@@ -243,7 +244,7 @@ class _Run(Generic[A, B]):
 
 def _alone(function: Callable[[A], B], numbered: tuple[int, A]) -> Outcome[B]:
     """The outcome of an item in a process of its own, whose death is the item's own failure."""
-    with _processes(1, function) as pool:
+    with _processes(1, timed(function)) as pool:
         run: _Run[A, B] = _Run(pool, 1)
         for outcome in run.all(iter([numbered])):
             return outcome
@@ -268,6 +269,8 @@ def _compute(item: Any) -> tuple[Any, Failure | None, float]:
     began = time.perf_counter()
     try:
         value, failure = function(item), None
+    except LateError:
+        raise
     except Exception as error:
         value, failure = None, Failure(type(error).__name__, str(error) or "no message")
     return value, failure, time.perf_counter() - began
