@@ -20,7 +20,7 @@ def checked(name: str, margin: Any) -> Any:
     if symbolic(margin):
         return margin
     if not finite(name, margin) < 1:
-        raise InputError(f"{name} is {float(margin):g}; it must be below 1, that of tubes that do not couple")
+        raise InputError(f"{name} is {float(margin):g}; it must be below 1, where coupling softens nothing")
     return ca.DM(float(margin))
 
 

@@ -166,7 +166,7 @@ class Equilibrium(Displayed):
     points: CollocationPoints
     """Where it was solved for."""
     margin: float
-    """Smallest eigenvalue of the second variation relative to its torsional part; 1 no elastic coupling, 0 a snap,
+    """Smallest eigenvalue of the second variation relative to its torsional part; 1: coupling softens nothing here, 0: a snap,
     below 0 unstable."""
     index: int
     """Number of negative eigenvalues of the second variation, 0 for a stable equilibrium."""

@@ -47,7 +47,7 @@ typedef struct {
     double position[3];                  /* of the tip, m */
     double frame[9];                     /* of the tip in that of the plate, by rows; its third column points ahead */
     double tip_rotations[TUBEOPT_TUBES]; /* of every tube at its own end, rad */
-    double margin;                       /* 1: no elastic coupling, 0: a snap; see above under a load */
+    double margin;                       /* 1: coupling softens nothing, 0: a snap; see above under a load */
     double energy;                       /* J */
     double error;                        /* estimate, of the tip, m */
     double residual;                     /* of the equations of torsion, rad */
