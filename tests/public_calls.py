@@ -14,7 +14,7 @@ import numpy as np
 
 import tubeopt
 from tests.examples import CONFIGS, MM, THESIS
-from tubeopt import bodies, design, planning, shaping, stability, validation, workspaces
+from tubeopt import bodies, design, planning, stability, validation, workspaces
 from tubeopt.block.equilibrium_block import EquilibriumBlock
 from tubeopt.bodies.frames import Frame
 from tubeopt.control.c_library import c_library
@@ -25,7 +25,6 @@ from tubeopt.control.server import RobotServer, ServerOptions
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.jacobian import jacobian
 from tubeopt.inverse import mirror
-from tubeopt.planning import RateLimits
 
 PAIR = tubeopt.ConcentricRobot(
     (tubeopt.Tube(1.0 * MM, 0.8 * MM, 0.06, 0.05, 8.0), tubeopt.Tube(1.4 * MM, 1.1 * MM, 0.02, 0.04, 6.0))
@@ -92,7 +91,10 @@ CALLS: dict[str, Call] = {
     "forward_kinematics": (tubeopt.forward_kinematics, _joints()),
     "forward_kinematics_batch": (tubeopt.forward_kinematics_batch, _joints(rotations=[[0.0, 0.3]])),
     "find_equilibria": (tubeopt.find_equilibria, _joints()),
-    "find_load_limit": (tubeopt.find_load_limit, _joints(translations=None, load=tubeopt.Load((0, 0, -0.01)), up_to=2.0)),
+    "find_load_limit": (
+        tubeopt.find_load_limit,
+        _joints(translations=None, load=tubeopt.Load((0, 0, -0.01)), up_to=2.0),
+    ),
     "find_stroke_force": (tubeopt.find_stroke_force, _joints(up_to=0.1)),
     "find_snap": (tubeopt.find_snap, lambda: {"robot": PAIR, "start": ([0, 0], None), "end": ([0, 0.1], None)}),
     "follow": (tubeopt.follow, _joints(rotations=[[0.0, 0.0], [0.0, 0.3]])),
@@ -106,17 +108,25 @@ CALLS: dict[str, Call] = {
     "worst_margin": (tubeopt.worst_margin, lambda: {"robot": PAIR}),
     "worst_certificate": (
         tubeopt.worst_certificate,
-        lambda: {"robot": PAIR, "lower": [-0.01, -0.01], "upper": [0.0, 0.0], "effort": stability.SnapSearch(evaluations=10)},
+        lambda: {
+            "robot": PAIR,
+            "lower": [-0.01, -0.01],
+            "upper": [0.0, 0.0],
+            "effort": stability.SnapSearch(evaluations=10),
+        },
     ),
     "friction_band": (
-        tubeopt.friction_band, lambda: {"equilibrium": home(), "friction": tubeopt.Friction(torque=1e-5)},
+        tubeopt.friction_band,
+        lambda: {"equilibrium": home(), "friction": tubeopt.Friction(torque=1e-5)},
     ),
     "clearance_correction": (tubeopt.clearance_correction, lambda: {"equilibrium": home(), "clearance": 1e-4}),
     "jacobian": (jacobian, lambda: {"equilibrium": home()}),
     "inverse_kinematics": (
         tubeopt.inverse_kinematics,
         lambda: {
-            "robot": PAIR, "position": home().tip_position, "seed": ([0.0, 0.2], None),
+            "robot": PAIR,
+            "position": home().tip_position,
+            "seed": ([0.0, 0.2], None),
             "options": tubeopt.InverseOptions(time_limit=1.0),
         },
     ),
@@ -128,7 +138,8 @@ CALLS: dict[str, Call] = {
         lambda: {"robot": PAIR, "start": ([0, 0], None), "goal": ([0, 0.1], None), "options": QUICK},
     ),
     "follow_the_leader": (
-        tubeopt.follow_the_leader, lambda: {"robot": PAIR, "goal": ([0, 0.1], None), "options": QUICK},
+        tubeopt.follow_the_leader,
+        lambda: {"robot": PAIR, "goal": ([0, 0.1], None), "options": QUICK},
     ),
     "follow_tip_path": (
         tubeopt.follow_tip_path,
@@ -137,26 +148,45 @@ CALLS: dict[str, Call] = {
     "build_roadmap": (tubeopt.build_roadmap, lambda: {"robot": PAIR, "count": 4, "options": QUICK}),
     "evaluate_reach": (
         tubeopt.evaluate_reach,
-        lambda: {"robot": PAIR, "start": ([0, 0], None), "targets": [home().tip_position], "count": 4, "options": QUICK},
+        lambda: {
+            "robot": PAIR,
+            "start": ([0, 0], None),
+            "targets": [home().tip_position],
+            "count": 4,
+            "options": QUICK,
+        },
     ),
     "plan_from_region": (
         tubeopt.plan_from_region,
         lambda: {
-            "robot": PAIR, "start": ([0, 0], None), "goal": ([0, 0.1], None), "region": tubeopt.EntryRegion(0.001),
-            "count": 2, "options": QUICK,
+            "robot": PAIR,
+            "start": ([0, 0], None),
+            "goal": ([0, 0.1], None),
+            "region": tubeopt.EntryRegion(0.001),
+            "count": 2,
+            "options": QUICK,
         },
     ),
     "plan_arms": (
         tubeopt.plan_arms,
         lambda: {
-            "arms": ARMS, "starts": [([0, 0], None)] * 2, "goals": [([0, 0.1], None)] * 2, "options": QUICK,
+            "arms": ARMS,
+            "starts": [([0, 0], None)] * 2,
+            "goals": [([0, 0.1], None)] * 2,
+            "options": QUICK,
         },
     ),
     "verify_trajectory": (
-        tubeopt.verify_trajectory, lambda: {"robot": PAIR, "time": [0, 1], "rotations": [[0, 0], [0, 0.05]]},
+        tubeopt.verify_trajectory,
+        lambda: {"robot": PAIR, "time": [0, 1], "rotations": [[0, 0], [0, 0.05]]},
     ),
     "verify_arms": (
-        tubeopt.verify_arms, lambda: {"arms": ARMS, "motions": [SimpleNamespace(time=np.arange(2.0), rotations=np.zeros((2, 2)), translations=np.zeros((2, 2)))] * 2},
+        tubeopt.verify_arms,
+        lambda: {
+            "arms": ARMS,
+            "motions": [SimpleNamespace(time=np.arange(2.0), rotations=np.zeros((2, 2)), translations=np.zeros((2, 2)))]
+            * 2,
+        },
     ),
     "workspace": (tubeopt.workspace, lambda: {"robot": PAIR, "samples": 20}),
     "snapping_loss": (tubeopt.snapping_loss, lambda: {"robot": PAIR, "samples": 50}),
@@ -166,7 +196,8 @@ CALLS: dict[str, Call] = {
     "voxels": (workspaces.voxels, lambda: {"workspace": reached()}),
     "examine": (workspaces.examine, lambda: {"workspace": reached()}),
     "shared_workspace": (
-        workspaces.shared_workspace, lambda: {"workspaces": [reached(), reached()], "bases": [Frame(), Frame()]},
+        workspaces.shared_workspace,
+        lambda: {"workspaces": [reached(), reached()], "bases": [Frame(), Frame()]},
     ),
     "place_pair": (
         workspaces.place_pair,
@@ -180,7 +211,8 @@ CALLS: dict[str, Call] = {
     ),
     "pareto_front": (design.pareto_front, lambda: {"task": task(), "margins": [0.05]}),
     "tolerance_analysis": (
-        design.tolerance_analysis, lambda: {"robot": task().robot, "tolerances": design.Tolerances(0.01), "samples": 4},
+        design.tolerance_analysis,
+        lambda: {"robot": task().robot, "tolerances": design.Tolerances(0.01), "samples": 4},
     ),
     "count_snaps": (design.count_snaps, lambda: {"robot": task().robot, "turns": 1}),
     "choose_from_stock": (
@@ -193,19 +225,28 @@ CALLS: dict[str, Call] = {
     "Corridor": (design.Corridor, lambda: {"centreline": ((0, 0, 0), (0, 0, 0.1)), "radius": 0.01}),
     "validate": (validation.validate, lambda: {"robot": PAIR, "measurements": measured()}),
     "fit": (
-        validation.fit, lambda: {"robot": PAIR, "measurements": measured(), "parameters": ["curvature"]},
+        validation.fit,
+        lambda: {"robot": PAIR, "measurements": measured(), "parameters": ["curvature"]},
     ),
-    "compare_effects": (validation.compare_effects, lambda: {"robot": PAIR, "measurements": measured(), "effects": ["rotation"]}),
+    "compare_effects": (
+        validation.compare_effects,
+        lambda: {"robot": PAIR, "measurements": measured(), "effects": ["rotation"]},
+    ),
     "choose_parameters": (
-        validation.choose_parameters, lambda: {"robot": PAIR, "measurements": measured(), "names": ["curvature"]},
+        validation.choose_parameters,
+        lambda: {"robot": PAIR, "measurements": measured(), "names": ["curvature"]},
     ),
     "register": (validation.register, lambda: {"measured": np.eye(3), "predicted": np.eye(3)}),
     "where_to_measure": (
-        validation.where_to_measure, lambda: {"robot": PAIR, "parameters": ["curvature"], "count": 4},
+        validation.where_to_measure,
+        lambda: {"robot": PAIR, "parameters": ["curvature"], "count": 4},
     ),
     "group_errors": (validation.group_errors, lambda: {"values": np.arange(4.0), "errors": np.arange(4.0)}),
     "nearest_distance": (bodies.nearest_distance, lambda: {"obstacles": [BALL], "points": [[0, 0, 0]]}),
-    "mirror_inverse": (mirror.mirror_inverse, lambda: {"robot": tubeopt.load_robot(CONFIGS / "thesis_etr.yaml"), "bending_direction": 0.3, "curvature": 3.0}),
+    "mirror_inverse": (
+        mirror.mirror_inverse,
+        lambda: {"robot": tubeopt.load_robot(CONFIGS / "thesis_etr.yaml"), "bending_direction": 0.3, "curvature": 3.0},
+    ),
     "save_table": (tubeopt.save_table, lambda: {"answer": home(), "path": DIRECTORY / "table.csv"}),
     "save_solid": (tubeopt.save_solid, lambda: {"equilibrium": home(), "path": DIRECTORY / "solid.stl"}),
     "save_robot": (tubeopt.save_robot, lambda: {"robot": PAIR, "path": DIRECTORY / "robot.yaml"}),
@@ -225,7 +266,13 @@ CALLS: dict[str, Call] = {
 }
 
 REQUIRED: dict[str, dict[str, Any]] = {
-    "Tube": {"outer_diameter": 1 * MM, "inner_diameter": 0.8 * MM, "straight_length": 0.05, "curved_length": 0.05, "curvature": 8.0},
+    "Tube": {
+        "outer_diameter": 1 * MM,
+        "inner_diameter": 0.8 * MM,
+        "straight_length": 0.05,
+        "curved_length": 0.05,
+        "curvature": 8.0,
+    },
     "Material": {"name": "alloy", "youngs_modulus": 58e9, "shear_modulus": 21.5e9},
     "Piece": {"length": 0.02, "precurvature": 5.0},
     "ConcentricRobot": {"tubes": (ONE, NEXT)},
@@ -263,22 +310,19 @@ REQUIRED: dict[str, dict[str, Any]] = {
 }
 """Arguments of constructors that have no default."""
 
-CONSTRUCTORS = (
-    "Tube Material Piece ConcentricRobot EccentricRobot JointLimits Load Friction Slots Discretisation Newton Ipopt Problem "
-    "EntryRegion PlacedRobot PlanEffort PlanOptions ProofSearch RateLimits TipGoal LeaderSolver TipPathSolver RegionReach "
-    "PairReach DesignTask DesignSolver InverseOptions InverseSolver EquilibriaSearch SnapSearch ForceSolver MoldSpec "
-    "HeatingSpec Rig Uncertainty Camera Thermocouple TubeResistance"
-).split()
-
-OTHERS: dict[Any, str] = {
-    design: "Avoid Coverage Deployment Free Length Nesting Objective Poses Reach SnapFree SnapFreeInUse StockTube Strain Stroke "
-    "StrokeForce Target Tolerances Wall",
+CONSTRUCTORS: dict[Any, str] = {
+    tubeopt: """Tube Material Piece ConcentricRobot EccentricRobot JointLimits Load Friction Slots Discretisation Newton
+        Ipopt Problem EntryRegion PlacedRobot PlanEffort PlanOptions ProofSearch RateLimits TipGoal LeaderSolver
+        TipPathSolver RegionReach PairReach DesignTask DesignSolver InverseOptions InverseSolver EquilibriaSearch
+        SnapSearch ForceSolver MoldSpec HeatingSpec Rig Uncertainty Camera Thermocouple TubeResistance""",
+    design: """Avoid Coverage Deployment Free Length Nesting Objective Poses Reach SnapFree SnapFreeInUse StockTube 
+        Strain Stroke StrokeForce Target Tolerances Wall""",
     bodies: "Box Capsule HalfSpace MeshObstacle Sphere",
     validation: "BasePose FitOptions FitSolver PlacementSearch Measurements",
 }
 
-for owner, names in ((tubeopt, CONSTRUCTORS), *((owner, names.split()) for owner, names in OTHERS.items())):
-    for name in names:
+for owner, names in CONSTRUCTORS.items():
+    for name in names.split():
         CALLS[name] = getattr(owner, name), lambda name=name: dict(REQUIRED.get(name, {}))
 for kind in (Command, ServoOptions, ObserverOptions, ServerOptions):
     CALLS[kind.__name__] = kind, dict
@@ -308,4 +352,9 @@ WRONG: dict[str, Any] = {
 
 def wrong_values(parameter: inspect.Parameter, given: Callable[[], Given]) -> list[tuple[str, Any]]:
     """Label and value; None is left out where it is the default, since it is right there."""
-    return [(label, value) for label, value in WRONG.items() if not (value is None and parameter.default is None)]
+    processes = parameter.name == "workers"  # which numbers start
+    return [
+        (label, value)
+        for label, value in WRONG.items()
+        if not (value is None and parameter.default is None) and not (processes and isinstance(value, int))
+    ]

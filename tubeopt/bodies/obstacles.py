@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..errors import InputError, positive, triple
 from ..files.marks import POSITIVE, unit
 from ..typing import Array
@@ -363,6 +364,7 @@ def distance_of_numbers(body: Obstacle, x: Any, y: Any, z: Any, refusal: str) ->
     return body.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
 
 
+@typed
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
     """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
     array = as_points(points)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import __version__
+from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
@@ -53,6 +54,7 @@ class CLibrary(Displayed):
     """Whether it has them."""
 
 
+@typed
 def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loads: bool = False) -> CLibrary:
     """The C library of a robot: of concentric tubes, of one arc each or made of pieces, or of tubes off the centreline.
 

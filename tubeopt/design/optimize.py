@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from ..arguments import typed
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
@@ -124,6 +125,7 @@ SEARCH_SHARE = 0.8
 """Of the time limit, for the search; what was found is checked in the rest."""
 
 
+@typed
 @small
 @limited
 def optimize_design(  # noqa: PLR0913

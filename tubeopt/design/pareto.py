@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from ..arguments import typed
 from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
@@ -58,6 +59,7 @@ def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float,
     return out
 
 
+@typed
 @limited
 def pareto_front(
     task: DesignTask,

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 
+from ..arguments import typed
 from ..block.own import OwnRequirement
 from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
@@ -319,6 +320,7 @@ class Avoid:
         return scene_of(self.obstacles).gradient(points)
 
 
+@typed
 def Corridor(centreline: tuple[tuple[float, float, float], ...], radius: float | tuple[float, ...]) -> Avoid:
     """`Avoid` of all that is outside of a corridor: at every task pose the whole arm lies in a tube around a polyline
     (N, 3), m, with one radius (m) or one for every point."""

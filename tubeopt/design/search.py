@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
@@ -194,6 +195,7 @@ class _Search:
                 u, before = found.x, float(found.fun)
 
 
+@typed
 @small
 def search_design(
     task: DesignTask,
@@ -237,6 +239,7 @@ def search_design(
     return SearchedDesign(*told, solution)
 
 
+@typed
 @small
 def search_pair(
     tasks: tuple[DesignTask, DesignTask],

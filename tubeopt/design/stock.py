@@ -10,6 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..arguments import typed
 from ..errors import InputError, SolveError, TimeLimitError, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, check_fields, unit
 from ..robots.concentric import ConcentricRobot
@@ -80,6 +81,7 @@ class StockChoice:
         return sum(one.status.startswith(status) for one in self.candidates)
 
 
+@typed
 @limited
 def choose_from_stock(
     task: DesignTask,

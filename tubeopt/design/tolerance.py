@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, instance, vector, whole
 from ..files.marks import NOT_NEGATIVE, OneOf, check_fields, unit
@@ -64,6 +65,7 @@ class ToleranceAnalysis:
     """Samples without a stable equilibrium at some pose."""
 
 
+@typed
 @limited
 def tolerance_analysis(  # noqa: PLR0913
     robot: ConcentricRobot,

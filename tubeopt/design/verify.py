@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..arguments import typed
 from ..block.own import OwnRequirement
 from ..block.quantities import Quantity
 from ..equilibrium.kinematics import forward_kinematics
@@ -53,6 +54,7 @@ class Verification:
         return "; ".join(f"{check.what}: {check.found}" for check in self.checks if not check.kept)
 
 
+@typed
 @small
 def count_snaps(
     robot: ConcentricRobot, turns: int, seed: int = 0, translations: Array | None = None

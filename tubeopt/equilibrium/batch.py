@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
@@ -100,6 +101,7 @@ class EquilibriumBatch(Displayed):
         return np.asarray(self.converged & (self.margin > 0))
 
 
+@typed
 def forward_kinematics_batch(
     robot: Robot,
     rotations: ArrayLike,

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import typed
 from ..block.transcription.buffered import section_function
 from ..display import Displayed
 from ..errors import InputError
@@ -100,6 +101,7 @@ class ClearanceCorrection(Displayed):
         return float(self.radius[-1])
 
 
+@typed
 def clearance_correction(
     equilibrium: Equilibrium, clearance: Sequence[float] | float | None = None
 ) -> ClearanceCorrection:

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, create_model
 
+from ..arguments import typed
 from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..errors import InputError
 from ..files.checked import check
@@ -93,6 +94,7 @@ def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -
     return [result, arrays]
 
 
+@typed
 def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
     """The equilibrium that `save_equilibrium` wrote into `directory`, equal in every bit.
 

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..arguments import typed
 from ..errors import SolveError
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
@@ -92,6 +93,7 @@ def _assembly(robot: Robot, translations: tuple[float, ...]) -> Assembly:
     return robot.assembly(np.array(translations))
 
 
+@typed
 @small
 def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int = 1) -> Jacobian:
     """Derivatives of tip pose, tube tips, margin and energy of an equilibrium, by the implicit function theorem.

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription import arm as arms
 from ..block.transcription.loaded import unknowns
 from ..block.transcription.reduced import (
@@ -59,6 +60,7 @@ FOLD = "Newton's method does not stay at the equilibrium of the program: it is a
 Along = Callable[[Array], Array]
 
 
+@typed
 def forward_kinematics(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,

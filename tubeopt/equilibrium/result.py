@@ -166,8 +166,8 @@ class Equilibrium(Displayed):
     points: CollocationPoints
     """Where it was solved for."""
     margin: float
-    """Smallest eigenvalue of the second variation relative to its torsional part; 1: coupling softens nothing here, 0: a snap,
-    below 0 unstable."""
+    """Smallest eigenvalue of the second variation relative to its torsional part; 1: coupling softens nothing here, 0:
+    a snap, to which it falls late and steeply, below 0 unstable. No distance from a snap."""
     index: int
     """Number of negative eigenvalues of the second variation, 0 for a stable equilibrium."""
     energy: float

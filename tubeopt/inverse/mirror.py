@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, positive, vector
@@ -112,6 +113,7 @@ class MirrorPose(MirrorInput):
     """What is left between wanted and reached, 1/m for a curvature and m for a tip."""
 
 
+@typed
 def mirror_inverse(
     robot: EccentricRobot,
     bending_direction: float,

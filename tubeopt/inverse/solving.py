@@ -14,6 +14,7 @@ from typing import Literal, TypedDict, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -49,6 +50,7 @@ class Asked(TypedDict, total=False):
     options: InverseOptions
 
 
+@typed
 @overload
 def inverse_kinematics(
     robot: Robot, position: ArrayLike, *, all_solutions: Literal[False] = ..., **asked: Unpack[Asked]

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles
 from ..bodies.placed import seen_from
@@ -163,6 +164,7 @@ def called(arms: Sequence[PlacedRobot], k: int) -> str:
     return f"arm {k + 1} ({arms[k].called})"
 
 
+@typed
 def verify_arms(  # noqa: PLR0913
     arms: Sequence[PlacedRobot],
     motions: Sequence[TimedMotion],

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.placed import seen_from
 from ..display import Displayed
@@ -113,6 +114,7 @@ class ArmsPlan(Displayed):
         return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
 
 
+@typed
 @small
 def plan_arms(
     arms: Sequence[PlacedRobot],

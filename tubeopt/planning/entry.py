@@ -13,6 +13,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, nearest_distance
 from ..bodies.placed import seen_from
@@ -97,6 +98,7 @@ class PlanGiven(TypedDict, total=False):
     limits: JointLimits | None
 
 
+@typed
 def plan_from_region(
     robot: Robot,
     start: Any,

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -57,6 +58,7 @@ class LeaderSolver(Settings):
 DEFAULT_SOLVER = LeaderSolver()
 
 
+@typed
 @small
 def follow_the_leader(  # noqa: PLR0913
     robot: Robot,

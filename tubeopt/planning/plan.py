@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
@@ -29,6 +30,7 @@ from .timing import Limits, stopping_at
 from .trajectory import PlanStatistics, Trajectory
 
 
+@typed
 @small
 def plan_trajectory(  # noqa: PLR0913
     robot: Robot,

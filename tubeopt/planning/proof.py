@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
 from ..display import Displayed
@@ -144,6 +145,7 @@ class Proof(Displayed):
         return self.least_clearance
 
 
+@typed
 @small
 def verify_trajectory(  # noqa: PLR0913
     robot: Robot,

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
 from ..bodies.placed import seen_from
@@ -84,6 +85,7 @@ class ReachShare(Displayed):
         return None
 
 
+@typed
 @small
 def evaluate_reach(
     robot: Robot,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import Same
 from ..display import Displayed
@@ -130,6 +131,7 @@ def _shortest(size: int, edges: Index, length: Array, start: int) -> list[int] |
     return way[::-1]
 
 
+@typed
 def build_roadmap(
     robot: Robot,
     *,
@@ -183,6 +185,7 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
     return Roadmap(points, task.chart.parameters, np.unique(np.sort(edges, axis=1), axis=0))
 
 
+@typed
 def load_roadmap(path: str | PathLike[str]) -> Roadmap:
     """The roadmap that `Roadmap.save` wrote.
 

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, instance, positive
@@ -57,6 +58,7 @@ class TipPathSolver(Settings):
 DEFAULT_SOLVER = TipPathSolver()
 
 
+@typed
 @small
 def follow_tip_path(  # noqa: PLR0913
     robot: Robot,

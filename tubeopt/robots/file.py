@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
+from ..arguments import typed
 from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
 from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
@@ -226,6 +227,7 @@ ROBOT_KINDS: dict[str, type[ConcentricEntry] | type[EccentricEntry] | type[Segme
 """What the key `kind` of a robot file may say."""
 
 
+@typed
 def load_robot(path: str | PathLike[str]) -> AnyRobot:
     """The robot in a YAML file.
 
@@ -241,6 +243,7 @@ def load_robot(path: str | PathLike[str]) -> AnyRobot:
     return robot_from_dict(load_yaml(path), path)
 
 
+@typed
 def save_robot(robot: Robot, path: str | PathLike[str]) -> None:
     """Write `robot` as YAML that `load_robot` turns into an equal robot, to the last bit.
 

@@ -27,6 +27,8 @@ class Robot(Displayed, ABC):
     """Tubes, how they are held, and the sections that they form. A kind of robot is a frozen dataclass, so that what is
     built for one can be cached."""
 
+    _asked_for = "a robot; tubeopt.load_robot reads one from a file"
+
     name: str
     """What to call it in tables and pictures."""
     tubes: tuple[Tube, ...]

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from ..arguments import typed
 from ..constants import ZERO_CELSIUS
 from ..errors import InputError, nearest
 from ..files.checked import Positive, check_kind
@@ -50,6 +51,7 @@ RIG_KINDS: dict[str, type[Part]] = {"rig": RigEntry}
 """What the key `kind` of a rig file may say."""
 
 
+@typed
 def load_rig(path: str | PathLike[str]) -> Rig:
     """The rig in a YAML file.
 

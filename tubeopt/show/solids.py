@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..arguments import typed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, extra
 from ..files.files import atomic_write
@@ -35,6 +36,7 @@ CHORD = 2e-5
 """Straight pieces of a rigid body leave the axis of their tube by at most this much, m."""
 
 
+@typed
 def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
     """Write the arm in its pose, whole or not at all; return the path.
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..arguments import typed
 from ..equilibrium.batch import EquilibriumBatch
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, extra
@@ -181,6 +182,7 @@ def to_xarray(answer: Any) -> xarray.Dataset:
     return found
 
 
+@typed
 def save_table(answer: Any, path: str | PathLike[str]) -> Path:
     """Write the flat table of an answer as CSV or Parquet, as the name ends, whole or not at all; return the path.
 

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from ..arguments import typed
 from ..block.violation import Violation
 from ..display import Displayed
 from ..errors import InputError, nearest
@@ -167,6 +168,7 @@ class ProblemSolution(Displayed):
         return {**self.__dict__, "program": None}
 
 
+@typed
 def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
     """The solution that `ProblemSolution.save` wrote into `directory`: values by name, good as the start of a solve.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, evaluate
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
@@ -40,6 +41,7 @@ class Branch(Displayed):
     """Equilibria where the curve turns back, where a robot that follows it snaps."""
 
 
+@typed
 @small
 @limited
 def trace_branch(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.second_variation import least
@@ -88,6 +89,7 @@ class Certificate(Displayed):
         return self.margin > ROUNDING
 
 
+@typed
 @small
 def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0) -> float:
     """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
@@ -209,6 +211,7 @@ def _coupled(problem: ReducedProblem, opposition: Array | None = None) -> Array:
     return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
 
 
+@typed
 @small
 def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     """`snap_free_certificate` with its gradient, and the pair of tubes and the section that limit it.

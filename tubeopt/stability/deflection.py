@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.robot import Robot
@@ -37,6 +38,7 @@ BOX, MOST_BOXES = 2e-3, 16
 """Length, m, of the boxes in which a way of translations is taken, and most of them."""
 
 
+@typed
 def deflection_bound(
     robot: Robot,
     translations: ArrayLike | None = None,

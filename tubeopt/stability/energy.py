@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, softness, whitened
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
@@ -37,6 +38,7 @@ class EnergyMap(Displayed):
     """All of them."""
 
 
+@typed
 @small
 @limited
 def energy_map(

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, to_unknowns
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
@@ -25,6 +26,7 @@ from .shooting import profiles
 from .tips import preimage
 
 
+@typed
 @small
 @limited
 def find_equilibria(

@@ -11,6 +11,7 @@ from typing import TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import JointPath, Point
@@ -104,6 +105,7 @@ class Path(Displayed):
         return PathStatistics(len(self.equilibria), len(self.snaps), spent)
 
 
+@typed
 @small
 @limited
 def follow(
@@ -223,6 +225,7 @@ def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLik
 Configuration = tuple[ArrayLike, ArrayLike | None]
 
 
+@typed
 @small
 @limited
 def find_snap(

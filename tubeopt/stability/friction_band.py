@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import make_contact
 from ..block.transcription.linear import poses_at_points
@@ -57,6 +58,7 @@ class FrictionBand(Displayed):
         return float(self.guaranteed[-1])
 
 
+@typed
 @small
 def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     """How far friction can hold a concentric robot from an equilibrium without friction, whatever its history.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.loaded import tip_position
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
@@ -67,6 +68,7 @@ class LoadLimit(Displayed):
         return self.before.statistics
 
 
+@typed
 @small
 @limited
 def find_load_limit(

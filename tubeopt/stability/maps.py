@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -93,6 +94,7 @@ class StabilityMap(Displayed):
         return MapStatistics(self.margin.size, len(self.boundary), int(self.snaps.sum()))
 
 
+@typed
 @small
 @limited
 def stability_map(

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded_jacobian import STEP, sides, step_of
@@ -24,6 +25,7 @@ from .loaded_certificate import bundle_of
 from .loaded_events import Loss
 
 
+@typed
 @small
 @limited
 def find_stroke_force(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
@@ -133,6 +134,7 @@ class EccentricVerdict(Verdict):
         return Finding.CAN_SNAP if known else super().finding
 
 
+@typed
 @small
 @limited
 def judge(

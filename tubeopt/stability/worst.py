@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin, softenings
 from ..display import Displayed
@@ -47,6 +48,7 @@ class WorstMargin(Displayed):
     margin = Of[float]("equilibrium")
 
 
+@typed
 @small
 @limited
 def worst_margin(
@@ -155,6 +157,7 @@ class WorstCertificate(Displayed):
     """That the search took."""
 
 
+@typed
 @small
 @limited
 def worst_certificate(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
@@ -49,6 +50,7 @@ class ErrorGroup:
     summary: ErrorSummary
 
 
+@typed
 def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
     """Errors (N,), m, by values (N,), rad, in ascending order; nothing where there are no values."""
     if values is None:
@@ -138,6 +140,7 @@ class Validation(Displayed):
         return group_errors(self.measurements.separation, self.errors)
 
 
+@typed
 @small
 @limited
 def validate(

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, instance, positive
 from ..files.marks import OneOf, check_fields
@@ -170,6 +171,7 @@ class Fit(Displayed):
         return None if self.held_out_errors is None else ErrorSummary.of(self.held_out_errors)
 
 
+@typed
 @small
 @limited
 def fit(

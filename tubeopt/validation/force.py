@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..block.transcription.loaded import tip_slopes
 from ..block.transcription.loaded_arm import position_slopes
 from ..display import Displayed
@@ -139,6 +140,7 @@ class ForceRecord(Displayed):
         return np.array(rows)
 
 
+@typed
 @small
 @limited
 def estimate_forces(
@@ -220,6 +222,7 @@ class _Trial:
     jacobian: Array
 
 
+@typed
 @small
 @limited
 def estimate_force(  # noqa: PLR0913

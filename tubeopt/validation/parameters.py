@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..arguments import typed
 from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
@@ -42,6 +43,7 @@ class Parameter(Span):
         return EFFECTS[self.kind]
 
 
+@typed
 def choose_parameters(
     robot: Robot, measurements: Measurements, names: Sequence[str], registration: str = "rigid"
 ) -> tuple[Parameter, ...]:

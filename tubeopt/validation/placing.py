@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
 from ..errors import InputError, Settings, SolveError, instance, positive
@@ -77,6 +78,7 @@ class Placement(Displayed):
     """Standard deviation of a measured coordinate, m, that the errors are told for."""
 
 
+@typed
 @small
 @limited
 def where_to_measure(  # noqa: PLR0913

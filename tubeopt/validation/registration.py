@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..errors import InputError, choice, vector
 from ..typing import Array
 
@@ -88,6 +89,7 @@ class Registration:
         return math.atan2(math.hypot(self.rotation[0, 2], self.rotation[1, 2]), self.rotation[2, 2])
 
 
+@typed
 def register(
     measured: ArrayLike, predicted: ArrayLike, method: str = "rigid", *, base: BasePose = SENSOR_FRAME
 ) -> Registration:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
@@ -82,6 +83,7 @@ class Comparison(Displayed):
         return tuple(name for step in self.steps for name in step.parameters)
 
 
+@typed
 @small
 @limited
 def compare_effects(

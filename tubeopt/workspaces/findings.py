@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, finite
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
@@ -31,6 +32,7 @@ class Findings(Displayed):
     loss: SnappingLoss | None
 
 
+@typed
 @limited
 def examine(
     workspace: Workspace,

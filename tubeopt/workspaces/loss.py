@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import typed
 from ..block.transcription.buffered import Buffered
 from ..block.transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters
 from ..display import Displayed
@@ -66,6 +67,7 @@ class SnappingLoss(Displayed):
         return len(self.lost) / max(len(self.held) + len(self.lost), 1)
 
 
+@typed
 @limited
 def snapping_loss(
     robot: Robot,

@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..arguments import typed
 from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
@@ -27,6 +28,7 @@ from .table import Workspace, width
 SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
 
 
+@typed
 @limited
 def workspace(
     robot: Robot,
@@ -86,6 +88,7 @@ def workspace(
     return Workspace(robot, method, seed, *sink.result())
 
 
+@typed
 def load_workspace(robot: Robot, directory: str | PathLike[str]) -> Workspace:
     """The workspace of `robot` that `workspace(..., out=directory)` left there, its table on disk.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..bodies.frames import Frame, base_frame
 from ..display import Displayed
 from ..errors import InputError, positive
@@ -46,6 +47,7 @@ class SharedWorkspace(Displayed):
         return float(self.shared / self.volumes.min())
 
 
+@typed
 def shared_workspace(
     workspaces: Sequence[Workspace], bases: Sequence[Frame], *, size: float | None = None, min_margin: float = 0.0
 ) -> SharedWorkspace:
@@ -82,6 +84,7 @@ def _shared(tips: Sequence[Array], bases: tuple[Frame, Frame], size: float) -> S
     return SharedWorkspace(size, volumes, len(both) * size**3, np.asarray((both + 0.5) * size), bases)
 
 
+@typed
 @limited
 def place_pair(
     workspaces: Sequence[Workspace],

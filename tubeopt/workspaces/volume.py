@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import typed
 from ..errors import InputError, positive
 from ..typing import Array
 from .table import Workspace, held
@@ -31,6 +32,7 @@ class Volume:
     """Half the volume of the cells on the surface, which stick out of the workspace; NaN for an alpha shape."""
 
 
+@typed
 def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:
     """Volume of all voxels that hold a tip, less half of those on the surface, of which half is outside.
 
@@ -59,6 +61,7 @@ def volume_of(found: Voxels) -> Volume:
     )
 
 
+@typed
 def meridian_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:
     """Volume of the body that tips, turned about z into one plane, sweep in a turn: the sharpest of the three methods.
 
@@ -107,6 +110,7 @@ def _revolved(index: Keys, size: float) -> tuple[float, float]:
     return (whole + core) / 2, (whole - core) / 2
 
 
+@typed
 def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margin: float = 0.0) -> Volume:
     """Volume of the alpha shape of the tips: of Delaunay's tetrahedra, those whose circumsphere is small.
 

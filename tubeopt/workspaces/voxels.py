@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import typed
 from ..errors import InputError, positive
 from ..typing import Array, Mask
 from .table import Workspace, held, require_samples
@@ -70,6 +71,7 @@ def on_surface(index: Keys) -> Mask:
     return np.asarray(np.any([~np.isin(keys_of(index + step), keys_of(index)) for step in steps], axis=0))
 
 
+@typed
 def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Voxels:
     """The tips of a workspace sorted into cubes; memory grows with the cubes, not with the samples.
 

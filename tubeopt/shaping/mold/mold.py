@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...arguments import typed
 from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
@@ -227,6 +228,7 @@ class Mold(Displayed):
         return (self.size[0] * self.size[1] - through) * self.spec.plate.lid_thickness
 
 
+@typed
 def plan_mold(
     tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None, *, numbers: Sequence[int] | None = None
 ) -> Mold:
