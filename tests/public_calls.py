@@ -315,7 +315,7 @@ CONSTRUCTORS: dict[Any, str] = {
         Ipopt Problem EntryRegion PlacedRobot PlanEffort PlanOptions ProofSearch RateLimits TipGoal LeaderSolver
         TipPathSolver RegionReach PairReach DesignTask DesignSolver InverseOptions InverseSolver EquilibriaSearch
         SnapSearch ForceSolver MoldSpec HeatingSpec Rig Uncertainty Camera Thermocouple TubeResistance""",
-    design: """Avoid Coverage Deployment Free Length Nesting Objective Poses Reach SnapFree SnapFreeInUse StockTube 
+    design: """Avoid Coverage Deployment Free Length Nesting Objective Poses Reach SnapFree SnapFreeInUse StockTube
         Strain Stroke StrokeForce Target Tolerances Wall""",
     bodies: "Box Capsule HalfSpace MeshObstacle Sphere",
     validation: "BasePose FitOptions FitSolver PlacementSearch Measurements",

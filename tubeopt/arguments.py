@@ -10,6 +10,7 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
 from decimal import Decimal
 from numbers import Real
 from typing import Any, NamedTuple, TypeVar
@@ -70,9 +71,11 @@ def _refused(name: str, value: Any, words: str) -> InputError:
 
 def _checks(made: Any) -> dict[str, Check]:
     """The checks of annotations that name types which can be told at run time; "return" and "self" are none."""
-    owner = made.__mro__ if isinstance(made, type) else (made,)
+    owners: tuple[Any, ...] = (made,)
+    if isinstance(made, type):
+        owners = made.__mro__[::-1] if is_dataclass(made) else (inspect.unwrap(made.__init__),)  # type: ignore[misc]
     found: dict[str, Check] = {}
-    for one in reversed(owner):
+    for one in owners:
         names = sys.modules[one.__module__].__dict__
         for name, hint in inspect.get_annotations(one).items():
             try:
@@ -91,6 +94,8 @@ def _check_of(hint: Any) -> Check | None:
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Annotated:
         return _check_of(parts[0])
+    if hint is Any or hint is object:
+        return None
     if hint is None or hint is type(None):
         return Check(lambda value: value is None, "None")
     if hint in SIMPLE:
@@ -173,10 +178,13 @@ def _instance(wanted: type) -> Check:
 
 
 def _numeric(value: Any) -> bool:
+    """Whether a value is a number, or a table of such whose rows are equally long."""
     if isinstance(value, np.ndarray):
         return value.dtype.kind in "fiu" or (value.dtype.kind == "O" and value.size == 0)
     if isinstance(value, list | tuple):
-        return all(_numeric(each) for each in value)
+        if not value or _number(value[0]):
+            return all(map(_number, value))
+        return all(map(_numeric, value)) and len({np.shape(row) for row in value}) == 1
     if _number(value):
         return True
     if (isinstance(value, Sequence) and not isinstance(value, str | bytes)) or hasattr(value, "__array__"):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 import importlib
 import math
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, ClassVar
 
@@ -13,6 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .display import Displayed
+
+
+class ImplausibleWarning(UserWarning):
+    """The input is possible, but was probably meant in another unit; the message says which field, and its value."""
 
 
 class InputError(ValueError):
@@ -45,6 +50,11 @@ class NotProvedError(RuntimeError):
     """An answer was found, and given, whose proof was not finished in time; the message says how far it came."""
 
 
+def implausible(words: str) -> None:
+    """Warn of what is possible but was probably meant otherwise."""
+    warnings.warn(words, ImplausibleWarning, stacklevel=2)
+
+
 def positive(name: str, value: float, *, zero: bool = False) -> float:
     """Return `value` as float if it is finite and > 0 (>= 0 with `zero`), else raise InputError naming it."""
     number = finite(name, value)
@@ -55,6 +65,8 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
 
 def finite(name: str, value: Any) -> float:
     """Return `value` as a finite float, else raise InputError naming it."""
+    if isinstance(value, bool | np.bool_):
+        raise InputError(f"{name} is {value!r}; it must be a number, and no truth")
     try:
         number = float(value if isinstance(value, str) else _only_numbers(value))
     except OverflowError:
@@ -162,7 +174,8 @@ def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.flo
 
 def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
     """`values` as a tuple whose every member is of `kinds`, or InputError naming it; `what` says what they must be."""
-    if isinstance(values, str) or not isinstance(values, Iterable):
+    scalar = isinstance(values, np.ndarray) and values.ndim == 0
+    if scalar or isinstance(values, str | Mapping) or not isinstance(values, Iterable):
         raise InputError(f"{name} is {values!r}; it must be a list of {what}")
     found = tuple(values)
     for one in found:
@@ -180,7 +193,7 @@ def triple(name: str, value: ArrayLike) -> tuple[float, float, float]:
 def choice(name: str, value: str, allowed: Iterable[str]) -> str:
     """Return `value` if it is one of `allowed`, else raise InputError with the nearest allowed word."""
     options = list(allowed)
-    if value not in options:
+    if not isinstance(value, str | None) or value not in options:
         raise InputError(f"{name} is {value!r}; it must be one of {', '.join(options)}{nearest(str(value), options)}")
     return value
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import typed
 from ..errors import InputError
 from ..robots.breakpoints import order_of
 from .answer import confirmed, rebuilt
@@ -32,6 +33,7 @@ class OrderWarning(UserWarning):
     """A solution at which breakpoints meet: behind the meeting another order of them may be better."""
 
 
+@typed
 class EquilibriumBlock(ComposedBlock[N]):
     """One equilibrium of a robot in a nonlinear program.
 

@@ -98,7 +98,7 @@ class Corridor:
 
 def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
     """One radius of a corridor, or as many as its centreline has points."""
-    if not isinstance(radius, list | tuple | np.ndarray):
+    if np.ndim(radius) == 0:
         return positive("radius of the corridor", radius)
     radii = tuple(positive(f"radius {k + 1} of the corridor", each) for k, each in enumerate(radius))
     if len(radii) != count:

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ..display import Displayed
-from ..errors import InputError, choice, finite, positive, vector
+from ..errors import InputError, choice, finite, items, positive, vector
 from ..inverse.configurations import Configuration
 from ..typing import Array, Of
 
@@ -97,9 +97,13 @@ class ServoOptions:
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
             object.__setattr__(self, name, at_most(positive(name, getattr(self, name), zero=True), name))
-        if not 0 < self.min_margin < 1:
+        if not 0 < finite("min_margin", self.min_margin) < 1:
             raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
-        named = [name for group in self.priorities for name in group.split("+")]
+        named = [
+            name
+            for group in items("priorities", self.priorities, str, f"some of {', '.join(TASKS)}")
+            for name in group.split("+")
+        ]
         if sorted(set(named)) != sorted(named) or not set(named) <= set(TASKS):
             raise InputError(f"priorities are {list(self.priorities)}; each of {', '.join(TASKS)} may stand there once")
         if self.objective is not None:

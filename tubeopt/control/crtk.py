@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import typed
 from ..errors import InputError, nearest, vector
 from ..files.units import TO_MM
 from ..inverse.configurations import configuration
@@ -82,6 +83,7 @@ class _Goal:
         return self.stream and not 0 <= now - self.since <= watchdog
 
 
+@typed
 class CrtkRobot:
     """One robot, its state and its command.
 

@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.jacobian import jacobian
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, vector, whole
+from ..errors import InputError, SolveError, finite, vector, whole
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
@@ -51,7 +52,7 @@ class ObserverOptions:
     def __post_init__(self) -> None:
         whole("linearised", self.linearised, 1)
         for name, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0) or (name in ("noise", "memory", "gate") and value == 0):
+            if finite(name, value) < 0 or (name in ("noise", "memory", "gate") and value == 0):
                 raise InputError(f"{name} is {value:g}; it must be more than 0")
 
 
@@ -69,6 +70,7 @@ class Correction(Displayed):
     """The same after it was taken in, m."""
 
 
+@typed
 class Observer:
     """Corrects the model of one robot of concentric tubes, of one arc each or made of pieces, by measured tips.
 

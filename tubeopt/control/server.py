@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, SolveError, whole
+from ..arguments import typed
+from ..errors import InputError, SolveError, finite, whole
 from .crtk import CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
@@ -65,14 +66,14 @@ class ServerOptions:
     """At once, at most."""
 
     def __post_init__(self) -> None:
-        if self.host not in ("127.0.0.1", "localhost", "::1"):
+        if not isinstance(self.host, str) or self.host not in ("127.0.0.1", "localhost", "::1"):
             raise InputError(f"host is {self.host!r}; it must be this machine: 127.0.0.1, localhost or ::1")
         for name in ("period", "publish", "rate", "patience"):
-            if not 0 < getattr(self, name) < 1e6:
+            if not 0 < finite(name, getattr(self, name)) < 1e6:
                 raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0 and less than 1e6")
         for name in ("longest_message", "clients"):
             whole(name, getattr(self, name), 1)
-        if not 0 <= self.port < 65536:
+        if not 0 <= whole("port", self.port) < 65536:
             raise InputError(f"port is {self.port}; it must be 0 to 65535")
 
 
@@ -120,6 +121,7 @@ def _turns(seconds: float) -> Iterator[None]:
         sys.setswitchinterval(before)
 
 
+@typed
 class RobotServer:
     """Serves one robot until it is stopped.
 

@@ -13,6 +13,7 @@ from math import hypot
 
 import numpy as np
 
+from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.jacobian import compiled_slopes
 from ..equilibrium.kinematics import one_step
@@ -51,6 +52,7 @@ FREE = 1e-6
 """Singular value of a task below which it leaves a motion free."""
 
 
+@typed
 class Servo:
     """The servo of one robot.
 

@@ -107,7 +107,13 @@ class Free:
         self._check_pieces()
 
     def _check_pieces(self) -> None:
-        object.__setattr__(self, "pieces", tuple(whole("one of the pieces", j, 0) for j in self.pieces))
+        object.__setattr__(
+            self,
+            "pieces",
+            tuple(
+                whole("one of the pieces", j, 0) for j in items("pieces", self.pieces, object, "pieces, counted from 0")
+            ),
+        )
         whole("coefficients", self.coefficients, 1)
         name, of_piece = NAMES[self.field], self.field in PIECE_FIELDS
         if of_piece and self.tie == "scaled":

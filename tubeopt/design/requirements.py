@@ -15,7 +15,7 @@ from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
-from ..errors import InputError, finite, finite_array, items, positive, triple, vector, whole
+from ..errors import InputError, choice, finite, finite_array, items, numbers, positive, triple, vector, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Usual, check_fields, key, unit
 from ..typing import Array
 from .drawn import ALONG, SHARES
@@ -125,7 +125,7 @@ class Strain:
     in_poses: Annotated[bool, "at every task pose"] = True
 
     def __post_init__(self) -> None:
-        limits: tuple[Any, ...] = (self.limits,) if np.ndim(self.limits) == 0 else tuple(self.limits)
+        limits = numbers("limits of the strain", self.limits)
         if not limits:
             raise InputError("limits of the strain is empty; it must be one, or one per tube")
         object.__setattr__(self, "limits", tuple(positive("strain limit", limit) for limit in limits))
@@ -162,8 +162,7 @@ class Length:
     least: bool = False
 
     def __post_init__(self) -> None:
-        if self.field not in LENGTHS:
-            raise InputError(f"length is {self.field!r}; it must be one of {', '.join(LENGTHS)}")
+        choice("length", self.field, LENGTHS)
         whole("tube of a length", self.tube)
         positive("limit of a length", self.limit)
 

@@ -81,6 +81,7 @@ class DesignTask(Displayed):
         self.space  # noqa: B018  (its checks)
         if not self.objectives:
             raise InputError("objective is empty; a design needs at least one")
+        instance("ordered", self.ordered, bool)
         instance("solver", self.solver, DesignSolver)
         _check_requirements(self)
         _check_objectives(self)

@@ -14,7 +14,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
-from ..robots.limits import check_turn
+from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
@@ -216,6 +216,8 @@ def _admissible(robot: Robot, shift: Array) -> None:
             f"translations[{row}] of tube {tube + 1} is {shift[row, tube]:g} m, which pulls it out of its actuator; "
             f"it must be at most its straight_length, {straight[tube]:g} m"
         )
+    if len(shift):
+        check_reach(robot.tubes, shift.min(0).tolist())
     if all(len(tubes) == 1 for tubes in robot.moving_together):
         return
     for row in sorted(np.unique(shift, axis=0, return_index=True)[1].tolist()):

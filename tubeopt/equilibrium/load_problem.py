@@ -9,7 +9,7 @@ import numpy as np
 from ..block.transcription.loaded import LoadedProblem, Loading, load_problem
 from ..block.transcription.mesh import loaded_counts, loaded_mesh
 from ..block.transcription.reduced import ReducedProblem, reduce
-from ..errors import InputError
+from ..errors import InputError, implausible
 from ..robots.assembly import Assembly, cut
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
@@ -33,6 +33,21 @@ def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> Non
     _check(robot, load, translations)
 
 
+MOST_BEND = 10.0
+"""Force times length squared over bending stiffness: beyond, an arm is bent back on itself, as no needle is."""
+
+
+def _warn_of_size(robot: Robot, load: Load, length: float) -> None:
+    """Warn of forces that no arm of these tubes is made for: they were probably meant in mN."""
+    forces = [np.linalg.norm(load.force), *(np.linalg.norm(part.force) for part in load.points)]
+    most, stiffness = float(max(forces)), sum(float(tube.bending_stiffness) for tube in robot.tubes)
+    if most * length**2 > MOST_BEND * stiffness:
+        implausible(
+            f"a force of the load is {most:g} N, {most * length**2 / stiffness:.3g} times the bending stiffness over "
+            f"the square of the length; forces are in N: was {most:g} mN meant?"
+        )
+
+
 @lru_cache(maxsize=64)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     assembly = robot.assembly(np.array(translations))
@@ -44,6 +59,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     length = assembly.total_length
     if not length:
         raise InputError("load is given, but no tube is in front of the plate: there is nothing that it could act on")
+    _warn_of_size(robot, load, length)
     for k, part in enumerate(load.points):
         if part.at > length * (1 + 1e-12):
             raise InputError(

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from ..arguments import typed
 from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
 from ..errors import InputError, Settings, instance, positive
@@ -240,6 +241,7 @@ class InverseSolver(Settings):
 DEFAULT_SOLVER = InverseSolver()
 
 
+@typed
 @dataclass(frozen=True)
 class InverseOptions(Displayed):
     """Details of the question and of the search.

@@ -50,7 +50,6 @@ class Asked(TypedDict, total=False):
     options: InverseOptions
 
 
-@typed
 @overload
 def inverse_kinematics(
     robot: Robot, position: ArrayLike, *, all_solutions: Literal[False] = ..., **asked: Unpack[Asked]
@@ -63,6 +62,7 @@ def inverse_kinematics(
 ) -> list[InverseSolution]: ...
 
 
+@typed
 @small
 def inverse_kinematics(  # noqa: PLR0913
     robot: Robot,

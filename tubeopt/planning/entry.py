@@ -35,6 +35,7 @@ MOST = 16384
 """Places of the plate that can be looked at."""
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class EntryRegion(Displayed):
     """Where the plate may stand, and how it may point, in the frame of the plate as it is given.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle
 from ..bodies.placed import seen_from
@@ -51,6 +52,7 @@ class PairShare(Displayed):
         return float(self.held.sum() / (count * (count - 1)))
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class PairReach(Displayed):
     """What `search_pair` asks of two robots: to hold any two places of a region at the same time, the one tip here and

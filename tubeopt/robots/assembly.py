@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..typing import Array, Index, Mask
 from .lengthwise import CrossSections, Lengthwise, lengthwise
+from .limits import check_reach
 from .tubes import Tube
 
 ROUND_OFF = 1e-12
@@ -144,7 +145,8 @@ def assemble(
         name: what the caller calls a translation, for the message.
 
     Raises:
-        InputError: a translation pulls a tube out of its actuator (beta_i > 0).
+        InputError: a translation pulls a tube out of its actuator (beta_i > 0), or draws it back by more than FAR of
+            its lengths.
     """
     n = len(tubes)
     straight = np.array([tube.straight_length for tube in tubes])
@@ -155,6 +157,7 @@ def assemble(
                 f"{name} of tube {i + 1} is {translations[i]:g} m, which pulls it out of its actuator; "
                 f"it must be at most its straight_length, {straight[i]:g} m"
             )
+    check_reach(tubes, translations.tolist())
     beta = np.minimum(beta, 0.0)
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
+from ..arguments import typed
 from ..errors import InputError
 from ..typing import Array
 from .assembly import Assembly, assemble
@@ -15,6 +16,7 @@ from .robot import Robot, keeps_hash
 from .tubes import Tube
 
 
+@typed
 @keeps_hash
 @dataclass(frozen=True)
 class ConcentricRobot(Robot):

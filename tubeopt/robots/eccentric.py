@@ -11,6 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..arguments import typed
 from ..errors import InputError
 from ..files.marks import NOT_NEGATIVE, check_fields, unit
 from ..typing import Array
@@ -93,6 +94,7 @@ class SheathedRobot(Robot):
         return bundle
 
 
+@typed
 @keeps_hash
 @dataclass(frozen=True)
 class EccentricRobot(SheathedRobot):

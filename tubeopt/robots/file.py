@@ -6,6 +6,7 @@ dataclasses themselves, whose messages are passed on with the file and the path 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from decimal import Decimal
 from os import PathLike
@@ -15,7 +16,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..arguments import typed
-from ..errors import InputError
+from ..errors import ImplausibleWarning, InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
 from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
 from ..files.files import write_text
@@ -276,7 +277,10 @@ def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:
     Raises:
         InputError: one line for every problem.
     """
-    robot: AnyRobot = check_kind(ROBOT_KINDS, data, where).build()
+    entry = check_kind(ROBOT_KINDS, data, where)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ImplausibleWarning)  # whoever reads the file says so, with its keys and units
+        robot: AnyRobot = entry.build()
     return robot
 
 

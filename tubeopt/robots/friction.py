@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, numbers, positive
 from ..files.marks import NOT_NEGATIVE, Range, unit
@@ -14,6 +15,7 @@ PAIRWISE = ("torque", "plate", "jumps", "ends")
 """What a friction holds for every pair of neighbours."""
 
 
+@typed
 @dataclass(frozen=True)
 class Friction(Displayed):
     """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers each, or one number for all pairs.

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import numpy as np
 
+from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError
+from ..errors import InputError, implausible
 from ..files.marks import unit
 from ..typing import Array
 from .tubes import Tube
@@ -21,10 +22,15 @@ Ranges = tuple[tuple[float, float], ...]
 FAR = 10.0
 """Lengths of itself by which nobody draws a tube back."""
 
+USUAL_TURN = 8 * np.pi
+"""Rotation (rad), four turns, beyond which it was probably meant in degrees: 30 deg are 4.8 turns if they are taken for
+radians. Shipped robots turn by two at most."""
+
 MOST_TURN = 1e3
 """Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
 
 
+@typed
 @dataclass(frozen=True)
 class JointLimits(Displayed):
     """Least and greatest value of every joint, one pair per tube.
@@ -62,18 +68,22 @@ def default_limits(tubes: Sequence[Tube]) -> JointLimits:
 
 
 def check_turn(rotations: Array) -> None:
-    """Raise InputError naming a rotation beyond MOST_TURN."""
+    """Raise InputError naming a rotation beyond MOST_TURN; warn of one beyond USUAL_TURN."""
     most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
     if abs(most) > MOST_TURN:
         raise InputError(f"rotations has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
+    if abs(most) > USUAL_TURN:
+        turns = abs(most) / (2 * np.pi)
+        implausible(
+            f"rotations has {most:g} rad, which is {turns:.3g} turns; rotations are in rad: was {most:g} deg meant?"
+        )
 
 
 def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
-    """Raise InputError where translations (n,), m, draw every tube back by FAR of its lengths: they were in mm."""
-    if translations[0] >= -FAR * tubes[0].length:
-        return
-    if all(shift < -FAR * tube.length for tube, shift in zip(tubes, translations, strict=True)):
-        raise InputError(
-            f"translation of tube 1 is {translations[0]:g} m, and the tube is {tubes[0].length:g} m long; it must "
-            f"be at least {-FAR:g} times that: translations are in m"
-        )
+    """Raise InputError where translations (n,), m, draw a tube back by FAR of its lengths: they were in mm."""
+    for i, (tube, shift) in enumerate(zip(tubes, translations, strict=True)):
+        if shift < -FAR * tube.length:
+            raise InputError(
+                f"translation of tube {i + 1} is {shift:g} m, and the tube is {tube.length:g} m long; it must be at "
+                f"least {-FAR:g} times that: translations are in m"
+            )

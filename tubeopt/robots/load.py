@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, choice, finite, positive, triple, vector
+from ..errors import InputError, choice, finite, items, positive, triple, vector
 from ..files.marks import NOT_NEGATIVE, OneOf, key, unit
 from ..typing import Array
 from .tubes import Tube, mass_per_length
@@ -72,7 +72,8 @@ class Load(Displayed):
             set_field(self, "gravity", triple("gravity", self.gravity))
         if self.distributed is not None and not callable(self.distributed):
             set_field(self, "distributed", _distributed(self.distributed))
-        set_field(self, "points", tuple(_point(k, entry) for k, entry in enumerate(self.points)))
+        points = items("points", self.points, object, "(arc length, (x, y, z))")
+        set_field(self, "points", tuple(_point(k, entry) for k, entry in enumerate(points)))
 
     @property
     def has_energy(self) -> bool:

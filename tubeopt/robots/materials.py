@@ -7,7 +7,7 @@ from typing import Annotated
 
 from ..constants import ZERO_CELSIUS
 from ..display import Displayed
-from ..errors import InputError
+from ..errors import InputError, implausible
 from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, key, unit
 
 
@@ -80,6 +80,14 @@ J/(kg K) from 0 to 100 degC, conductivity 16.2 W/(m K) at 100 and 21.5 at 500 de
 emissivity: assumed, calibrate."""
 
 
+USUAL_MODULUS = {"nitinol": (20e9, 90e9), "niti": (20e9, 90e9), "steel": (150e9, 220e9)}
+"""Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from martensite (20 to 50
+GPa) to austenite (up to 90 GPa), of steels by their handbooks."""
+
+SOLID = (1e7, 1.3e12)
+"""The same of any solid: from soft plastics to diamond."""
+
+
 @dataclass(frozen=True)
 class Material(Displayed):
     """An isotropic, linear-elastic tube material.
@@ -112,6 +120,14 @@ class Material(Displayed):
                 f"shear_modulus of material {self.name!r} is {self.shear_modulus:g} Pa, which makes Poisson's ratio "
                 f"{self.poisson_ratio:.3g}; it must lie in [0, 0.5), so the modulus between E/3 and E/2 "
                 f"({self.youngs_modulus / 3:g} to {self.youngs_modulus / 2:g} Pa)"
+            )
+        least, most = next((bounds for name, bounds in USUAL_MODULUS.items() if name in self.name.lower()), SOLID)
+        if not least <= self.youngs_modulus <= most:
+            meant = 1e9 * self.youngs_modulus
+            words = f": was {self.youngs_modulus:g} GPa meant?" if least <= meant <= most else ""
+            implausible(
+                f"youngs_modulus of material {self.name!r} is {self.youngs_modulus:g} Pa; usual is {least:g} to "
+                f"{most:g} Pa{words}"
             )
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -186,12 +186,17 @@ def _precurvature(given: Any, length: float) -> tuple[Quantity, Quantity, Quanti
 
 
 def _vector(value: ArrayLike) -> Array:
-    out = np.asarray(value, dtype=float).reshape(-1)
+    try:
+        out = np.asarray(value, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        raise InputError(f"precurvature is {value!r}; it must be one number or three, or a function of them") from None
     return np.array([out[0], 0.0, 0.0]) if len(out) == 1 else out
 
 
 def _quantity(name: str, given: Any, length: float) -> Quantity:
     if isinstance(given, Mapping):  # a series, as JSON has it
+        if set(given) != {one.name for one in fields(Series)}:
+            raise InputError(f"{name} is {given!r}; it must be a number or a function of the arc length")
         given = Series(**given)
     if not isinstance(given, Series):
         return finite(name, given)

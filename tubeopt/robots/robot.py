@@ -16,7 +16,7 @@ from ..errors import InputError, vector
 from ..typing import Array, late
 from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
-from .limits import JointLimits
+from .limits import FAR, MOST_TURN, JointLimits
 from .order import home_translations
 from .tubes import Tube
 
@@ -82,6 +82,20 @@ class Robot(Displayed, ABC):
         limits = self.joint_limits
         if limits is not None and len(limits.rotations) != len(self.tubes):
             raise InputError(f"limits are given for {len(limits.rotations)} tubes; the robot has {len(self.tubes)}")
+        for i, tube in enumerate(self.tubes if limits is not None else ()):
+            assert limits is not None
+            low, high = limits.translations[i]
+            if low < -FAR * tube.length or high > FAR * tube.length:
+                raise InputError(
+                    f"limits of the translation of tube {i + 1} are {low:g} to {high:g} m, and the tube is "
+                    f"{tube.length:g} m long; they must lie within {FAR:g} times that: translations are in m"
+                )
+            turn = max(map(abs, limits.rotations[i]))
+            if turn > MOST_TURN:
+                raise InputError(
+                    f"limits of the rotation of tube {i + 1} reach {turn:g} rad; they must lie within "
+                    f"{MOST_TURN:g} rad (159 turns)"
+                )
         check_calibration(self.calibration, len(self.tubes), yields=yields)
 
     @property

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from ..display import Displayed
-from ..errors import InputError, finite, instance, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, unit
+from ..errors import InputError, finite, implausible, instance, items, positive
+from ..files.marks import NOT_NEGATIVE, POSITIVE, Key, Usual, marked, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
 from .pieces import Piece
@@ -69,6 +69,8 @@ class Tube(Displayed):
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
+        instance("material", self.material, Material)
+        set_field(self, "pieces", items("pieces", self.pieces, Piece, "pieces of a tube"))
         set_field(self, "outer_diameter", positive("outer_diameter", self.outer_diameter))
         for name in ("inner_diameter", "straight_length", "curved_length"):
             set_field(self, name, positive(name, getattr(self, name), zero=True))
@@ -90,6 +92,7 @@ class Tube(Displayed):
                 f"curvature is {self.curvature:g} per m; its radius must exceed half the outer_diameter "
                 f"({self.outer_diameter / 2:g} m)"
             )
+        _warn_of_units(self)
 
     def _derive_stiffness(self) -> None:
         moduli = {
@@ -104,8 +107,6 @@ class Tube(Displayed):
 
     def _join_pieces(self) -> None:
         """Bend the pieces as `curvature` says, and let curvature and curved length be exactly theirs."""
-        for piece in self.pieces:
-            instance("a piece", piece, Piece)
         total = math.fsum(piece.length for piece in self.pieces)
         if abs(total - self.curved_length) > 1e-9 * total:
             raise InputError(
@@ -213,6 +214,34 @@ class Tube(Displayed):
         if not self.pieces:
             return float(surface_strain(self.outer_diameter / 2, abs(self.curvature), self.curvature))
         return max(piece_strain(self, piece) for piece in self.pieces)
+
+
+MOST_STRAIN = 0.10
+"""Strain of a tube held straight beyond which no metal of tubes springs back: nitinol tears at 8 to 10 %."""
+
+
+def _warn_of_units(tube: Tube) -> None:
+    """Warn of numbers that are unusual by what their fields say, as those of a file are, and of a strain that no metal
+    bears. Where the stiffnesses are given, the diameters and the strain decide nothing, and may be of a model."""
+    given = not isinstance(tube.bending_stiffness, OfCrossSection)
+    for one in marked(Tube):
+        usual, size = one.first(Usual), abs(getattr(tube, one.name) or 0.0)
+        if usual is None or size == 0 or usual.least <= size <= usual.most or (given and "diameter" in one.name):
+            continue
+        mark = one.first(Key)
+        unit_si = "1/m" if one.name == "curvature" else "kg/m" if one.name == "mass_per_length" else "m"
+        meant = 1e-3 * size if mark is not None and mark.unit == "mm" else 0.0
+        meant_words = f": was {size:g} mm meant?" if usual.least <= meant <= usual.most else ""
+        implausible(
+            f"{one.name} is {getattr(tube, one.name):g} {unit_si}; usual is {usual.least:g} to {usual.most:g} "
+            f"{unit_si}{meant_words}"
+        )
+    strain = 0.0 if given or tube.pieces else tube.straightened_strain
+    if strain > MOST_STRAIN:
+        implausible(
+            f"curvature is {tube.curvature:g} per m, which strains the tube by {100 * strain:.3g} % when it is held "
+            f"straight; {tube.material.name} bears {100 * MOST_STRAIN:g} % at most"
+        )
 
 
 def piece_strain(tube: Tube, piece: Piece) -> float:

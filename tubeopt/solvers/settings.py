@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, Settings, choice, positive, whole
 from .time_limit import TIME_LIMIT
@@ -137,6 +138,7 @@ NO_SENSITIVITIES = {"no_nlp_grad": True, "calc_lam_p": False}
 take as long to build as all others."""
 
 
+@typed
 @dataclass(frozen=True)
 class Ipopt(Displayed):
     """How IPOPT solves a `Problem`, or the equations of an equilibrium.

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, finite_array
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
@@ -55,6 +55,9 @@ def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
     """Errors (N,), m, by values (N,), rad, in ascending order; nothing where there are no values."""
     if values is None:
         return ()
+    values, errors = finite_array("values", values, 1), np.asarray(errors, dtype=float)
+    if errors.shape != values.shape:
+        raise InputError(f"errors has shape {errors.shape}; it must have a number for each of {len(values)} values")
     labels = np.round(values / 1e-6).astype(int)
     groups = []
     for label in np.unique(labels):

@@ -17,7 +17,7 @@ import scipy
 
 from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError, instance, positive
+from ..errors import InputError, finite, instance, positive
 from ..files.marks import OneOf, check_fields
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -46,6 +46,7 @@ FIRST_GUESS = 1e-3, np.radians(1.0)
 """Standard deviations of positions (m) and directions (rad) before they are estimated."""
 
 
+@typed
 @dataclass(frozen=True)
 class FitOptions:
     """How a fit goes about it.
@@ -76,7 +77,7 @@ class FitOptions:
     def __post_init__(self) -> None:
         check_fields(self)
         instance("solver", self.solver, FitSolver)
-        if not 0 < self.confidence < 1:
+        if not 0 < finite("confidence", self.confidence) < 1:
             raise InputError(f"confidence is {self.confidence:g}; it must lie between 0 and 1")
         for name, value in zip(("position", "direction"), self.noise, strict=True):
             if value is not None:

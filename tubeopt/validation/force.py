@@ -307,7 +307,7 @@ def _measured(
     length: float, tip: ArrayLike | None, points: Sequence[tuple[float, ArrayLike]] | None, noise: float
 ) -> _Measured:
     places, positions = [], []
-    for k, entry in enumerate(points or ()):
+    for k, entry in enumerate(() if points is None else points):
         try:
             at, position = entry
         except (TypeError, ValueError):

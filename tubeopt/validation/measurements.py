@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import typed
 from ..errors import InputError, finite_array
 from ..typing import Array
 
@@ -47,6 +48,7 @@ class JointLog:
             object.__setattr__(self, name, array)
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """N configurations with the positions that S sensors measured, and the direction in which the tip pointed.

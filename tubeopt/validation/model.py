@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from ..equilibrium.readings import yielded
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, choice
 from ..robots.concentric import friction_of
 from ..robots.robot import Robot
 from ..typing import Array, Mask
@@ -71,7 +71,7 @@ class ArmModel:
     ) -> None:
         self.robot, self.measurements, self.parameters = robot, measurements, tuple(parameters)
         self.method, self.base = method, base
-        self.freedoms = FREEDOMS[method]
+        self.freedoms = FREEDOMS[choice("registration", method, FREEDOMS)]
         self.first = Setup.of(robot)
         self.timeline = Timeline.of(measurements)
         self.stations = measurements.stations

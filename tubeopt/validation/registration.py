@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..errors import InputError, choice, vector
+from ..errors import InputError, choice, finite_array, vector
 from ..typing import Array
 
 FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0}
@@ -108,7 +108,9 @@ def register(
         InputError: unknown method, or tips that leave the turn undetermined: on a line (rigid) or on the axis.
     """
     choice("registration", method, FREEDOMS)
-    m, p = np.asarray(measured, dtype=float), np.asarray(predicted, dtype=float)
+    m, p = finite_array("measured", measured, 2), finite_array("predicted", predicted, 2)
+    if m.shape != p.shape or m.shape[1] != 3:
+        raise InputError(f"measured has shape {m.shape} and predicted {p.shape}; both must be (N, 3)")
     if method == "none":
         return Registration(method, np.eye(3), np.zeros(3))
     if method == "base-axis":

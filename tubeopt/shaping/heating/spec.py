@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from ...display import Displayed
-from ...errors import InputError, choice, finite, instance, positive, vector
+from ...errors import InputError, choice, finite, instance, items, positive, vector
 from ...files.marks import POSITIVE, OneOf, Range, Usual, check_fields, key, unit
 from .settings import DEFAULT_HEATING, HeatingSolver
 
@@ -90,9 +89,8 @@ class HeatingSpec(Displayed):
         if not 0.02 <= self.slot <= min(5.0, self.hold_time):
             raise InputError(f"slot is {self.slot:g} s; it must be 0.02 to 5 s, and not above the hold_time")
         wished: Any = self.free
-        if isinstance(wished, str) or not isinstance(wished, Iterable):
-            raise InputError(f"free is {wished!r}; it must be a list of any of {', '.join(FREE)}")
-        set_field(self, "free", tuple(choice("free", name, FREE) for name in self.free))
+        chosen = items("free", wished, object, f"any of {', '.join(FREE)}")
+        set_field(self, "free", tuple(choice("free", name, FREE) for name in chosen))
         for name in ("lead_range", "clearance_range"):
             pair = _pair(name, getattr(self, name))
             positive(name, pair[0])

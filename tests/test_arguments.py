@@ -1,0 +1,136 @@
+"""Arguments of a wrong type: every public function and constructor works, or says in a sentence what it takes."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+import tubeopt
+from tests.public_calls import CALLS, ONE, PAIR, home, wrong_values
+from tubeopt import InputError, SolveError
+from tubeopt.arguments import typed
+from tubeopt.inverse.mirror import mirror_inverse
+from tubeopt.solvers.time_limit import LateError, within
+
+ENOUGH = 0.02
+"""s; what is not refused by then was not refused for its type."""
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.filterwarnings("ignore")
+def test_a_wrong_type_is_refused_in_a_sentence(name: str) -> None:
+    function, given = CALLS[name]
+    raw = []
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+            continue
+        for label, value in wrong_values(parameter, given):
+            try:
+                with within(ENOUGH):
+                    function(**{**given(), parameter.name: value})
+            except (InputError, SolveError, LateError, OSError):
+                pass
+            except Exception as error:
+                raw.append(f"{parameter.name} as {label}: {type(error).__name__}: {error}")
+    assert not raw, "\n".join(raw)
+
+
+def test_every_public_function_is_among_them() -> None:
+    functions = {name for name in tubeopt.__all__ if inspect.isfunction(getattr(tubeopt, name))}
+    left = {"sweep", "show_in_3d", "to_dataframe", "to_xarray", "plan_heating", "predict_tube", "save_rig", "lead_by"}
+    assert functions - set(CALLS) <= left
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: tubeopt.EccentricRobot((ONE, ONE)), "tube is .*; it must be a Tube"),
+        (lambda: tubeopt.ConcentricRobot(ONE), "tubes is .*; it must be a list, each a Tube"),
+        (lambda: tubeopt.friction_band(PAIR, home()), "equilibrium is .*; it must be an Equilibrium"),
+        (lambda: mirror_inverse(PAIR, 0.1, 3.0), "robot is .*; it must be an EccentricRobot"),
+        (lambda: tubeopt.find_snap(PAIR, 3, ([0, 0], None)), r"start is 3; it must be \(numbers, numbers or None\)"),
+        (lambda: tubeopt.find_equilibria("robot.yaml", [0, 0]), "robot is 'robot.yaml'; it must be a robot"),
+        (lambda: tubeopt.forward_kinematics(PAIR, [True, False]), "rotations is .*; it must be numbers"),
+        (lambda: tubeopt.forward_kinematics(PAIR, ["0", "1"]), "rotations is .*; it must be numbers"),
+        (lambda: tubeopt.Tube(True, 0.0, 0.1, 0.1, 0.0), "outer_diameter is True; it must be a number"),
+    ],
+)
+def test_the_sentence_names_the_argument_and_what_it_takes(call: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call()  # type: ignore[operator]
+
+
+def test_checks_follow_from_annotations() -> None:
+    @typed
+    def asked(a: float, b: ArrayLike | None = None, *, c: tuple[int, ...] = (), d: str = "", e: bool = False) -> float:
+        return a
+
+    assert asked(np.float64(2.0), [[1, 2], [3, 4]], c=[1, 2], d="x", e=np.True_) == 2.0
+    assert asked(3, np.arange(3)) == 3
+    for given in ({"a": True}, {"a": "1"}, {"a": 1j}, {"a": 1, "b": "12"}, {"a": 1, "b": [[1], [2, 3]]}):
+        with pytest.raises(InputError, match=f"{list(given)[-1]} is .*; it must be"):
+            asked(**given)  # type: ignore[arg-type]
+    for given in ({"c": 3}, {"c": "ab"}, {"c": [1.5]}, {"d": 3}, {"e": 1}):
+        with pytest.raises(InputError, match=f"{next(iter(given))} is .*; it must be"):
+            asked(1.0, **given)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        asked(1.0, f=3)  # type: ignore[call-arg]
+
+    @typed
+    @dataclass(frozen=True)
+    class Kept:
+        size: float
+        name: str | None = None
+
+    assert Kept(1.0).name is None
+    with pytest.raises(InputError, match=r"size is 'a'; it must be a number"):
+        Kept("a")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: tubeopt.forward_kinematics(PAIR, [0, 90]), "rotations has 90 rad, .* turns; .*: was 90 deg meant"),
+        (lambda: tubeopt.Tube(1e-3, 0.8e-3, 50, 0.05, 8.0), "straight_length is 50 m; .*: was 50 mm meant"),
+        (lambda: tubeopt.Tube(1e-3, 0.8e-3, 0.05, 0.05, 300.0), "curvature is 300 per m, which strains .* by 17.6 %"),
+        (lambda: tubeopt.Material("nitinol", 58, 21.5), "youngs_modulus .* is 58 Pa; .*: was 58 GPa meant"),
+        (lambda: tubeopt.Material("steel 304", 58e9, 21.5e9), "youngs_modulus .* is 5.8e.10 Pa; usual is 1.5e.11"),
+    ],
+)
+def test_what_is_implausible_is_warned_of(call: object, words: str) -> None:
+    with pytest.warns(tubeopt.errors.ImplausibleWarning, match=words):
+        call()  # type: ignore[operator]
+
+
+def test_a_load_in_mN_is_warned_of() -> None:
+    with (
+        pytest.warns(tubeopt.errors.ImplausibleWarning, match="is 50 N, .*: was 50 mN meant"),
+        pytest.raises(SolveError),
+    ):
+        tubeopt.forward_kinematics(PAIR, [0, 0], load=tubeopt.Load((0, 0, -50.0)))
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(InputError, match=r"translation of tube 2 is -60 m, and the tube is 0\.06 m long"):
+        tubeopt.forward_kinematics(PAIR, [0, 0], [0, -60])
+    with pytest.raises(InputError, match="translation of tube 1 is -20 m"):
+        tubeopt.find_equilibria(PAIR, [0, 0], [-20, 0])
+    with pytest.raises(InputError, match="translation of tube 1 is -20 m"):
+        tubeopt.forward_kinematics_batch(PAIR, [[0, 0]], [[-20, 0]])
+    limits = tubeopt.JointLimits(((-1, 1), (-1, 1)), ((-60, 0), (-60, 0)))
+    with pytest.raises(InputError, match="limits of the translation of tube 1 are -60 to 0 m"):
+        tubeopt.ConcentricRobot(PAIR.tubes, joint_limits=limits)
+
+
+def test_given_stiffnesses_and_closed_forms_are_not_warned_of() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rod = tubeopt.Tube(1.0, 0.0, 0.0, 1.0, 0.0, bending_stiffness=1.0, torsional_stiffness=0.8)
+        tubeopt.forward_kinematics(tubeopt.ConcentricRobot((rod,)), [0.0], load=tubeopt.Load((0.5, 0.0, 0.0)))
+        tubeopt.Tube(1e-3, 0.5e-3, 1.0, 1.0, 1.0)
+        tubeopt.forward_kinematics(PAIR, [0.0, 4 * np.pi])
