@@ -9,7 +9,7 @@ import reprlib
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
 from decimal import Decimal
 from numbers import Real
@@ -41,22 +41,29 @@ def typed(made: T) -> T:
     called: Callable[..., Any] = made.__init__ if is_class else made  # type: ignore[misc]
     names = tuple(inspect.signature(called).parameters)
     checks: dict[str, Check] = {}
+    placed: list[tuple[int, str, Check]] = []
+    ready = False
 
-    def prepare() -> dict[str, Check]:
-        # When it is first called: annotations may name what is imported later.
-        if not checks:
-            checks.update(_checks(made))
-        return checks
+    def prepare() -> None:
+        """When it is first called: annotations may name what is imported later."""
+        nonlocal ready
+        checks.update(_checks(made))
+        placed[:] = [(k, name, checks[name]) for k, name in enumerate(names) if name in checks]
+        ready = True
 
     @functools.wraps(called)
     def checked(*args: Any, **given: Any) -> Any:
-        known = checks or prepare()
-        for name, value in zip(names, args, strict=False):
-            if name in known and not known[name].holds(value):
-                raise _refused(name, value, known[name].words)
+        if not ready:
+            prepare()
+        count = len(args)
+        for k, name, check in placed:
+            if k >= count:
+                break
+            if not check.holds(args[k]):
+                raise _refused(name, args[k], check.words)
         for name, value in given.items():
-            if name in known and not known[name].holds(value):
-                raise _refused(name, value, known[name].words)
+            if name in checks and not checks[name].holds(value):
+                raise _refused(name, value, checks[name].words)
         return called(*args, **given)
 
     if is_class:
@@ -104,8 +111,8 @@ def _check_of(hint: Any) -> Check | None:
         return _either(parts)
     if origin is typing.Literal:
         return Check(lambda value: value in parts, "one of " + ", ".join(map(repr, parts)))
-    if origin is np.ndarray or hint is np.ndarray:
-        return NUMBERS
+    if hint == ArrayLike or origin is np.ndarray or hint is np.ndarray:
+        return None  # whoever takes tables of numbers says which shape they must have
     if origin is tuple and parts[-1:] != (...,):
         return _fixed(parts)
     if isinstance(origin, type) and issubclass(origin, Mapping):
@@ -120,13 +127,10 @@ def _check_of(hint: Any) -> Check | None:
 
 
 def _either(parts: tuple[Any, ...]) -> Check | None:
-    arrays = set(typing.get_args(ArrayLike))
-    left = list(parts)
+    if set(typing.get_args(ArrayLike)) <= set(parts):
+        return None
     found: list[Check] = []
-    if arrays <= set(parts):
-        left = [part for part in parts if part not in arrays]
-        found.append(NUMBERS)
-    for part in sorted(left, key=lambda part: part is type(None)):
+    for part in sorted(parts, key=lambda part: part is type(None)):
         check = _check_of(part)
         if check is None:
             return None
@@ -140,7 +144,7 @@ def _either(parts: tuple[Any, ...]) -> Check | None:
 def _fixed(parts: tuple[Any, ...]) -> Check:
     """Of so many values, each of its own type; how many numbers there must be is left to what is called."""
     if set(parts) <= {float}:
-        return NUMBERS
+        return Check(_several, "numbers")
     each = [_check_of(part) for part in parts]
 
     def holds(value: Any) -> bool:
@@ -149,6 +153,8 @@ def _fixed(parts: tuple[Any, ...]) -> Check:
         return all(check is None or check.holds(item) for check, item in zip(each, value, strict=True))
 
     words = dict.fromkeys("anything" if check is None else check.words for check in each)
+    if list(words) == ["anything"]:
+        return Check(holds, f"{len(each)} values")
     return Check(holds, f"{len(each)} values, each {next(iter(words))}" if len(words) == 1 else f"({', '.join(words)})")
 
 
@@ -169,27 +175,28 @@ def _several(value: Any) -> bool:
 
 
 def _instance(wanted: type) -> Check:
-    words = getattr(wanted, "_asked_for", "") or f"{'an' if wanted.__name__[0] in 'AEIOU' else 'a'} {wanted.__name__}"
+    words = vars(wanted).get("_asked_for") or f"{'an' if wanted.__name__[0] in 'AEIOU' else 'a'} {wanted.__name__}"
     if getattr(wanted, "_is_protocol", False):
         members = [name for base in wanted.__mro__ if getattr(base, "_is_protocol", False) for name in vars(base)]
         needed = [name for name in members if not name.startswith("_")]
         return Check(lambda value: all(hasattr(value, name) for name in needed), words)
-    return Check(lambda value: isinstance(value, wanted), words)
+    return Check(_of(wanted), words)
 
 
-def _numeric(value: Any) -> bool:
-    """Whether a value is a number, or a table of such whose rows are equally long."""
-    if isinstance(value, np.ndarray):
-        return value.dtype.kind in "fiu" or (value.dtype.kind == "O" and value.size == 0)
-    if isinstance(value, list | tuple):
-        if not value or _number(value[0]):
-            return all(map(_number, value))
-        return all(map(_numeric, value)) and len({np.shape(row) for row in value}) == 1
-    if _number(value):
-        return True
-    if (isinstance(value, Sequence) and not isinstance(value, str | bytes)) or hasattr(value, "__array__"):
-        return np.asarray(value).dtype.kind in "fiu"
-    return False
+def _of(wanted: type) -> Callable[[Any], bool]:
+    """`isinstance`, which takes long for abstract classes: types that were seen are remembered."""
+    seen: set[type] = set()
+
+    def holds(value: Any) -> bool:
+        kind = type(value)
+        if kind in seen:
+            return True
+        if isinstance(value, wanted):
+            seen.add(kind)
+            return True
+        return False
+
+    return holds
 
 
 def _number(value: Any) -> bool:
@@ -205,14 +212,11 @@ def _whole(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
-NUMBERS = Check(_numeric, "numbers")
-
 SIMPLE: dict[Any, Check] = {
     float: Check(_number, "a number"),
     int: Check(_whole, "a whole number"),
     bool: Check(lambda value: isinstance(value, bool | np.bool_), "True or False"),
     str: Check(lambda value: isinstance(value, str), "a text"),
     os.PathLike: Check(lambda value: isinstance(value, os.PathLike), "a path"),
-    ArrayLike: NUMBERS,
 }
 """Types with a check of their own."""

@@ -65,8 +65,6 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
 
 def finite(name: str, value: Any) -> float:
     """Return `value` as a finite float, else raise InputError naming it."""
-    if isinstance(value, bool | np.bool_):
-        raise InputError(f"{name} is {value!r}; it must be a number, and no truth")
     try:
         number = float(value if isinstance(value, str) else _only_numbers(value))
     except OverflowError:

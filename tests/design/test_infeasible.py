@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.design.tasks import equal_pair, tightest, two_tubes
+from tests.design.tasks import equal_pair, snap_free_thesis, tightest, two_tubes
 from tests.examples import MM
 from tubeopt import (
     ConcentricRobot,
@@ -19,24 +21,42 @@ from tubeopt import (
     optimize_design,
     snap_free_certificate,
 )
-from tubeopt.design import Free, InfeasibleDesignError, Length, Objective, Reach, SnapFree, Strain, Target
-from tubeopt.design.program import compile_task
-from tubeopt.design.relaxation import apply_changes
-from tubeopt.design.settings import OptimumSearch, OrderSearch, RelaxationSearch, StartSearch
+from tubeopt.design import (
+    DesignNotFoundError,
+    Free,
+    InfeasibleDesignError,
+    Length,
+    Objective,
+    Reach,
+    SnapFree,
+    Strain,
+    Target,
+    solve_one,
+)
+from tubeopt.design.optimize import DesignStatus
+from tubeopt.design.program import Program, compile_task
+from tubeopt.design.relaxation import apply_changes, best_of
+from tubeopt.design.settings import COLLOCATION, OptimumSearch, OrderSearch, RelaxationSearch, StartSearch
+from tubeopt.design.shown import shown_infeasible
 from tubeopt.design.solve import multistart
+from tubeopt.solvers.time_limit import LateError, within
+from tubeopt.typing import Array
 
 
-def refused(task: DesignTask) -> InfeasibleDesignError:
-    with pytest.raises(InfeasibleDesignError) as caught:
+def refused(task: DesignTask, shown: str = "") -> DesignNotFoundError:
+    with pytest.raises(DesignNotFoundError) as caught:
         optimize_design(task, turns=1)
     assert isinstance(caught.value, SolveError)
+    assert isinstance(caught.value, InfeasibleDesignError) is bool(shown)
+    assert ("no design meets all requirements, since " + shown in str(caught.value)) is bool(shown)
+    assert ("no design was found" in str(caught.value)) is not bool(shown)
     return caught.value
 
 
 def test_certificate_falls_to_the_closed_form() -> None:
     pair = equal_pair(0.1, 0.05)
     task = replace(tightest(pair, 0.5), free=(Free("curvature", (0, 1), 15.0, 30.0, "equal"),))
-    error = refused(task)
+    error = refused(task, "the certified margin is at most")
     best = snap_free_certificate(equal_pair(0.1, 0.05, 15.0))
     change = error.relaxations[0].changes[0]
     assert change.limit.words == "certified margin"
@@ -68,9 +88,9 @@ def test_failures_are_counted_by_what_failed() -> None:
     task = DesignTask(
         two_tubes(), (Free("curvature", (0, 1), 15.0, 25.0),), (SnapFree(0.9),), Objective("tip_curvature")
     )
-    error = refused(task)
+    error = refused(task, "the certified margin is at most")
     assert "of 4 starts, 4 failed most at the certified margin" in str(error)
-    error = refused(replace(task, solver=DesignSolver(StartSearch(retries=1))))
+    error = refused(replace(task, solver=DesignSolver(StartSearch(retries=1))), "the certified margin")
     assert "of 1 starts, 1 failed most at the certified margin" in str(error)
     with pytest.raises(InputError, match="retries is 0; it must be at least 1"):
         StartSearch(retries=0)
@@ -91,6 +111,111 @@ def test_a_limit_that_bounds_allow_exactly_is_told_as_such() -> None:
     task = DesignTask(
         two_tubes(), (Free("curved_length", (0,), 0.07, 0.1),), (Length("length", 0, 0.15),), Objective("length")
     )
-    error = refused(task)
+    error = refused(task, "the ranges of the dimensions exclude overall length of tube 1 of at most 150 mm")
     assert "overall length of tube 1 must rise from 150 mm to 190 mm" in str(error)
     assert optimize_design(error.relaxations[0].task).objective == pytest.approx(0.19, abs=1e-8)
+
+
+QUICK = DesignSolver(StartSearch(retries=1, poses=16, restarts=0), relaxation=RelaxationSearch(starts=1))
+
+
+def drawn(task: DesignTask, count: int = 400) -> list[ConcentricRobot]:
+    """Random robots in the ranges of a task."""
+    random, space = np.random.default_rng(0), task.space
+    rows = space.lower + random.random((count, len(space.lower))) * (space.upper - space.lower)
+    found = []
+    for row in rows:
+        with suppress(InputError):
+            found.append(replace(task.robot, tubes=space.tubes(row)))
+    return found
+
+
+def test_what_is_shown_holds_for_every_robot_in_the_ranges() -> None:
+    free = (Free("curvature", (0, 1), 5.0, 20.0),)
+    task = DesignTask(two_tubes(), free, (SnapFree(0.999),), solver=QUICK)
+    words = shown_infeasible(compile_task(task))
+    best = max(snap_free_certificate(robot) for robot in drawn(task))
+    assert words.startswith("the certified margin is at most")
+    bound = float(words.split("at most ")[1].split()[0])
+    assert best <= bound <= best + 0.2
+    assert not shown_infeasible(compile_task(replace(task, requirements=(SnapFree(bound - 1e-3),))))
+    strained = replace(task, requirements=(Strain((0.0025,), in_poses=False),))
+    assert "tube 1 held straight is strained by at least 0.2506 %" in shown_infeasible(compile_task(strained))
+    assert min(robot.tubes[0].straightened_strain for robot in drawn(strained)) >= 0.0025
+    assert not shown_infeasible(compile_task(replace(task, requirements=(Strain((0.0045,), in_poses=False),))))
+
+
+def test_limits_that_exclude_each_other_are_shown_together() -> None:
+    free = (Free("straight_length", (0,), 0.05, 0.2), Free("curved_length", (0,), 0.05, 0.2))
+    both = (
+        Length("length", 0, 0.25),
+        Length("straight_length", 0, 0.16, least=True),
+        Length("curved_length", 0, 0.1, least=True),
+    )
+    words = shown_infeasible(compile_task(DesignTask(two_tubes(), free, both, ordered=False)))
+    for each in (
+        "overall length of tube 1 of at most 250 mm",
+        "straight length of tube 1 of at least 160 mm",
+        "curved length",
+    ):
+        assert each in words
+    for k in range(3):
+        assert not shown_infeasible(
+            compile_task(DesignTask(two_tubes(), free, both[:k] + both[k + 1 :], ordered=False))
+        )
+
+
+def test_a_target_beyond_the_longest_tube_is_shown() -> None:
+    free = (Free("curved_length", (0,), 0.05, 0.1),)
+    reach = Reach((Target((0.0, 0.0, 0.2205)), Target((0.0, 0.0, 0.15))))
+    words = shown_infeasible(compile_task(DesignTask(two_tubes(), free, (reach,), solver=QUICK)))
+    assert words == "target 1 is 220.5 mm from the plate, and no tube gets longer than 220 mm"
+    near = Reach((Target((0.0, 0.0, 0.2199)),))
+    assert not shown_infeasible(compile_task(DesignTask(two_tubes(), free, (near,), solver=QUICK)))
+
+
+def test_a_search_that_time_ends_says_what_it_found() -> None:
+    task = snap_free_thesis(0.05)
+    whole = optimize_design(task, turns=0)
+    assert whole.status is DesignStatus.KEPT
+    programs = compile_task(task)
+    with within(1e-9):
+        ranking = multistart(programs, starts=2)
+    assert ranking.late == 2
+    assert not ranking.designs
+    with pytest.raises(DesignNotFoundError, match="the time limit ended 2 of them"):
+        best_of(ranking)
+    stopped = replace(whole, out_of_time=True)
+    assert stopped.status is DesignStatus.STOPPED
+    assert any("time limit" in remark for remark in stopped.remarks)
+
+
+def test_the_best_on_the_way_is_the_answer_where_time_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time ends after the first feasible point of IPOPT: that design is the answer, and keeps what was asked."""
+    task, count = snap_free_thesis(0.05), 0
+    plain = solve_one.evaluate
+
+    def evaluated(program: Program, x: Array) -> Any:
+        nonlocal count
+        best = program.lately.best
+        count += best is not None and best.violation == 0
+        if count > 3:
+            raise LateError
+        return plain(program, x)
+
+    monkeypatch.setattr(solve_one, "evaluate", evaluated)
+    ranking = multistart(compile_task(task))
+    monkeypatch.undo()
+    (found,) = ranking.designs
+    assert found.late
+    assert ranking.late == 1
+    assert snap_free_certificate(found.robot) >= 0.05 - 1e-6
+
+
+def test_a_collocated_program_that_does_not_converge_is_no_missing_design() -> None:
+    few = DesignSolver(collocation=replace(COLLOCATION, iterations=2))
+    task = replace(snap_free_thesis(0.05), solver=few)
+    found = optimize_design(task, turns=0, method="collocation")
+    assert found.verification.kept
+    assert found.objective == pytest.approx(optimize_design(task, turns=0).objective, rel=1e-3)
+    assert any("method 'collocation' failed at the convergence" in remark for remark in found.remarks)

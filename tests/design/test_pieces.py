@@ -38,7 +38,7 @@ from tubeopt.design.anatomy import SHARES, arm_points, arm_slopes
 from tubeopt.design.lookup import at_state
 from tubeopt.design.parameters import design_space
 from tubeopt.design.rechecks import largest_strain
-from tubeopt.design.relaxation import InfeasibleDesignError
+from tubeopt.design.relaxation import DesignNotFoundError
 from tubeopt.design.state import FixedPose, FreePose, Layout, State
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
@@ -203,7 +203,7 @@ def test_a_shape_reaches_a_target_with_a_margin_and_a_strain() -> None:
 
 def test_what_is_asked_too_much_is_relaxed_in_words() -> None:
     free = [Free("piece_bending_factor", (0, 1, 2), 0.8, 1.0, torsion_share=0.5)]
-    with pytest.raises(InfeasibleDesignError, match=r"certified margin must fall from 0.05 to -0\.6"):
+    with pytest.raises(DesignNotFoundError, match=r"certified margin must fall from 0.05 to -0\.6"):
         optimize_design(DesignTask(THESIS, free, [SnapFree(0.05)], Objective("change")))
 
 

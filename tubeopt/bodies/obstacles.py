@@ -7,6 +7,7 @@ optimal control problem. There a kink (the edges of a box, the centre of a spher
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -78,7 +79,10 @@ def unit_vectors(vectors: Array, otherwise: Array) -> Array:
 
 def as_points(points: ArrayLike) -> Array:
     """Points (..., 3) as an array; raises InputError for another shape."""
-    array = np.asarray(points, dtype=float)
+    try:
+        array = np.asarray(points, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"points is {reprlib.repr(points)}; it must be numbers, the last axis x, y, z") from None
     if array.shape[-1:] != (3,):
         raise InputError(f"points have shape {array.shape}; the last axis must hold x, y, z")
     return array

@@ -79,7 +79,7 @@ def best_of(ranking: Ranking) -> Attempt:
     closest, starts = ranking.failed[0], ranking.starts
     shown = shown_infeasible(closest.program)
     limits = "; ".join(f"{count} failed most at {_with_article(name)}" for name, count in ranking.failures.items())
-    tried = f"of {starts} start{'s' * (starts > 1)}, {limits}"
+    tried = f"of {starts} starts, {limits}"
     if ranking.late:
         tried += f"; the time limit ended {ranking.late} of them"
     ways: list[Relaxation] = []

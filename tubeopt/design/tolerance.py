@@ -97,6 +97,8 @@ def tolerance_analysis(  # noqa: PLR0913
     whole("workers", workers, 1)
     rows = [robot.home_translations] if translations is None else translations
     where = tuple(tuple(vector("translations", row, robot.n_tubes).tolist()) for row in rows)
+    if not where:
+        raise InputError("translations is empty; there must be at least one row, or None for home")
     for pose in poses:
         for name, values in zip(("rotations of a pose", "translations of a pose"), pose, strict=True):
             vector(name, values, robot.n_tubes)

@@ -13,6 +13,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError, whole
 from ..robots.concentric import ConcentricRobot
+from ..robots.robot import shifts
 from ..solvers.parallel.blas import small
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
@@ -67,7 +68,7 @@ def count_snaps(
     whole("turns", turns, 0)
     random = np.random.default_rng(seed)
     n = robot.n_tubes
-    home = robot.home_translations if translations is None else translations
+    home = shifts(robot, translations)
     start = np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
     snaps, snapped = 0, 0
     for _ in range(turns):

@@ -33,7 +33,7 @@ def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> Non
     _check(robot, load, translations)
 
 
-MOST_BEND = 10.0
+MOST_BEND = 50.0
 """Force times length squared over bending stiffness: beyond, an arm is bent back on itself, as no needle is."""
 
 

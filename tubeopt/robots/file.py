@@ -277,10 +277,9 @@ def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:
     Raises:
         InputError: one line for every problem.
     """
-    entry = check_kind(ROBOT_KINDS, data, where)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ImplausibleWarning)  # whoever reads the file says so, with its keys and units
-        robot: AnyRobot = entry.build()
+        warnings.simplefilter("ignore", ImplausibleWarning)  # the reader of the file says so, with its keys and units
+        robot: AnyRobot = check_kind(ROBOT_KINDS, data, where).build()
     return robot
 
 

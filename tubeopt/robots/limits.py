@@ -44,7 +44,11 @@ class JointLimits(Displayed):
 
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):
-            table = tuple((float(low), float(high)) for low, high in getattr(self, name))
+            given = tuple(getattr(self, name))
+            if any(np.shape(row) != (2,) for row in given):
+                raise InputError(f"{name} of the limits is {given!r}; it must be (least, greatest) for every tube")
+            rows = np.array(given, dtype=float).reshape(-1, 2)
+            table = tuple((low, high) for low, high in rows.tolist())
             sign = "rad" if name == "rotations" else "m"
             for i, (low, high) in enumerate(table):
                 if not (np.isfinite([low, high]).all() and low <= high):
@@ -81,8 +85,10 @@ def check_turn(rotations: Array) -> None:
 
 def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
     """Raise InputError where translations (n,), m, draw a tube back by FAR of its lengths: they were in mm."""
+    if min(translations) >= 0:
+        return
     for i, (tube, shift) in enumerate(zip(tubes, translations, strict=True)):
-        if shift < -FAR * tube.length:
+        if shift < 0 and shift < -FAR * tube.length:
             raise InputError(
                 f"translation of tube {i + 1} is {shift:g} m, and the tube is {tube.length:g} m long; it must be at "
                 f"least {-FAR:g} times that: translations are in m"

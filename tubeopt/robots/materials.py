@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
 from ..constants import ZERO_CELSIUS
 from ..display import Displayed
-from ..errors import InputError, implausible
+from ..errors import InputError, implausible, instance
 from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, key, unit
 
 
@@ -84,8 +85,8 @@ USUAL_MODULUS = {"nitinol": (20e9, 90e9), "niti": (20e9, 90e9), "steel": (150e9,
 """Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from martensite (20 to 50
 GPa) to austenite (up to 90 GPa), of steels by their handbooks."""
 
-SOLID = (1e7, 1.3e12)
-"""The same of any solid: from soft plastics to diamond."""
+SOLID = (1e7, math.inf)
+"""The same of a material of another name: from soft plastics on. What is stiffer may be a model's."""
 
 
 @dataclass(frozen=True)
@@ -114,20 +115,13 @@ class Material(Displayed):
     ] = None
 
     def __post_init__(self) -> None:
+        instance("name of a material", self.name, str)
         check_fields(self, f"material {self.name!r}")
         if not -1e-9 <= self.poisson_ratio < 0.5:
             raise InputError(
                 f"shear_modulus of material {self.name!r} is {self.shear_modulus:g} Pa, which makes Poisson's ratio "
                 f"{self.poisson_ratio:.3g}; it must lie in [0, 0.5), so the modulus between E/3 and E/2 "
                 f"({self.youngs_modulus / 3:g} to {self.youngs_modulus / 2:g} Pa)"
-            )
-        least, most = next((bounds for name, bounds in USUAL_MODULUS.items() if name in self.name.lower()), SOLID)
-        if not least <= self.youngs_modulus <= most:
-            meant = 1e9 * self.youngs_modulus
-            words = f": was {self.youngs_modulus:g} GPa meant?" if least <= meant <= most else ""
-            implausible(
-                f"youngs_modulus of material {self.name!r} is {self.youngs_modulus:g} Pa; usual is {least:g} to "
-                f"{most:g} Pa{words}"
             )
 
     @property
@@ -157,3 +151,13 @@ and in a single loading (Pelton et al., J. Mech. Behav. Biomed. Mater. 1 (2008);
 
 MATERIALS = {NITINOL.name: NITINOL}
 """Materials that a file may name."""
+
+
+def warn_of_modulus(material: Material) -> None:
+    """Warn of a Young's modulus that no metal of the material's name has, or no solid."""
+    least, most = next((bounds for name, bounds in USUAL_MODULUS.items() if name in material.name.lower()), SOLID)
+    modulus = material.youngs_modulus
+    if not least <= modulus <= most:
+        bounds = f"{least:g} to {most:g}" if most < math.inf else f"at least {least:g}"
+        words = f": was {modulus:g} GPa meant?" if least <= 1e9 * modulus <= most else ""
+        implausible(f"youngs_modulus of material {material.name!r} is {modulus:g} Pa; usual is {bounds} Pa{words}")

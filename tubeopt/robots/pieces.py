@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, finite, positive
+from ..errors import InputError, finite, instance, positive
 from ..files.marks import POSITIVE, REQUIRED
 from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
@@ -69,8 +69,9 @@ class Piece(Displayed):
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         slots: Any = self.slots
-        if isinstance(slots, Mapping):  # as JSON has them
+        if isinstance(slots, Mapping) and set(slots) <= {one.name for one in fields(Slots)}:  # as JSON has them
             set_field(self, "slots", Slots(**slots))
+        instance("slots", self.slots, Slots, optional=True)
         set_field(self, "length", positive("length of a piece", self.length))
         set_field(self, "precurvature", _precurvature(self.precurvature, self.length))
         for field in ("bending_stiffness", "torsional_stiffness"):
@@ -178,7 +179,8 @@ def _precurvature(given: Any, length: float) -> tuple[Quantity, Quantity, Quanti
         return x, y, z
     if isinstance(given, str):
         raise InputError(f"precurvature is {given!r}; it must be a number, three numbers, or a function")
-    parts = (given, 0.0, 0.0) if isinstance(given, Series) or np.ndim(given) == 0 else tuple(given)
+    several = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim > 0)
+    parts = tuple(given) if several else (given, 0.0, 0.0)
     if len(parts) != 3:
         raise InputError(f"precurvature has {len(parts)} components; it must have three, about x, y and z")
     x, y, z = (_quantity("precurvature", part, length) for part in parts)

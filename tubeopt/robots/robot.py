@@ -18,7 +18,7 @@ from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import FAR, MOST_TURN, JointLimits
 from .order import home_translations
-from .tubes import Tube
+from .tubes import Tube, warn_of_units
 
 Kept = TypeVar("Kept")
 
@@ -79,6 +79,8 @@ class Robot(Displayed, ABC):
     def check_drives(self, *, yields: bool = False) -> None:
         """Raise InputError where limits or calibration are for another number of tubes, or for carriages that yield
         and do not."""
+        for tube in self.tubes:
+            warn_of_units(tube)
         limits = self.joint_limits
         if limits is not None and len(limits.rotations) != len(self.tubes):
             raise InputError(f"limits are given for {len(limits.rotations)} tubes; the robot has {len(self.tubes)}")

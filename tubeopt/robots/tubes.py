@@ -11,9 +11,9 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, finite, implausible, instance, items, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, Key, Usual, marked, unit
+from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, marked, unit
 from ..physics.strain import surface_strain
-from .materials import NITINOL, Material
+from .materials import NITINOL, Material, warn_of_modulus
 from .pieces import Piece
 from .series import Quantity, extremes
 
@@ -92,7 +92,6 @@ class Tube(Displayed):
                 f"curvature is {self.curvature:g} per m; its radius must exceed half the outer_diameter "
                 f"({self.outer_diameter / 2:g} m)"
             )
-        _warn_of_units(self)
 
     def _derive_stiffness(self) -> None:
         moduli = {
@@ -216,31 +215,30 @@ class Tube(Displayed):
         return max(piece_strain(self, piece) for piece in self.pieces)
 
 
-MOST_STRAIN = 0.10
-"""Strain of a tube held straight beyond which no metal of tubes springs back: nitinol tears at 8 to 10 %."""
+MOST_STRAIN = 0.20
+"""Strain of a tube held straight beyond which it was surely meant otherwise: nitinol breaks at 8 to 15 %. What a
+material springs back from, and may be cycled to, is told of a robot by `robots.fit`."""
 
 
-def _warn_of_units(tube: Tube) -> None:
-    """Warn of numbers that are unusual by what their fields say, as those of a file are, and of a strain that no metal
-    bears. Where the stiffnesses are given, the diameters and the strain decide nothing, and may be of a model."""
+def warn_of_units(tube: Tube) -> None:
+    """Warn of numbers that are larger than usual by what their fields say, as mm and 1/mm that are taken for m and 1/m,
+    and of a strain that no metal bears. Where the stiffnesses are given, the rest may be that of a model.
+    """
     given = not isinstance(tube.bending_stiffness, OfCrossSection)
+    if not given:
+        warn_of_modulus(tube.material)
     for one in marked(Tube):
         usual, size = one.first(Usual), abs(getattr(tube, one.name) or 0.0)
-        if usual is None or size == 0 or usual.least <= size <= usual.most or (given and "diameter" in one.name):
+        if usual is None or size <= usual.most or given:
             continue
-        mark = one.first(Key)
-        unit_si = "1/m" if one.name == "curvature" else "kg/m" if one.name == "mass_per_length" else "m"
-        meant = 1e-3 * size if mark is not None and mark.unit == "mm" else 0.0
-        meant_words = f": was {size:g} mm meant?" if usual.least <= meant <= usual.most else ""
-        implausible(
-            f"{one.name} is {getattr(tube, one.name):g} {unit_si}; usual is {usual.least:g} to {usual.most:g} "
-            f"{unit_si}{meant_words}"
-        )
+        sign = "1/m" if one.name == "curvature" else "kg/m" if one.name == "mass_per_length" else "m"
+        words = f": was {size:g} mm meant?" if sign == "m" and usual.least <= 1e-3 * size <= usual.most else ""
+        implausible(f"{one.name} is {size:g} {sign}; usual is {usual.least:g} to {usual.most:g} {sign}{words}")
     strain = 0.0 if given or tube.pieces else tube.straightened_strain
     if strain > MOST_STRAIN:
         implausible(
             f"curvature is {tube.curvature:g} per m, which strains the tube by {100 * strain:.3g} % when it is held "
-            f"straight; {tube.material.name} bears {100 * MOST_STRAIN:g} % at most"
+            f"straight; no metal bears more than {100 * MOST_STRAIN:g} %"
         )
 
 

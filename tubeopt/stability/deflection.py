@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError
-from ..robots.robot import Robot
+from ..errors import InputError, finite_array
+from ..robots.robot import Robot, shifts
 from ..typing import Array
 from .certificate import snap_free_certificate
 from .loaded_certificate import Bundle, bundle_of
@@ -65,11 +65,12 @@ def deflection_bound(
         >>> bool(tubeopt.deflection_bound(robot, [-0.02, 0, 0], max_force=0.001)[0] < 0.3e-3)
         True
     """
-    shift = robot.home_translations if translations is None else np.asarray(translations, dtype=float)
+    shift = shifts(robot, translations)
     certificate = snap_free_certificate(robot, shift, max_force=max_force)
     assembly = robot.assembly(shift)
     length = assembly.total_length
-    places = np.atleast_1d(np.array([length] if arc_length is None else arc_length, dtype=float))
+    single = arc_length is not None and np.ndim(np.asarray(arc_length, dtype=object)) == 0
+    places = finite_array("arc_length", [length] if arc_length is None else [arc_length] if single else arc_length, 1)
     if not np.isfinite(places).all() or places.min(initial=0.0) < 0 or places.max(initial=0.0) > length * (1 + 1e-12):
         raise InputError(f"arc_length is {places.tolist()} m; points must lie on the arm, between 0 and {length:g} m")
     return _moved(bundle_of(assembly), certificate, max_force, places)

@@ -14,7 +14,7 @@ from ..block.transcription.reduced import ReducedProblem, evaluate, on_centrelin
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from ..errors import InputError
+from ..errors import InputError, finite_array
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
@@ -102,7 +102,7 @@ def energy_map(
 def _window(tips: Array, window: ArrayLike | None) -> Array:
     """(2, 2) ranges of two tip angles: as given, or around `tips` (k, 2)."""
     if window is not None:
-        ranges = np.array(window, dtype=float)
+        ranges = finite_array("window", window, 2)
         if ranges.shape != (2, 2) or not np.isfinite(ranges).all() or not (ranges[:, 0] < ranges[:, 1]).all():
             raise InputError(f"window is {window!r}; it must be two ranges, (least, largest) tip angle in rad each")
         return ranges

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,12 +51,20 @@ class ErrorGroup:
     summary: ErrorSummary
 
 
+def _errors(errors: Array) -> Array:
+    """(N,) as floats, NaN where there is none."""
+    try:
+        return np.asarray(errors, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"errors is {reprlib.repr(errors)}; it must be numbers") from None
+
+
 @typed
 def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
     """Errors (N,), m, by values (N,), rad, in ascending order; nothing where there are no values."""
     if values is None:
         return ()
-    values, errors = finite_array("values", values, 1), np.asarray(errors, dtype=float)
+    values, errors = finite_array("values", values, 1), _errors(errors)
     if errors.shape != values.shape:
         raise InputError(f"errors has shape {errors.shape}; it must have a number for each of {len(values)} values")
     labels = np.round(values / 1e-6).astype(int)

@@ -118,7 +118,10 @@ class Measurements:
                 raise InputError(f"behind is {behind.tolist()} m; it must be {seen} distances, at least 0")
             object.__setattr__(self, "behind", behind)
         if self.orientation is not None:
-            frames = np.array(self.orientation, dtype=float)
+            try:
+                frames = np.array(self.orientation, dtype=float)
+            except (TypeError, ValueError):
+                raise InputError(f"orientation is no array of numbers; it must be ({count}, 3, 3)") from None
             if frames.shape != (count, 3, 3):
                 raise InputError(f"orientation has shape {frames.shape}; it must be ({count}, 3, 3)")
             object.__setattr__(self, "orientation", frames)
