@@ -9,7 +9,7 @@ import reprlib
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass
 from decimal import Decimal
 from numbers import Real
@@ -33,12 +33,13 @@ class Check(NamedTuple):
 def typed(made: T) -> T:
     """A function or a dataclass that raises InputError for an argument of another type than its annotation says.
 
-    It names the argument, what it is, and what it must be. Types alone are checked: ranges are left to what is called.
+    It names the argument, what it is, and what it must be. Types alone are checked: ranges, and what a list holds, are
+    left to what is called.
     An annotation that says nothing (`Any`, a type variable) is not checked, nor is a default. Truths are no numbers,
     and texts are no lists.
     """
     is_class = isinstance(made, type)
-    called: Callable[..., Any] = made.__init__ if is_class else made  # type: ignore[misc]
+    called: Callable[..., Any] = made.__init__ if is_class else made
     names = tuple(inspect.signature(called).parameters)
     checks: dict[str, Check] = {}
     placed: list[tuple[int, str, Check]] = []
@@ -67,7 +68,7 @@ def typed(made: T) -> T:
         return called(*args, **given)
 
     if is_class:
-        made.__init__ = checked  # type: ignore[misc]
+        setattr(made, "__init__", checked)  # noqa: B010
         return made
     return checked  # type: ignore[return-value]
 
@@ -111,16 +112,12 @@ def _check_of(hint: Any) -> Check | None:
         return _either(parts)
     if origin is typing.Literal:
         return Check(lambda value: value in parts, "one of " + ", ".join(map(repr, parts)))
-    if hint == ArrayLike or origin is np.ndarray or hint is np.ndarray:
-        return None  # whoever takes tables of numbers says which shape they must have
-    if origin is tuple and parts[-1:] != (...,):
-        return _fixed(parts)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return Check(lambda value: isinstance(value, Mapping), "a dict")
     if origin is Callable or origin is type(Callable) or (isinstance(origin, type) and issubclass(origin, Callable)):  # type: ignore[arg-type]
         return Check(callable, "a function")
-    if isinstance(origin, type) and issubclass(origin, Iterable):
-        return _list(_check_of(parts[0]) if parts else None)
+    if hint == ArrayLike or hint is np.ndarray or (isinstance(origin, type) and issubclass(origin, Iterable)):
+        return None  # whoever takes a list says how many of what there must be
     if isinstance(origin or hint, type):
         return _instance(origin or hint)
     return None
@@ -139,39 +136,6 @@ def _either(parts: tuple[Any, ...]) -> Check | None:
     return Check(
         lambda value: any(one(value) for one in holds), " or ".join(dict.fromkeys(each.words for each in found))
     )
-
-
-def _fixed(parts: tuple[Any, ...]) -> Check:
-    """Of so many values, each of its own type; how many numbers there must be is left to what is called."""
-    if set(parts) <= {float}:
-        return Check(_several, "numbers")
-    each = [_check_of(part) for part in parts]
-
-    def holds(value: Any) -> bool:
-        if not _several(value) or len(value) != len(each):
-            return False
-        return all(check is None or check.holds(item) for check, item in zip(each, value, strict=True))
-
-    words = dict.fromkeys("anything" if check is None else check.words for check in each)
-    if list(words) == ["anything"]:
-        return Check(holds, f"{len(each)} values")
-    return Check(holds, f"{len(each)} values, each {next(iter(words))}" if len(words) == 1 else f"({', '.join(words)})")
-
-
-def _list(item: Check | None) -> Check:
-    def holds(value: Any) -> bool:
-        if not _several(value):
-            return isinstance(value, Iterator)  # which can be read only once
-        return item is None or all(item.holds(each) for each in value)
-
-    return Check(holds, "a list" if item is None else f"a list, each {item.words}")
-
-
-def _several(value: Any) -> bool:
-    """Whether a value has members in an order: a list, no text and no dict."""
-    if isinstance(value, np.ndarray):
-        return value.ndim > 0
-    return isinstance(value, Iterable) and hasattr(value, "__len__") and not isinstance(value, str | bytes | Mapping)
 
 
 def _instance(wanted: type) -> Check:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from ..arguments import typed
-from ..errors import InputError
+from ..errors import InputError, items
 from ..typing import Array
 from .assembly import Assembly, assemble
 from .calibration import Calibration
@@ -42,7 +42,7 @@ class ConcentricRobot(Robot):
     not count."""
 
     def __post_init__(self) -> None:
-        tubes = tuple(self.tubes)
+        tubes = items("tubes", self.tubes, Tube, "tubes, inner to outer")
         object.__setattr__(self, "tubes", tubes)
         if not tubes:
             raise InputError("tubes is empty; a robot needs at least one tube")

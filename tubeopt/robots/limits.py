@@ -22,8 +22,8 @@ Ranges = tuple[tuple[float, float], ...]
 FAR = 10.0
 """Lengths of itself by which nobody draws a tube back."""
 
-USUAL_TURN = 8 * np.pi
-"""Rotation (rad), four turns, beyond which it was probably meant in degrees: 30 deg are 4.8 turns if they are taken for
+USUAL_TURN = 12 * np.pi
+"""Rotation (rad), six turns, beyond which it was probably meant in degrees: 45 deg are 7.2 turns if they are taken for
 radians. Shipped robots turn by two at most."""
 
 MOST_TURN = 1e3

@@ -81,9 +81,9 @@ J/(kg K) from 0 to 100 degC, conductivity 16.2 W/(m K) at 100 and 21.5 at 500 de
 emissivity: assumed, calibrate."""
 
 
-USUAL_MODULUS = {"nitinol": (20e9, 90e9), "niti": (20e9, 90e9), "steel": (150e9, 220e9)}
-"""Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from martensite (20 to 50
-GPa) to austenite (up to 90 GPa), of steels by their handbooks."""
+USUAL_MODULUS = {"nitinol": (10e9, 90e9), "niti": (10e9, 90e9), "steel": (150e9, 220e9)}
+"""Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from half of martensite's
+(20 to 50 GPa) to austenite's (up to 90 GPa), of steels by their handbooks."""
 
 SOLID = (1e7, math.inf)
 """The same of a material of another name: from soft plastics on. What is stiffer may be a model's."""

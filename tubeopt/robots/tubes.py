@@ -215,8 +215,8 @@ class Tube(Displayed):
         return max(piece_strain(self, piece) for piece in self.pieces)
 
 
-MOST_STRAIN = 0.20
-"""Strain of a tube held straight beyond which it was surely meant otherwise: nitinol breaks at 8 to 15 %. What a
+MOST_STRAIN = 0.30
+"""Strain of a tube held straight beyond which it was surely meant otherwise: twice that at which nitinol breaks. What a
 material springs back from, and may be cycled to, is told of a robot by `robots.fit`."""
 
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,7 +71,8 @@ def deflection_bound(
     assembly = robot.assembly(shift)
     length = assembly.total_length
     single = arc_length is not None and np.ndim(np.asarray(arc_length, dtype=object)) == 0
-    places = finite_array("arc_length", [length] if arc_length is None else [arc_length] if single else arc_length, 1)
+    given: Any = [length] if arc_length is None else [arc_length] if single else arc_length
+    places = finite_array("arc_length", given, 1)
     if not np.isfinite(places).all() or places.min(initial=0.0) < 0 or places.max(initial=0.0) > length * (1 + 1e-12):
         raise InputError(f"arc_length is {places.tolist()} m; points must lie on the arm, between 0 and {length:g} m")
     return _moved(bundle_of(assembly), certificate, max_force, places)
