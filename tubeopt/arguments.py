@@ -9,7 +9,7 @@ import reprlib
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
 from decimal import Decimal
 from numbers import Real
@@ -24,17 +24,18 @@ T = TypeVar("T", bound=Callable[..., Any])
 
 
 class Check(NamedTuple):
-    """Whether a value is of a type, and what it must be, in words."""
+    """Whether a value is of a type, and what it must be, in words; of a list the check is `late`."""
 
     holds: Callable[[Any], bool]
     words: str
+    late: bool = False
 
 
 def typed(made: T) -> T:
     """A function or a dataclass that raises InputError for an argument of another type than its annotation says.
 
-    It names the argument, what it is, and what it must be. Types alone are checked: ranges, and what a list holds, are
-    left to what is called.
+    It names the argument, what it is, and what it must be. Types alone are checked: ranges are left to what is called,
+    and so is what a list holds, unless what is called fails of it: it knows better how many of what there must be.
     An annotation that says nothing (`Any`, a type variable) is not checked, nor is a default. Truths are no numbers,
     and texts are no lists.
     """
@@ -42,13 +43,16 @@ def typed(made: T) -> T:
     called: Callable[..., Any] = made.__init__ if is_class else made
     names = tuple(inspect.signature(called).parameters)
     checks: dict[str, Check] = {}
+    lists: dict[str, Check] = {}
     placed: list[tuple[int, str, Check]] = []
     ready = False
 
     def prepare() -> None:
         """When it is first called: annotations may name what is imported later."""
         nonlocal ready
-        checks.update(_checks(made))
+        every = _checks(made)
+        checks.update({name: check for name, check in every.items() if not check.late})
+        lists.update({name: check for name, check in every.items() if check.late})
         placed[:] = [(k, name, checks[name]) for k, name in enumerate(names) if name in checks]
         ready = True
 
@@ -65,7 +69,15 @@ def typed(made: T) -> T:
         for name, value in given.items():
             if name in checks and not checks[name].holds(value):
                 raise _refused(name, value, checks[name].words)
-        return called(*args, **given)
+        try:
+            return called(*args, **given)
+        except InputError:
+            raise
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+            for name, value in (*zip(names, args, strict=False), *given.items()):
+                if name in lists and not lists[name].holds(value):
+                    raise _refused(name, value, lists[name].words) from None
+            raise
 
     if is_class:
         setattr(made, "__init__", checked)  # noqa: B010
@@ -116,26 +128,67 @@ def _check_of(hint: Any) -> Check | None:
         return Check(lambda value: isinstance(value, Mapping), "a dict")
     if origin is Callable or origin is type(Callable) or (isinstance(origin, type) and issubclass(origin, Callable)):  # type: ignore[arg-type]
         return Check(callable, "a function")
-    if hint == ArrayLike or hint is np.ndarray or (isinstance(origin, type) and issubclass(origin, Iterable)):
-        return None  # whoever takes a list says how many of what there must be
+    if hint is np.ndarray or origin is np.ndarray:
+        return NUMBERS
+    if origin is tuple and parts[-1:] != (...,):
+        return _fixed(parts)
+    if isinstance(origin, type) and issubclass(origin, Iterable):
+        return _list(_check_of(parts[0]) if parts else None)
     if isinstance(origin or hint, type):
         return _instance(origin or hint)
     return None
 
 
 def _either(parts: tuple[Any, ...]) -> Check | None:
-    if set(typing.get_args(ArrayLike)) <= set(parts):
-        return None
     found: list[Check] = []
+    if set(typing.get_args(ArrayLike)) <= set(parts):
+        parts = tuple(part for part in parts if part not in typing.get_args(ArrayLike))
+        found.append(NUMBERS)
     for part in sorted(parts, key=lambda part: part is type(None)):
         check = _check_of(part)
         if check is None:
             return None
         found.append(check)
-    holds = tuple(each.holds for each in found)
-    return Check(
-        lambda value: any(one(value) for one in holds), " or ".join(dict.fromkeys(each.words for each in found))
-    )
+    holds, words = tuple(each.holds for each in found), " or ".join(dict.fromkeys(each.words for each in found))
+    return Check(lambda value: any(one(value) for one in holds), words, any(each.late for each in found))
+
+
+def _fixed(parts: tuple[Any, ...]) -> Check:
+    """Of so many values, each of its own type."""
+    each = [_check_of(part) for part in parts]
+
+    def holds(value: Any) -> bool:
+        if not _several(value) or len(value) != len(each):
+            return False
+        return all(check is None or check.holds(item) for check, item in zip(each, value, strict=True))
+
+    words = dict.fromkeys("anything" if check is None else check.words for check in each)
+    if list(words) == ["anything"]:
+        return Check(holds, f"{len(each)} values", True)
+    return Check(holds, f"{len(each)} values: {', '.join(words)}", True)
+
+
+def _list(item: Check | None) -> Check:
+    def holds(value: Any) -> bool:
+        if not _several(value):
+            return isinstance(value, Iterator)  # which can be read only once
+        return item is None or all(item.holds(each) for each in value)
+
+    return Check(holds, "a list" if item is None else f"a list, each {item.words}", True)
+
+
+def _several(value: Any) -> bool:
+    """Whether a value has members in an order: a list, no text and no dict."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Iterable) and hasattr(value, "__len__") and not isinstance(value, str | bytes | Mapping)
+
+
+def _numeric(value: Any) -> bool:
+    """Whether a value is a number, or a table of such whose rows are equally long."""
+    if isinstance(value, list | tuple):
+        return all(map(_numeric, value)) and len({np.shape(row) for row in value}) <= 1
+    return _number(value) or (hasattr(value, "__array__") and np.asarray(value).dtype.kind in "fiu")
 
 
 def _instance(wanted: type) -> Check:
@@ -176,11 +229,14 @@ def _whole(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
+NUMBERS = Check(_numeric, "numbers", True)
+
 SIMPLE: dict[Any, Check] = {
     float: Check(_number, "a number"),
     int: Check(_whole, "a whole number"),
     bool: Check(lambda value: isinstance(value, bool | np.bool_), "True or False"),
     str: Check(lambda value: isinstance(value, str), "a text"),
+    ArrayLike: NUMBERS,
     os.PathLike: Check(lambda value: isinstance(value, os.PathLike), "a path"),
 }
 """Types with a check of their own."""

@@ -60,7 +60,7 @@ def test_a_limit_that_is_over_ends_a_question_in_a_sentence(name: str) -> None:
     began = time.perf_counter()
     with pytest.raises(TimeLimitError, match=rf"{name} reached its time limit of 1e-09 s.*; a larger time_limit"):
         QUESTIONS[name](TINY)
-    assert time.perf_counter() - began < 2.0
+    assert time.perf_counter() - began < 10.0
     with pytest.raises(InputError, match="time_limit"):
         QUESTIONS[name](-1.0)
 

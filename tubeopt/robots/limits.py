@@ -76,10 +76,20 @@ def check_turn(rotations: Array) -> None:
     most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
     if abs(most) > MOST_TURN:
         raise InputError(f"rotations has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
-    if abs(most) > USUAL_TURN:
-        turns = abs(most) / (2 * np.pi)
+    if abs(most) > USUAL_TURN / 2:
+        _warn_of_degrees(rotations)
+
+
+def _warn_of_degrees(rotations: Array) -> None:
+    """Warn of rotations (..., n) that turn tubes against one another beyond USUAL_TURN."""
+    own = rotations if rotations.shape[-1] == 1 else rotations - rotations[..., -1:]
+    turn = float(np.abs(own).max())
+    if turn > USUAL_TURN:
+        most = float(rotations.ravel()[int(np.argmax(np.abs(rotations)))])
+        turns = turn / (2 * np.pi)
         implausible(
-            f"rotations has {most:g} rad, which is {turns:.3g} turns; rotations are in rad: was {most:g} deg meant?"
+            f"rotations has {most:g} rad, and winds tubes up by {turns:.3g} turns; rotations are in rad: was {most:g} "
+            "deg meant?"
         )
 
 

@@ -215,6 +215,9 @@ class Tube(Displayed):
         return max(piece_strain(self, piece) for piece in self.pieces)
 
 
+HARDEST = 1.3e12
+"""Pa; a modulus above that of diamond is a model's."""
+
 MOST_STRAIN = 0.30
 """Strain of a tube held straight beyond which it was surely meant otherwise: twice that at which nitinol breaks. What a
 material springs back from, and may be cycled to, is told of a robot by `robots.fit`."""
@@ -222,9 +225,9 @@ material springs back from, and may be cycled to, is told of a robot by `robots.
 
 def warn_of_units(tube: Tube) -> None:
     """Warn of numbers that are larger than usual by what their fields say, as mm and 1/mm that are taken for m and 1/m,
-    and of a strain that no metal bears. Where the stiffnesses are given, the rest may be that of a model.
+    and of a strain that no metal bears. Where stiffnesses are given, or the modulus is a model's, so may the rest be.
     """
-    given = not isinstance(tube.bending_stiffness, OfCrossSection)
+    given = not isinstance(tube.bending_stiffness, OfCrossSection) or tube.material.youngs_modulus > HARDEST
     if not given:
         warn_of_modulus(tube.material)
     for one in marked(Tube):
