@@ -6,6 +6,7 @@ import inspect
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ def _robot(*tube: Any) -> tubeopt.ConcentricRobot:
 
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.filterwarnings("ignore")
-def test_a_wrong_type_is_refused_in_a_sentence(name: str) -> None:
+def test_a_wrong_type_is_refused_in_a_sentence(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)  # a text may be a path to which something is saved
     function, given = CALLS[name]
     raw = []
     for parameter in inspect.signature(function).parameters.values():
