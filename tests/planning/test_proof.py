@@ -207,9 +207,9 @@ def test_rotations_of_a_robot_without_limits_are_free() -> None:
 def test_equilibria_are_as_close_as_asked_for() -> None:
     """Twice as many at half the turn, and the same least margin; with too few nothing is proved."""
     way = [0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]]
-    turns = [verify_trajectory(TWO_TUBE, *way, effort=ProofSearch(turn=turn)) for turn in (0.1, 0.05)]
+    turns = [verify_trajectory(TWO_TUBE, *way, effort=ProofSearch(turn=turn)) for turn in (0.01, 0.005)]
     assert turns[0].least_margin == pytest.approx(turns[1].least_margin, abs=1e-9)
-    assert [proof.equilibria for proof in turns] == [11, 21]
+    assert [proof.equilibria for proof in turns] == [101, 201]
     assert not verify_trajectory(TWO_TUBE, *way, effort=ProofSearch(equilibria=5)).holds
 
 

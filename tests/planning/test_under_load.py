@@ -50,7 +50,7 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
     load = {id(THESIS): EVERYTHING, id(TWO_TUBE): SIDEWAYS, id(PIECES): Load(force=(1e-3, 0, 0))}[id(robot)]
     begin = np.concatenate([np.linspace(0.4, -0.8, n), robot.home_translations - 0.01])
     end = begin + 0.1 * np.concatenate([np.linspace(0.7, -0.4, n), 0.05 * np.linspace(1.0, -0.5, n)])
-    count = 12
+    count = 16
     chain = [forward_kinematics(robot, begin[:n], begin[n:], load=load)]
     for x in np.arange(1, 2 * count + 1) / (2 * count):
         joints = begin + x * (end - begin)

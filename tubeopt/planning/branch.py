@@ -26,16 +26,19 @@ and the largest bend of each section.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..typing import Array, Mask
-from .cross_sections import Jet, linear
+from .cross_sections import Jet, inverse, linear, part, turned
 from .sections import PARTS, Intervals
 
 Turn = tuple[Array, Array]
 """Bounds (B, K, n) of the changes of theta_i in every section, and (B, K, n, n) of theta_i - theta_j."""
+
+Course = tuple[Jet, Jet]
+"""The same of their derivatives by time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +59,54 @@ def branch(intervals: Intervals, stiffness: Array) -> Branch:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = _Bounds(intervals, np.minimum(stiffness[intervals.one], stiffness[intervals.other]))
         turn, sure = found.turn()
-        error, kept = found.error(turn)
+        ball, kept = found.ball(turn)
         unbroken = sure & kept & intervals.ordered
-        off = found.off(turn, error)
+        off = found.off(turn, ball.radius[:, None, None] * found.weight[0])
     return Branch(np.asarray(unbroken & np.isfinite(off).all(1)), np.where(unbroken[:, None], off, np.inf), sure)
+
+
+def tip_rates(intervals: Intervals, stiffness: Array) -> Array:
+    """(2, B) bounds of the second and third derivative of the tip by time, m, where one stable branch joins the
+    equilibria; infinite where nothing bounds them."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        found = _Bounds(intervals, np.minimum(stiffness[intervals.one], stiffness[intervals.other]))
+        turn, _ = found.turn()
+        bent = found.long * found.cross_sections(found.course(turn, found.ball(turn)[0]))[1]
+        assert bent.ddd is not None
+        # Bounds are convex along a section, so that their mean there is no more than that of both ends.
+        w = _ends(bent.d)
+        spin = _ends(w.mean(0) * bent.d + bent.dd)
+        jerk = _ends((spin + w**2).mean(0) * bent.d + 2 * w.mean(0) * bent.dd + bent.ddd)
+        return tip_of(found.long * whirled(w, spin, jerk).map(lambda bound: bound.mean(0)))
+
+
+def whirled(w: Array, spin: Array, jerk: Array | None = None) -> Jet:
+    """Of what turns at phi, and so of the tangent, where |phi|, |phi'| and maybe |phi''| have these bounds."""
+    return Jet(np.ones_like(w), w, spin + w**2, None if jerk is None else jerk + 3 * w * spin + w**3)
+
+
+def tip_of(sections: Jet) -> Array:
+    """(2, B) of the second and third derivative of the tip, of those of sections (B, K)."""
+    assert sections.ddd is not None
+    found = np.stack([sections.dd.sum(1), sections.ddd.sum(1)])
+    return np.where(np.isfinite(found), found, np.inf)
+
+
+def _ends(gain: Array) -> Array:
+    """(2, B, K) at both ends of every section, of what gains (B, K) in it."""
+    total = np.cumsum(gain, axis=1)
+    return np.stack([total - gain, total])
+
+
+@dataclass(frozen=True, eq=False)
+class _Ball:
+    """Around theta~, (B,), in units of `weight`: its radius; |A F_tt| along theta~; what A DF changes by in the time;
+    and how much less than 1 nothing in it is stretched by A DF."""
+
+    radius: Array
+    bow: Array
+    drift: Array
+    stretch: Array
 
 
 class _Bounds:
@@ -76,6 +123,10 @@ class _Bounds:
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
         """|y_i| <= sqrt((|beta_i| + s) / kt_i) and so on, for |y| = 1 in the norm of torsional energy."""
         self.torque = self.bending.pairs.sum(3)
+        pairs, pulls, b = self.drift.pairs, self.drift.pulls, self.bending
+        self.pairing = Jet(b.pairs, pairs.d, pairs.dd, pairs.ddd)
+        self.pull = Jet(b.moment / b.stiffness[..., None], pulls.d, pulls.dd, pulls.ddd)
+        """m_i m_j / k (B, K, n, n) and m_i / k (B, K, n), where places move along tubes that vary."""
         self.zero = np.zeros_like(self.torque)
 
     def steps(self) -> Jet:
@@ -99,27 +150,29 @@ class _Bounds:
             (b.pairs * one[1] * other[1]).sum(3) + mixed + self.torque * (kk + 2 * k[0] * k[1])[..., None]
         )
 
-    def moment(self, turn: Turn) -> Jet:
-        """(B, K, n) of the moment M along theta~."""
-        first, second = self.drift.moment(turn[1], _both(self.drift.bow)[1])
-        return Jet(self.torque, self.torque_change(turn) + first, self.torque_second(turn, turn) + second)
+    def chord(self, turn: Turn) -> Course:
+        """That of theta~."""
+        bow = self.drift.bow.dd
+        return Jet(turn[0], turn[0], bow), Jet(turn[1], turn[1], _both(bow)[1])
 
-    def bent(self, turn: Turn) -> Jet:
-        """(B, K) of u along theta~."""
-        b, (first, second) = self.bending, self.drift.bend(turn[0], self.drift.bow)
-        return Jet(b.most, b.change(turn[0]) + first, b.second(turn[0], turn[0]) + second)
+    def cross_sections(self, course: Course) -> tuple[Jet, Jet]:
+        """(B, K, n) of the moment M, and (B, K) of u, along a course."""
+        bent, k = self.bending.along((self.pull * turned(course[0])).map(lambda bound: bound.sum(2)))
+        moment = (self.pairing * turned(course[1])).map(lambda bound: bound.sum(3))
+        return (moment * inverse(k).map(lambda bound: bound[..., None]) if self.offset.any() else moment), bent
 
     def torques(self, moment: Jet) -> tuple[Jet, Jet]:
         """(B, K, n) what tubes bear at both ends of every section, N m, of moments with these bounds."""
         gain = self.steps() * moment
         begin = gain.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
-        return begin, Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd)
+        less = None if begin.ddd is None or gain.ddd is None else begin.ddd - gain.ddd
+        return begin, Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd, less)
 
     def rotation(self, moment: Jet, stretch: Jet) -> Jet:
         """|beta| w(0) + int h (1 + stretch) w (B, K, n) at the end of every section, and so all over it."""
         begin, end = self.torques(moment)
         mean = (begin + end).map(lambda bound: bound / 2)
-        one = Jet(1 + stretch.v, stretch.d, stretch.dd)
+        one = replace(stretch, v=1 + stretch.v)
         along = (self.steps() * (one * mean * self.ease)).map(lambda bound: np.cumsum(bound, axis=1))
         base = self.transmission * begin.map(lambda bound: bound[:, 0])
         return along + base.map(lambda bound: bound[:, None])
@@ -156,7 +209,7 @@ class _Bounds:
         own, pair = self.intervals.changes
         # Samples are interpolated; and the natural turn is not quite linear in time.
         wrong = self.intervals.arms.turn_error
-        least = _both((wrong[self.intervals.one] + wrong[self.intervals.other])[:, None] + self.drift.bow / 2)
+        least = _both((wrong[self.intervals.one] + wrong[self.intervals.other])[:, None] + self.drift.bow.dd / 2)
         own, pair = own + least[0], pair + least[1]
         more = self._between((own, pair))
         wide = own + 2 * more, pair + 2 * _both(more)[1]
@@ -166,7 +219,7 @@ class _Bounds:
 
     def _between(self, turn: Turn) -> Array:
         """(B, K, n) an eighth of the square of a stretch times the change of d^2 theta / dx^2 = h d (h g w) / ds."""
-        h, moment = self.steps(), self.moment(turn)
+        h, (moment, _) = self.steps(), self.cross_sections(self.chord(turn))
         u, du = self.bending.most, self.bending.change(turn[0])
         g = Jet(1 + self._stretch(u), self._stretch(du), self.zero)
         second = h * h * g * moment * self.ease
@@ -180,10 +233,11 @@ class _Bounds:
             second = second + h * w * bent.map(self._stretch)
         return np.asarray(second.d / (8 * PARTS**2))
 
-    def error(self, turn: Turn) -> tuple[Array, Mask]:
-        """(B, K, n) bound of |e|, and (B,) whether the ball is mapped into itself."""
+    def ball(self, turn: Turn) -> tuple[_Ball, Mask]:
+        """That in which e is, and (B,) whether it is mapped into itself."""
         b, du = self.bending, np.zeros_like(self.bending.most)
-        residual = self.rotation(self.moment(turn), self.bent(turn).map(self._stretch)).dd / 8
+        moment, bent = self.cross_sections(self.chord(turn))
+        residual = self.rotation(moment, bent.map(self._stretch)).dd / 8
         first = self.norm(self.response(_both(residual)))
         # What DF(theta~, t) - DF(theta_0) makes of |y| <= weight by half of the time, and what e adds to it per unit.
         added = []
@@ -198,8 +252,26 @@ class _Bounds:
         q, bow = added[0] / 2, added[1]
         root = (1 - q) ** 2 - 2 * bow * first
         kept = (q < 1) & (root > 0)
-        ball = 2 * first / ((1 - q) + np.sqrt(np.maximum(root, 0.0)))
-        return np.asarray(ball[:, None, None] * self.weight[0]), np.asarray(kept)
+        radius = 2 * first / ((1 - q) + np.sqrt(np.maximum(root, 0.0)))
+        return _Ball(radius, 8 * first, added[0], 1 - q - bow * radius), np.asarray(kept)
+
+    def course(self, turn: Turn, ball: _Ball) -> Course:
+        """That of theta, to the third derivative.
+
+        DF e' = -d/dt F(theta~ + e, t), e at rest, and F(theta~, t) is 0 at both ends; DF e'' and DF e''' are what lower
+        derivatives make of -F_tt and -F_ttt.
+        """
+        own = self.weight[0]
+        first = ((ball.bow / 2 + ball.drift * ball.radius) / ball.stretch)[:, None, None]
+        orders = [turn[0] + first * own, part(self.drift.bow, 2), part(self.drift.bow, 3)]
+        pairs = [turn[1] + first[..., None] * self.weight[1], *(_both(each)[1] for each in orders[1:])]
+        for order in (1, 2):
+            moment, bent = self.cross_sections((Jet(own, *orders), Jet(own, *pairs)))
+            along = self.rotation(moment, bent.map(self._stretch))
+            size = (self.norm(self.response(_both(part(along, order + 1)))) / ball.stretch)[:, None, None]
+            orders[order] = orders[order] + size * own
+            pairs[order] = pairs[order] + size[..., None] * self.weight[1]
+        return Jet(own, *orders), Jet(own, *pairs)
 
     def _varied(self, varied: Jet, gained: Jet, by: Turn, moving: bool) -> Array:
         """(B, K, n) first derivative, as theta turns `by` (and sections and transmissions move), of DF - 1 applied to
@@ -227,7 +299,7 @@ class _Bounds:
         bounds |phi| and Phi its derivative; an eighth of it is off the line. What e makes of u adds its lever.
         """
         b, h = self.bending, self.long
-        bent = h * self.bent(turn)
+        bent = h * self.cross_sections(self.chord(turn))[1]
         w = np.cumsum(bent.d, axis=1)
         w0 = w - bent.d
         phi = np.cumsum((w + w0) / 2 * bent.d + bent.dd, axis=1)

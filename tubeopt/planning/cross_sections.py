@@ -20,30 +20,59 @@ from ..typing import Array, Index
 
 @dataclass(frozen=True, eq=False)
 class Jet:
-    """Bounds of |f|, |f'| and |f''| by time over an interval: arrays of any shape that go together."""
+    """Bounds of |f|, |f'|, |f''| and, where it is known, |f'''| by time over an interval: arrays of any shape that go
+    together."""
 
     v: Array
     d: Array
     dd: Array
+    ddd: Array | None = None
 
     def __add__(self, other: Jet) -> Jet:
-        return Jet(self.v + other.v, self.d + other.d, self.dd + other.dd)
+        third = None if self.ddd is None or other.ddd is None else self.ddd + other.ddd
+        return Jet(self.v + other.v, self.d + other.d, self.dd + other.dd, third)
 
     def __mul__(self, other: Jet) -> Jet:
+        third = None
+        if self.ddd is not None and other.ddd is not None:
+            third = self.ddd * other.v + 3 * (self.dd * other.d + self.d * other.dd) + self.v * other.ddd
         return Jet(
             self.v * other.v,
             self.d * other.v + self.v * other.d,
             self.dd * other.v + 2 * self.d * other.d + self.v * other.dd,
+            third,
         )
 
     def map(self, function: Callable[[Array], Array]) -> Jet:
-        """A linear function with no negative weights, of all three."""
-        return Jet(function(self.v), function(self.d), function(self.dd))
+        """A linear function with no negative weights, of all of them."""
+        third = None if self.ddd is None else function(self.ddd)
+        return Jet(function(self.v), function(self.d), function(self.dd), third)
+
+
+def part(jet: Jet, order: int) -> Array:
+    """A derivative of it."""
+    found = (jet.v, jet.d, jet.dd, jet.ddd)[order]
+    assert found is not None
+    return found
 
 
 def linear(begin: Array, end: Array) -> Jet:
     """Of what goes linearly from one value to another while time goes from 0 to 1."""
-    return Jet(np.maximum(np.abs(begin), np.abs(end)), np.abs(end - begin), np.zeros_like(begin))
+    zero = np.zeros_like(begin)
+    return Jet(np.maximum(np.abs(begin), np.abs(end)), np.abs(end - begin), zero, zero)
+
+
+def turned(angle: Jet) -> Jet:
+    """Of a unit vector that turns by an angle in a plane, or its sine; of the angle only derivatives count."""
+    third = None if angle.ddd is None else angle.d**3 + 3 * angle.d * angle.dd + angle.ddd
+    return Jet(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd, third)
+
+
+def inverse(size: Jet) -> Jet:
+    """Of 1 / f, where f is at least `size.v`."""
+    one, two = size.d / size.v, size.dd / size.v
+    third = None if size.ddd is None else (size.ddd / size.v + 6 * one * two + 6 * one**3) / size.v
+    return Jet(1 / size.v, one / size.v, (two + 2 * one**2) / size.v, third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +152,8 @@ class Bending:
     slope: Array
     """(...) of |grad k|."""
     bow: Array
-    """(...) of its derivative."""
+    """(...) of its derivative, and `hook` of that of this."""
+    hook: Array
     yielding: Array
     """(...) of |d(u k)| over |du| from below."""
 
@@ -142,16 +172,30 @@ class Bending:
         squeeze = np.maximum(1 - c.offset * most[..., None], 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             bow = np.where(kb * c.offset > 0, 2 * kb * c.offset**2 / squeeze**3, 0.0).sum(-1)
+            hook = np.where(kb * c.offset > 0, 6 * kb * c.offset**3 / squeeze**4, 0.0).sum(-1)
         slope = tilt + most * bow
         yielding = stiffness - most * slope
         pairs = moment[..., :, None] * moment[..., None, :] / stiffness[..., None, None]
         n = moment.shape[-1]
         pairs[..., np.arange(n), np.arange(n)] = 0.0
-        return Bending(moment, pairs, most, stiffness, slope, bow, yielding)
+        return Bending(moment, pairs, most, stiffness, slope, bow, hook, yielding)
 
     def change(self, turn: Array) -> Array:
         """(...) bound of |du| where theta_i changes by at most turn (..., n)."""
         return np.asarray((self.moment * turn).sum(-1) / self.yielding)
+
+    def along(self, pulled: Jet) -> tuple[Jet, Jet]:
+        """(...) of u, and of k over what it is at least, where S over that has the derivatives of `pulled`."""
+        ratio, k = self.stiffness / self.yielding, self.stiffness
+        two, three = 2 * self.slope / k + self.most * self.bow / k, (3 * self.bow + self.most * self.hook) / k
+        d = ratio * pulled.d
+        dd = ratio * (pulled.dd + two * d**2)
+        third = stiff = None
+        if pulled.ddd is not None:
+            third = ratio * (pulled.ddd + 3 * two * d * dd + three * d**3)
+            stiff = (self.slope * third + 3 * self.bow * d * dd + self.hook * d**3) / k
+        size = Jet(np.ones_like(k), self.slope * d / k, (self.slope * dd + self.bow * d**2) / k, stiff)
+        return Jet(self.most, d, dd, third), size
 
     def second(self, one: Array, other: Array) -> Array:
         """(...) bound of the second derivative of u in directions that turn theta_i by at most these (..., n)."""
@@ -176,8 +220,9 @@ class Drift:
     """(..., n) of its derivative by arc length."""
     wound: Jet
     """(..., n) of that of u*_z, with one derivative by time."""
-    bow: Array
-    """(..., n) second derivative by time of the natural turn, less than which it is off a straight line in time."""
+    bow: Jet
+    """(..., n) of the natural turn by time, derivatives only; half of the second is more than it is off a straight line
+    in time."""
     give: Jet
     """(...) of 1 / k."""
 
@@ -188,27 +233,25 @@ class Drift:
         kb = c.least(b.bending[0], *stretches)
         kb = np.where(kb.any(-1, keepdims=True), kb, 1.0)
         if c.still:
-            nothing, give = Jet(none, none, none), Jet(1 / kb.sum(-1), none, none)
-            ease = Jet(1 / c.least(b.torsional, *stretches), none, none)
-            return Drift(True, nothing, nothing, ease, nothing, nothing, none, give)
+            nothing, give = Jet(none, none, none, none), Jet(1 / kb.sum(-1), none, none, none)
+            ease = Jet(1 / c.least(b.torsional, *stretches), none, none, none)
+            return Drift(True, nothing, nothing, ease, nothing, nothing, nothing, give)
 
         def jet(value: Array, *rates: Array) -> Jet:
             rows = [c.most(rate, *stretches) * move ** (k + 1) for k, rate in enumerate(rates)]
-            return Jet(value, *rows, *(np.zeros_like(value) for _ in range(2 - len(rows))))
+            return Jet(value, *rows, *(np.zeros_like(value) for _ in range(3 - len(rows))))
 
-        straight = jet(kb, *b.bending[1:]).map(lambda part: part.sum(-1))
-        k, size = straight.v, straight.d / straight.v
-        give = Jet(1 / k, size / k, (straight.dd / k + 2 * size**2) / k)
+        give = inverse(jet(kb, *b.bending[1:]).map(lambda part: part.sum(-1)))
         pull = jet(c.most(b.pull[0], *stretches), *b.pull[1:])
         pulls = pull * give.map(lambda part: part[..., None])
         pairs = pulls.map(lambda part: part[..., :, None]) * pull.map(lambda part: part[..., None, :])
         pairs = pairs.map(lambda part: part * (1 - np.eye(part.shape[-1])))
         ease = jet(1 / c.least(b.torsional, *stretches), *b.ease)
-        slope, bend = (c.most(rate, *stretches) for rate in b.ease)
+        slope, bend, third = (c.most(rate, *stretches) for rate in b.ease)
+        eased = Jet(slope, bend * move, third * move**2)
         wound = jet(c.most(b.twist[1], *stretches), b.twist[2])
-        return Drift(
-            False, pulls, pairs, ease, Jet(slope, bend * move, np.zeros_like(slope)), wound, wound.v * move**2, give
-        )
+        bow = Jet(np.zeros_like(move), wound.v * move, wound.v * move**2, wound.d * move**2)
+        return Drift(False, pulls, pairs, ease, eased, wound, bow, give)
 
     def bend(self, turn: Array, bow: Array) -> tuple[Array, Array]:
         """(...) what it adds to the first and second derivative of u, theta' by time being `turn` and theta'' `bow`."""

@@ -20,13 +20,13 @@ places at fixed fractions of sections move along them, which changes |a_i|, K an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..typing import Array, Mask
-from .branch import Branch, Turn
-from .cross_sections import Jet, linear
+from .branch import Branch, Turn, tip_of, whirled
+from .cross_sections import Jet, linear, part, turned
 from .loaded_sections import LoadedIntervals
 from .sections import PARTS
 
@@ -39,11 +39,20 @@ def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bounds = _Bounds(intervals)
         least = np.minimum(margins[intervals.one], margins[intervals.other])
-        radius, kept = bounds.radius(least)
+        radius, _, kept = bounds.ball(least)
         off = bounds.off(radius)
     sure = bounds.changes.sure
     unbroken = sure & kept & intervals.ordered & np.isfinite(off).all(1)
     return Branch(np.asarray(unbroken), np.where(unbroken[:, None], off, np.inf), sure)
+
+
+def loaded_tip_rates(intervals: LoadedIntervals, margins: Array) -> Array:
+    """(2, B) bounds of the second and third derivative of the tip by time, m, where one stable branch joins the
+    equilibria; infinite where nothing bounds them."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        bounds = _Bounds(intervals)
+        radius, convex, _ = bounds.ball(np.minimum(margins[intervals.one], margins[intervals.other]))
+        return tip_of(bounds.long * bounds.whirl(radius, convex))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +83,8 @@ class _Bounds:
         self.kt, self.stiffness, self.drift = intervals.torsional, b.stiffness, intervals.drift
         self.pairs, self.slope = b.pairs, b.moment / b.stiffness[..., None]
         """|a_i||a_j| / K (B, K, n, n), and A_i = |a_i| / K (B, K, n), 1/m."""
-        self.pairing = Jet(self.pairs, self.drift.pairs.d, self.drift.pairs.dd)
-        self.pull = Jet(self.slope, self.drift.pulls.d, self.drift.pulls.dd)
+        self.pairing = replace(self.drift.pairs, v=self.pairs)
+        self.pull = replace(self.drift.pulls, v=self.slope)
         """The same where places move along tubes that vary."""
         self.long, self.spring = linear(*intervals.length), intervals.transmission
         self.lever, self.u = intervals.lever, b.most
@@ -89,7 +98,7 @@ class _Bounds:
         bound = self.pairs.sum(3) + self.slope * self.lever[..., None]
         self.torque = size + self.long.v[..., None] * bound / (2 * PARTS)
         self.changes = self._changes(torque, moment)
-        self._chord()
+        self.theta, self.pair, self.tangent, self.answer = self._chord(self.changes, self.torque)
 
     def _swing(self, give: Array) -> Array:
         """The most of int sum A_i |y_i| + |r| up to the end of every section where T = 1; `give` (B, K, n) is h / kt.
@@ -107,6 +116,9 @@ class _Bounds:
         """What differs between both ends, sampled, with what lies between samples: no more than half of their distance
         times a bound of the slope, which is linear in what it bounds, so that it holds if it holds for more."""
         own, pair = self.intervals.changes
+        wrong = self.intervals.arms.turn_error
+        error = (wrong[self.intervals.one] + wrong[self.intervals.other])[:, None]
+        own, pair = own + error, pair + _both(error)
         sampled = _Changes((own, pair), torque, moment, np.ones(len(own), dtype=bool))
         more, found = self._between(sampled), sampled
         for factor in FACTORS:
@@ -140,36 +152,104 @@ class _Bounds:
         by_tubes = (self.slope * c.turn[0] + self.pull.d).sum(2)
         return np.asarray(c.moment / self.stiffness + by_tubes + self.lever * self.drift.give.d)
 
-    def _chord(self) -> None:
-        """Along what goes linearly in torques and moments."""
-        c = self.changes
-        torque = Jet(self.torque, c.torque, np.zeros_like(c.torque))
+    def _wound(self, torque: Jet) -> Jet:
+        """(B, K, n) of theta, derivatives only, as torques twist the tubes."""
         begin = self.spring * torque.map(lambda bound: bound[:, 0])
         along = self.long.map(lambda bound: bound[..., None]) * torque * self.drift.ease
-        bow = begin.dd[:, None] + np.cumsum(along.dd, axis=1) + self.drift.bow
-        self.theta = Jet(np.ones_like(bow), c.turn[0] + bow / 2, bow)
-        both = bow[..., :, None] + bow[..., None, :]
-        self.pair = Jet(np.ones_like(both), c.turn[1] + both / 2, both)
-        by_tubes = (self.pull * _turned(self.theta)).map(lambda bound: bound.sum(2))
-        by_load = Jet(self.lever, c.moment, np.zeros_like(c.moment)) * self.drift.give
-        self.bent = self.long * Jet(self.u, by_load.d + by_tubes.d, by_load.dd + by_tubes.dd)
-        turn = np.cumsum(self.bent.d, axis=1)
-        turning = np.cumsum(turn * self.bent.d + self.bent.dd, axis=1)
-        self.tangent = Jet(np.ones_like(turn), turn, turning + turn**2)
-        each = self.long * self.tangent * self.force
-        self.moment = each.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
+        return begin.map(lambda bound: bound[:, None]) + along.map(lambda b: np.cumsum(b, axis=1)) + self.drift.bow
+
+    def _bends(self, theta: Jet, moment: Jet) -> Jet:
+        """(B, K) of h u."""
+        by_tubes = (self.pull * turned(theta)).map(lambda bound: bound.sum(2))
+        return self.long * replace(by_tubes + moment * self.drift.give, v=self.u)
+
+    def _answer(self, theta: Jet, pair: Jet, tangent: Jet) -> tuple[Jet, Jet, Jet]:
+        """T_i (B, K, n) and M (B, K); and m_w (B, K)."""
+        ahead = (self.long * tangent * self.force).map(_ahead)
+        moment = tangent * ahead
+        by_load = turned(theta) * moment.map(lambda bound: bound[..., None])
+        by_tubes = (self.pairing * turned(pair)).map(lambda bound: bound.sum(3))
+        each = self.long.map(lambda bound: bound[..., None]) * (self.pull * by_load + by_tubes)
+        return each.map(_ahead), moment, ahead
+
+    def _size(self, torque: Array, moment: Array) -> Array:
+        """(B,) root of T of torques (B, K, n) and moments (B, K)."""
+        inside = (torque**2 / self.kt).sum(2) + moment**2 / self.stiffness
+        held = (self.spring.v * torque[:, 0] ** 2).sum(1)
+        return np.asarray(np.sqrt((self.long.v * inside).sum(1) + held))
+
+    def _chord(self, c: _Changes, torque: Array) -> tuple[Jet, Jet, Jet, tuple[Jet, Jet, Jet]]:
+        """What goes linearly in torques, of at most `torque`, and moments, which change by c: theta, differences of
+        theta, tangents, and the answer to it."""
+        bow = self._wound(Jet(torque, c.torque, np.zeros_like(c.torque))).dd
+        theta, both = Jet(np.ones_like(bow), c.turn[0] + bow / 2, bow), _both(bow)
+        pair = Jet(np.ones_like(both), c.turn[1] + both / 2, both)
+        bent = self._bends(theta, Jet(self.lever, c.moment, np.zeros_like(c.moment)))
+        turn = np.cumsum(bent.d, axis=1)
+        tangent = whirled(turn, np.cumsum(turn * bent.d + bent.dd, axis=1))
+        return theta, pair, tangent, self._answer(theta, pair, tangent)
 
     def gradient(self) -> Array:
         """(B,) bound of |g| along the chord."""
-        moment = self.tangent * self.moment
-        by_load = _turned(self.theta) * moment.map(lambda bound: bound[..., None])
-        by_tubes = (self.pairing * _turned(self.pair)).map(lambda bound: bound.sum(3))
-        shared = self.pull * by_load + by_tubes
-        each = self.long.map(lambda bound: bound[..., None]) * shared
-        torque = np.cumsum(each.dd[:, ::-1], axis=1)[:, ::-1] / 8
-        inside = (torque**2 / self.kt).sum(2) + (moment.dd / 8) ** 2 / self.stiffness
-        held = (self.spring.v * torque[:, 0] ** 2).sum(1)
-        return np.asarray(np.sqrt((self.long.v * inside).sum(1) + held))
+        torque, moment, _ = self.answer
+        return self._size(torque.dd / 8, moment.dd / 8)
+
+    def _response(self, size: Array) -> _Changes:
+        """What torques and moments of a root of T of `size` (B,) turn, and how much T_i and M differ by that."""
+        own, pair, h = self.weight[0] * size[:, None, None], self.weight[1] * size[:, None, None, None], self.long.v
+        frame = self.swing * size[:, None]
+        moment = frame * self.lever + _ahead(h * frame * self.force.v)
+        by_load = self.slope * (own * self.lever[..., None] + moment[..., None])
+        torque = _ahead(h[..., None] * ((self.pairs * pair).sum(3) + by_load))
+        return _Changes((own, pair), torque, moment, np.ones(len(size), dtype=bool))
+
+    def whirl(self, radius: Array, convex: Array) -> Jet:
+        """(B, K) of the tangent of the equilibria themselves, to the third derivative, where they are within `radius`
+        (B,) of the chord, and the second variation is at least `convex` (B,) times T.
+
+        With e what they are off the chord, g_y e' = -d/dt g(chord + e), e at rest, and g(chord) is 0 at both ends. What
+        g_y makes of y'' and y''' is what lower derivatives make of -g.
+        """
+        c, (torque, moment, _) = self.changes, self.answer
+        ball = self._response(radius)
+        off = ball.torque + torque.dd / 8
+        wide = _Changes(
+            (c.turn[0] + ball.turn[0], c.turn[1] + ball.turn[1]),
+            c.torque + off,
+            c.moment + ball.moment + moment.dd / 8,
+            c.sure,
+        )
+        # The mixed derivative by time and e: what e makes of the second one, of which it is half.
+        both = self._chord(wide, self.torque + off)[3]
+        twisting, bending = both[0].dd / 2, both[1].dd / 2
+        first = self._response(self._size(twisting, bending) / convex)
+        course = _Course.still(self)
+        course.torque[0] = self.torque + off
+        course.theta[1], course.pair[1] = self.theta.d + first.turn[0], self.pair.d + first.turn[1]
+        course.torque[1] = c.torque + twisting + first.torque
+        course.moment[1] = c.moment + bending + first.moment
+        course.frame[1] = np.cumsum(self._bends(course.jet("theta"), course.jet("moment")).d, axis=1)
+        self._path(course, 2, convex)
+        self._path(course, 3, convex)
+        return whirled(*course.frame[1:])
+
+    def _path(self, course: _Course, order: int, convex: Array) -> None:
+        """Bounds of a derivative of a course, where lower ones are known: what these make of it, where torques and
+        moments have none of this order, and then what those have."""
+        theta = part(self._wound(course.jet("torque")), order)
+        course.theta[order], course.pair[order] = theta, _both(theta)
+        bent, frame = self._bends(course.jet("theta"), course.jet("moment")), course.frame
+        gain = part(bent, order) + frame[1] * bent.d
+        if order == 3:
+            gain = part(bent, order) + (frame[2] + frame[1] ** 2) * bent.d + 2 * frame[1] * bent.dd
+        frame[order] = np.cumsum(gain, axis=1)
+        made = self._answer(course.jet("theta"), course.jet("pair"), whirled(*frame[1:]))
+        torque, moment = part(made[0], order), part(made[1], order)
+        size = self._size(torque, moment) / convex
+        more = self._response(size)
+        course.theta[order], course.pair[order] = theta + more.turn[0], _both(theta) + more.turn[1]
+        frame[order] = frame[order] + self.swing * size[:, None]
+        course.torque[order], course.moment[order] = torque + more.torque, moment + more.moment
 
     def variation(self, moved: _Moved, *, stretched: bool) -> Array:
         """(B,) by how much the second variation relative to T differs; `stretched`: with sections as they are at the
@@ -213,17 +293,19 @@ class _Bounds:
         kb, kt = (c.most(most, stretch) for most in c.bounds.stiffest)
         return self.drift.ease.d * np.sqrt(kt) / 4, self.drift.give.d * np.sqrt(kb.sum(-1)) / 4
 
-    def radius(self, margin: Array) -> tuple[Array, Mask]:
-        """(B,) of the ball in which the equilibria are, and whether it is one in which the energy is convex."""
+    def ball(self, margin: Array) -> tuple[Array, Array, Mask]:
+        """(B,) radius of the ball in which the equilibria are, the least of the second variation over T in it, and
+        whether that is more than 0."""
         # How far the chord is from its nearer end; and what is in a ball from its centre, per its radius.
-        by_time = _Moved((self.theta.d / 2, self.pair.d / 2), self.tangent.d / 2, self.moment.d / 2)
+        by_time = _Moved((self.theta.d / 2, self.pair.d / 2), self.tangent.d / 2, self.answer[2].d / 2)
         each = self.long.v * self.force.v * self.swing
         by_ball = _Moved(self.weight, self.swing, np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
         q, bow = self.variation(by_time, stretched=True), self.variation(by_ball, stretched=False)
         first, left = self.gradient(), margin - q
         root = left**2 - 2 * bow * first
         kept = (left > 0) & (root > 0)
-        return np.asarray(2 * first / (left + np.sqrt(np.maximum(root, 0.0)))), np.asarray(kept)
+        radius = 2 * first / (left + np.sqrt(np.maximum(root, 0.0)))
+        return np.asarray(radius), np.asarray(left - bow * radius), np.asarray(kept)
 
     def off(self, radius: Array) -> Array:
         """(B, K) bound of the distance of a point from the straight line between its places at both ends, m."""
@@ -232,9 +314,36 @@ class _Bounds:
         return np.asarray(np.cumsum(second / 8 + lever, axis=1))
 
 
-def _turned(angle: Jet) -> Jet:
-    """Of a unit vector that turns by an angle, or its sine."""
-    return Jet(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd)
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Sizes (0) and derivatives (1 to 3) by time of theta_i and theta_i - theta_j, of torques, moments, and the frames:
+    of these how fast they turn (1), and two derivatives of that."""
+
+    theta: list[Array]
+    pair: list[Array]
+    torque: list[Array]
+    moment: list[Array]
+    frame: list[Array]
+
+    @staticmethod
+    def still(of: _Bounds) -> _Course:
+        """One at rest."""
+        sizes = np.ones_like(of.torque), np.ones_like(of.pairs), of.torque, of.lever, np.ones_like(of.lever)
+        return _Course(*([size, *(np.zeros_like(size) for _ in range(3))] for size in sizes))
+
+    def jet(self, name: str) -> Jet:
+        """One of them."""
+        return Jet(*getattr(self, name))
+
+
+def _ahead(bound: Array) -> Array:
+    """Sums over the sections from each on, to the tip."""
+    return np.cumsum(bound[:, ::-1], axis=1)[:, ::-1]
+
+
+def _both(own: Array) -> Array:
+    """Bounds of theta_i as those of their differences."""
+    return own[..., :, None] + own[..., None, :]
 
 
 def _roots(one: Array, other: Array) -> Array:

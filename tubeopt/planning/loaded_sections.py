@@ -10,7 +10,7 @@ import numpy as np
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..typing import Array, Index
-from .cross_sections import Bending, Drift, Jet
+from .cross_sections import Bending, Drift, Jet, turned
 from .sections import JUMP, SHAPE_ERROR, Arms, Intervals
 
 
@@ -35,6 +35,11 @@ class Pull:
     tip: Array
     along: Array
     weight: Array
+
+    @property
+    def per_length(self) -> float:
+        """Bound of the force per length, N/m."""
+        return float(np.linalg.norm(self.along) + np.linalg.norm(self.weight, axis=1).sum())
 
     @staticmethod
     def of(robot: Robot, load: Load) -> Pull:
@@ -122,33 +127,68 @@ class LoadedArms(Arms):
         )
         return torque, moment
 
-    @cached_property
+    @property
     def shape_error(self) -> Array:
-        """(E,) bound of the distance of `points` from the centreline, m: |p'''| <= |u|^2 + |u'|."""
+        """(E,) bound of the distance of `points` from the centreline, m."""
+        return self._wrong[0]
+
+    @property
+    def turn_error(self) -> Array:
+        """(E, n) bound of the error of interpolation of `rotations`, rad."""
+        return self._wrong[1]
+
+    @property
+    def load_error(self) -> tuple[Array, Array]:
+        """(E, n) and (E,) the same of torques and moments that are `sampled`, N m."""
+        return self._wrong[2], self._wrong[3]
+
+    @cached_property
+    def _wrong(self) -> tuple[Array, ...]:
+        """Of cubic Hermite interpolation, by third derivatives along the arm: |p'''| <= |u|^2 + |u'|."""
+        c, inner, n = self.constants, self.inner, self.constants.offset.size
+        count = len(self.equilibria)
         out = np.array([e.tip_error for e in self.equilibria])
-        c, inner = self.constants, self.inner
+        errors = out, np.zeros((count, n)), np.zeros((count, n)), np.zeros(count)
+        if not len(inner):
+            return errors
         h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
         bend, ends = Bending.of(c, *self.crossed), self.ends[owner]
-        drift = Drift.of(c, np.array(1.0), *self.crossed)
+        drift, pull = Drift.of(c, np.array(1.0), *self.crossed), [c.most(each, *self.crossed) for each in c.bounds.pull]
         pulls = (self.pull.on(self.arc_length[k], ends) for k in (inner, inner + 1))
         force = np.maximum(*(np.linalg.norm(each, axis=1) for each in pulls))
         # No moment is larger than the forces ahead make on a straight arm; torque grows by |u| |a| per length.
-        moment = self._lever[owner]
+        moment, along = self._lever[owner], self.pull.per_length
         u = bend.most + moment / bend.stiffness
-        gain = h[:, None] * u[:, None] * bend.moment
-        torque = np.maximum(np.abs(self.torque[inner]), np.abs(self.torque[inner + 1])) + gain
-        turning = torque / c.least(c.bounds.torsional, *self.crossed) + c.most(c.bounds.twist[0], *self.crossed)
-        third = u**2 + (u * torque.sum(1) + force) / bend.stiffness + bend.change(turning)
-        third = third + drift.bend(turning, np.zeros(()))[0] + moment * drift.give.d
-        np.maximum.at(out, owner, np.where(self.wide, np.inf, SHAPE_ERROR[0] * h**3 * third + out[owner]))
-        return out
+        grows = u[:, None] * bend.moment
+        torque = np.maximum(np.abs(self.torque[inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
+        ease, wound = drift.ease, drift.wound
+        turn = torque * ease.v + c.most(c.bounds.twist[0], *self.crossed)
+        turning = grows * ease.v + torque * ease.d + wound.v
+        swing = turned(Jet(turn, turn, turning))
+        whole, growing = torque.sum(1), grows.sum(1)
+        bending = force + u * whole
+        by_tubes = replace(drift.pulls, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
+        du = bending / bend.stiffness + moment * drift.give.d + by_tubes.d.sum(1)
+        a = Jet(*pull[:3]) * swing
+        grown = du[:, None] * a.v + u[:, None] * a.d
+        turned_on = grown * ease.v + 2 * grows * ease.d + torque * ease.dd + wound.d
+        bent = force * u + along + du * whole + u * growing
+        ddu = bent / bend.stiffness + 2 * bending * drift.give.d + moment * drift.give.dd + by_tubes.dd.sum(1)
+        twisted = ddu[:, None] * a.v + 2 * du[:, None] * a.d + u[:, None] * a.dd
+        lifted = force * (du + u**2) + 2 * u * along + ddu * whole + 2 * du * growing + u * grown.sum(1)
+        share = SHAPE_ERROR[0] * h**3
+        thirds = share * (u**2 + du) + out[owner], turned_on, twisted, share * lifted
+        for error, third in zip(errors, thirds, strict=True):
+            wide = self.wide if third.ndim == 1 else self.wide[:, None]
+            third = third if third.ndim == 1 else share[:, None] * third
+            np.maximum.at(error, owner, np.where(wide, np.inf, third))
+        return errors
 
     @cached_property
     def _lever(self) -> Array:
         """(E,) bound of the bending moment of the load, N m."""
         length, p = self.ends.max(1), self.pull
-        along = np.linalg.norm(p.along) + np.linalg.norm(p.weight, axis=1).sum()
-        return np.asarray(length * np.linalg.norm(p.tip) + length**2 / 2 * along)
+        return np.asarray(length * np.linalg.norm(p.tip) + length**2 / 2 * p.per_length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +207,7 @@ class LoadedIntervals(Intervals):
         ]
         size = np.linalg.norm(tables, axis=-1).max((0, 1))
         change = np.linalg.norm(tables[1] - tables[0], axis=-1).max(0)
-        return Jet(size, change, np.zeros_like(size))
+        return Jet(size, change, np.zeros_like(size), np.zeros_like(size))
 
     @cached_property
     def lever(self) -> Array:
@@ -184,7 +224,10 @@ class LoadedIntervals(Intervals):
     @cached_property
     def loads(self) -> tuple[Array, Array, Array]:
         """(B, K, n) sizes of torques, and by how much torques (B, K, n) and moments (B, K) differ at most between both
-        ends, at the ends of PARTS stretches of every section."""
+        ends, at the ends of PARTS stretches of every section, with the errors of interpolation there."""
         (torque, moment), (later, after) = (self.arms.sampled(*places) for places in self.parts)
-        size = np.maximum(np.abs(torque), np.abs(later)).max(2)
-        return size, np.abs(later - torque).max(2), np.linalg.norm(after - moment, axis=-1).max(2)
+        twisting, bending = (error[self.one] + error[self.other] for error in self.arms.load_error)
+        twisting, bending = twisting[:, None], bending[:, None]
+        size = np.maximum(np.abs(torque), np.abs(later)).max(2) + twisting
+        change = np.linalg.norm(after - moment, axis=-1).max(2) + bending
+        return size, np.abs(later - torque).max(2) + twisting, change

@@ -26,9 +26,6 @@ OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_ac
 """Limits that are one number for all tubes, or one per tube."""
 
 
-TIP_SLACK = 1e-3
-"""Relative excess of the speed of the tip that does not matter, since it is measured between equilibria."""
-
 SLACK = 1e-6
 """Of a rate, and of a range, that is round-off."""
 
@@ -170,7 +167,7 @@ def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
 def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], tip_rate: float, limits: RateLimits) -> list[str]:
     """Joints that are faster, or accelerate more, than their limits, and the tip where it is faster than its own."""
     faults = []
-    if limits.tip is not None and tip_rate > limits.tip * (1 + TIP_SLACK):
+    if limits.tip is not None and tip_rate > limits.tip * (1 + SLACK):
         faults.append(f"the tip reaches {tip_rate * 1e3:.4g} mm/s; it must be at most {limits.tip * 1e3:.4g} mm/s")
     n = space.robot.n_tubes
     units = ((180 / np.pi, "deg/s"), (1e3, "mm/s")), ((180 / np.pi, "deg/s^2"), (1e3, "mm/s^2"))

@@ -37,8 +37,8 @@ from ..stability.following import checked_waypoints
 from ..typing import Array, Of, Sentence
 from .clearing import Wanted
 from .effort import DEFAULT_PROOF, ProofSearch
-from .motion import RateLimits, joint_range, out_of_range, rates_of, too_fast
-from .passage import SHORTEST, Follower, Passage, Step, follow
+from .motion import SLACK, RateLimits, joint_range, out_of_range, rates_of, too_fast
+from .passage import SHORTEST, Follower, Pace, Passage, Step, follow
 
 
 class ProofStatus(Sentence):
@@ -74,7 +74,10 @@ class Paces:
     largest_tip_step: float
     """Between two equilibria of the proof, m."""
     largest_tip_rate: float
-    """Speed of the tip between them, m/s."""
+    """Upper bound of the speed of the tip at all times up to `end`, m/s; infinite where nothing is proved, and under
+    forces that may change."""
+    measured_tip_rate: float
+    """The largest mean speed of the tip between two equilibria, m/s."""
     tip_length: float
     """Of the way of the tip, m."""
 
@@ -119,7 +122,8 @@ class Proof(Displayed):
 
     largest_rotation_rate, largest_translation_rate = Of[float]("paces"), Of[float]("paces")
     largest_rotation_acceleration, largest_translation_acceleration = Of[float]("paces"), Of[float]("paces")
-    largest_tip_step, largest_tip_rate, tip_length = Of[float]("paces"), Of[float]("paces"), Of[float]("paces")
+    largest_tip_step, tip_length = Of[float]("paces"), Of[float]("paces")
+    largest_tip_rate, measured_tip_rate = Of[float]("paces"), Of[float]("paces")
     equilibria, followed = Of[int]("statistics"), Of[float]("statistics")
 
     @property
@@ -212,8 +216,10 @@ def verify_trajectory(  # noqa: PLR0913
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     wanted = Wanted(clearance + moved, effort.accuracy, effort.cells)
     follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(LONG_TIME_LIMIT), effort, load)
-    passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
+    tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
+    passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1), tip)
     refuted, unproved = _branch_faults(follower, passage, min_margin)
+    unproved += _tip_faults(passage.pace, tip, pushed=forced is not None)
     if forced is not None:
         unproved += _force_faults(forced, min_margin)
     late = bool(unproved) and follower.clock.over
@@ -249,12 +255,27 @@ def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
     return []
 
 
+def _tip_faults(pace: Pace, limit: float, *, pushed: bool) -> list[str]:
+    """What is not shown of the speed of the tip, where it is limited."""
+    allowed = f"it must be at most {limit * 1e3:.4g} mm/s"
+    if limit == math.inf or pace.measured > limit * (1 + SLACK):
+        return []
+    if pushed:
+        return [f"not proved: nothing bounds the speed of the tip while a force changes; {allowed}"]
+    if pace.most == math.inf:
+        return [f"not proved: nothing bounds the speed of the tip; {allowed}"]
+    if pace.most > limit * (1 + SLACK):
+        return [f"not proved: of the speed of the tip only {pace.most * 1e3:.5g} mm/s are shown; {allowed}"]
+    return []
+
+
 def _under_force(proof: Proof, forced: ForceBound) -> Proof:
     """The same with what is left under any force."""
     shown = forced.margin > 0
     return replace(
         proof,
         forced=forced,
+        paces=replace(proof.paces, largest_tip_rate=math.inf),
         least_margin=min(proof.least_margin, forced.margin),
         least_clearance=proof.least_clearance - forced.deflection if shown else -math.inf,
         measured_clearance=proof.measured_clearance - forced.deflection if shown else -math.inf,
@@ -329,8 +350,7 @@ def _judge(
     steps = [step.equilibrium for step in passage.steps]
     tips = np.array([e.tip_position for e in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    passed = np.diff([step.at for step in passage.steps]) * (t[-1] - t[0])
-    tip_rate, tip_step = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0)), float(moved.max(initial=0.0))
+    pace, tip_step = passage.pace, float(moved.max(initial=0.0))
     picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.verified).astype(int))]
     again = max(_again(e) for e in picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
@@ -339,13 +359,16 @@ def _judge(
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
     faults += out_of_range(space, alpha, shift)
     if rate_limits is not None:
-        faults += too_fast(space, rates, tip_rate, rate_limits)
+        faults += too_fast(space, rates, pace.measured, rate_limits)
     return Proof(
         snap=passage.snap,
         least_margin=passage.margin,
         least_clearance=passage.clearance,
         measured_clearance=passage.measured,
-        paces=Paces(turning[0], moving[0], turning[1], moving[1], tip_step, tip_rate, float(moved.sum())),
+        paces=Paces(
+            *(turning[0], moving[0], turning[1], moving[1], tip_step, pace.most, pace.measured),
+            tip_length=float(moved.sum()),
+        ),
         reintegration=again,
         statistics=ProofStatistics(follower.count + 1, passage.steps[-1].at),
         end=steps[-1],

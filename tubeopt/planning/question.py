@@ -159,6 +159,8 @@ def asked(
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     space = space.holding(*shift_of(robot, *places))
     rate_limits.of(space)
+    if options.max_force and rate_limits.tip is not None:
+        raise InputError("rate_limits.tip and max_force are both given; the speed of a pushed tip is not bounded")
     chart = Chart(space) if load is None else _loaded(space, load, options)
     return PlanTask(
         chart,

@@ -253,8 +253,8 @@ class Intervals:
         plain = linear(whole[self.one], whole[self.other])
         if self.drift.still:
             return plain
-        moved = self.drift.eased.v[:, 0] * self.moved[:, 0] ** 2
-        return Jet(plain.v, plain.d + moved / 2, moved)
+        moved = self.drift.eased.map(lambda bound: bound[:, 0] * self.moved[:, 0] ** 2)
+        return Jet(plain.v, plain.d + moved.v / 2, moved.v, moved.d)
 
     @cached_property
     def radius(self) -> Array:

@@ -33,7 +33,7 @@ CLOSE = 0.9
 HALVINGS, LEAST_HALVINGS = 12, 2
 """Of a part along which something varies, at most and at least."""
 
-BOUNDS = 14
+BOUNDS = 17
 """Numbers that are found of a cell."""
 
 
@@ -47,9 +47,9 @@ class Variation:
     Attributes:
         cuts: (n, C) where cells end, from the held end, m; the first is the straight part. Tubes of fewer cells are
             filled up with cells without length.
-        bending: (3, ...) kb from below, |kb'|, |kb''|.
-        torsional: kt from below.   ease: (2, ...) |(1 / kt)'|, |(1 / kt)''|.
-        pull: (3, ...) |a|, |a'|, |a''|.
+        bending: (4, ...) kb from below, |kb'|, |kb''|, |kb'''|.
+        torsional: kt from below.   ease: (3, ...) |(1 / kt)'|, |(1 / kt)''|, |(1 / kt)'''|.
+        pull: (4, ...) |a|, |a'|, |a''|, |a'''|.
         twist: (3, ...) |u*_z|, |u*_z'|, |u*_z''|.
         stiffest: (2, ...) kb and kt from above.
     """
@@ -80,8 +80,8 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
         for c, (low, high, _) in enumerate(own):
             bounds[:, i, c] = _bounds(table, i, low, high)
         bounds[:, i, len(own) : most] = bounds[:, i, len(own) - 1, None]
-        bounds[3, i, most] = bounds[3, i, most - 1]
-    return Variation(cuts, bounds[0:3], bounds[3], bounds[4:6], bounds[6:9], bounds[9:12], bounds[12:])
+        bounds[4, i, most] = bounds[4, i, most - 1]
+    return Variation(cuts, bounds[0:4], bounds[4], bounds[5:8], bounds[8:12], bounds[12:15], bounds[15:])
 
 
 def _cells(tube: Tube) -> list[tuple[float, float, float]]:
@@ -118,7 +118,7 @@ def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
             found += _parts(table.coefficients[tube, panel, :5], ends, last - first, HALVINGS)
     parts = np.array(found)
     out: Array = parts.max(0)
-    out[[0, 3]] = parts[:, [0, 3]].min(0)
+    out[[0, 4]] = parts[:, [0, 4]].min(0)
     return out
 
 
@@ -130,7 +130,7 @@ def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> li
     still = (coefficients[:, 1:] == 0).all(1)
     own[still] = coefficients[still]
     bound = _bound(own, length * half / 2)
-    loose = (bound[[0, 3]] < CLOSE * values[:2].min(1)).any() or halvings > HALVINGS - LEAST_HALVINGS
+    loose = (bound[[0, 4]] < CLOSE * values[:2].min(1)).any() or halvings > HALVINGS - LEAST_HALVINGS
     if halvings and loose and not still.all():
         halves = np.array([ends[0], middle]), np.array([middle, ends[1]])
         return [part for each in halves for part in _parts(coefficients, each, length, halvings - 1)]
@@ -142,21 +142,25 @@ def _bound(coefficients: Array, half: float) -> Array:
     kb, kt, x, y, z = coefficients
     pull = [chebyshev.chebmul(kb, each) for each in (x, y)]
     square = chebyshev.chebadd(*(chebyshev.chebmul(each, each) for each in pull))
-    (_, kb1, kb2), (_, kt1, kt2), twist = (_sizes(each, half) for each in (kb, kt, z))
+    (_, *bending), (_, kt1, kt2, kt3), twist = (_sizes(each, half) for each in (kb, kt, z))
     sides = [_sizes(each, half) for each in pull]
     low = [2 * each[0] - np.abs(each).sum() for each in (kb, kt)]
+    one, two, three = kt1 / low[1], kt2 / low[1], kt3 / low[1]
+    ease = np.array([one, two + 2 * one**2, three + 6 * one * two + 6 * one**3]) / low[1]
     return np.array(
         [
-            *(low[0], kb1, kb2),
-            *(low[1], kt1 / low[1] ** 2, kt2 / low[1] ** 2 + 2 * kt1**2 / low[1] ** 3),
+            *(low[0], *bending),
+            *(low[1], *ease),
             *(np.abs(square).sum() ** 0.5, *np.hypot(*sides)[1:]),
-            *twist,
+            *twist[:3],
             *(np.abs(each).sum() for each in (kb, kt)),
         ]
     )
 
 
 def _sizes(coefficients: Array, half: float) -> Array:
-    """(3,) bounds of the size of a polynomial and of its first two derivatives by arc length."""
-    one = chebyshev.chebder(coefficients) / half
-    return np.array([np.abs(each).sum() for each in (coefficients, one, chebyshev.chebder(one) / half)])
+    """(4,) bounds of the size of a polynomial and of its first three derivatives by arc length."""
+    orders = [coefficients]
+    for _ in range(3):
+        orders.append(chebyshev.chebder(orders[-1]) / half)
+    return np.array([np.abs(each).sum() for each in orders])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -73,6 +74,13 @@ def _any_force(f: ForceBound) -> str:
     return f"of up to {f.max_force * 1e3:g} mN {moved}, margin at least {f.margin:.4f}"
 
 
+def _tip_speed(p: Proof) -> str:
+    measured = f"{p.measured_tip_rate * TO_MM:.2f} mm/s between equilibria"
+    if math.isinf(p.largest_tip_rate):
+        return f"{measured}; no bound is proved"
+    return f"at most {p.largest_tip_rate * TO_MM:.2f} mm/s, proved; {measured}"
+
+
 FORCED: tuple[Quantity[ForceBound], ...] = (
     line("any force on the tip", _any_force),
     Quantity("max_force_mN", "force on the tip, in any direction, under which margin and clearance are told"),
@@ -108,14 +116,12 @@ PROOF: tuple[Quantity[Proof], ...] = (
     Quantity("largest_translation_rate_mm_per_s", "of a tube"),
     Quantity("largest_rotation_acceleration_deg_per_s2", "of a tube"),
     Quantity("largest_translation_acceleration_mm_per_s2", "of a tube"),
-    line(
-        "way of the tip",
-        "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm, "
-        "at up to {largest_tip_rate_mm_per_s:.2f} mm/s",
-    ),
+    line("path of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
+    line("speed of the tip", _tip_speed),
     Quantity("largest_tip_step_mm", "of the tip between equilibria"),
     Quantity("tip_length_mm", "way of the tip"),
-    Quantity("largest_tip_rate_mm_per_s", "speed of the tip"),
+    Quantity("largest_tip_rate_mm_per_s", "proved bound of the speed of the tip at all times"),
+    Quantity("measured_tip_rate_mm_per_s", "largest mean speed of the tip between two equilibria"),
     Quantity(
         "reintegration_mm",
         "largest difference of a tip to an adaptive re-integration; under a load, the estimated error",

@@ -1,0 +1,137 @@
+"""The speed of the tip is bounded from above at all times, and sharply; see "Speed of the tip" in docs/theory.md."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.examples import PIECES, THESIS
+from tubeopt import (
+    EccentricRobot,
+    Load,
+    RateLimits,
+    Tube,
+    forward_kinematics,
+    plan_trajectory,
+    verify_trajectory,
+)
+from tubeopt.bodies.scene import scene_of
+from tubeopt.errors import InputError
+from tubeopt.inverse.clock import Clock
+from tubeopt.planning import PlanOptions
+from tubeopt.planning.clearing import Wanted
+from tubeopt.planning.cross_sections import Jet, inverse, turned
+from tubeopt.planning.effort import DEFAULT_PROOF
+from tubeopt.planning.passage import Follower
+from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
+
+ECCENTRIC = EccentricRobot(Tube(1.2e-3, 1.0e-3, 0.0, 0.08, 12.0), transmission_length=0.05)
+
+
+def _tip(robot: Robot, joints: Array, load: Load | None = None) -> Array:
+    return forward_kinematics(robot, *np.split(joints, 2), load=load).tip_position
+
+
+@pytest.mark.parametrize(
+    ("robot", "begin", "end", "load"),
+    [
+        (THESIS, [0.9, 0.3, 0.1], [1.0, 0.28, 0.1], None),
+        (THESIS, [0.9, 0.3, 0.1], [0.92, 0.296, 0.1], Load(force=(0.03, 0.02, 0))),
+        (PIECES, [0.4, 0.0, -0.2][: PIECES.n_tubes], [0.41, 0.004, -0.2][: PIECES.n_tubes], None),
+        (ECCENTRIC, [0.5, -0.5, 0.1][: ECCENTRIC.n_tubes], [0.6, -0.5, 0.1][: ECCENTRIC.n_tubes], None),
+    ],
+    ids=["concentric", "loaded", "pieces", "eccentric"],
+)
+def test_second_and_third_derivatives_of_the_tip_are_bounded(
+    robot: Robot, begin: list[float], end: list[float], load: Load | None
+) -> None:
+    """By differences of solved equilibria, translations moving too."""
+    home = np.array(robot.home_translations)
+    slide = 2e-5
+    a, b = np.append(begin, home - 0.010), np.append(end, home - 0.010 + slide * np.arange(robot.n_tubes))
+    if robot is ECCENTRIC:
+        a, b = np.append(begin, home), np.append(end, home)
+    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), DEFAULT_PROOF, load)
+    arms = [forward_kinematics(robot, *np.split(q, 2), load=load) for q in (a, b)]
+    intervals = follower.intervals(arms, np.array([0]), np.array([1]))
+    assert follower.joined(intervals).unbroken.all()
+    second, third = follower.tip_rates(intervals)[:, 0]
+    tips = np.array([_tip(robot, a + (b - a) * x, load) for x in np.linspace(0, 1, 5)])
+    speeding = np.linalg.norm(np.diff(tips, 2, axis=0), axis=1).max() * 4**2
+    jerking = np.linalg.norm(np.diff(tips, 3, axis=0), axis=1).max() * 4**3
+    assert speeding <= second < 1e3 * speeding
+    assert jerking <= third < 1e5 * jerking
+
+
+def test_the_speed_of_a_wound_tip_is_no_mean_between_equilibria() -> None:
+    """The inner tube from 0 to 214 deg: chords between equilibria give 116.3 mm/s, J q' 132.9 mm/s."""
+    last = np.radians([214, 0, 0])
+    near = [forward_kinematics(THESIS, last * x, guess=None) for x in (0.0,)]
+    for x in np.append(np.linspace(0.02, 0.98, 49), 1 - np.logspace(-2, -5, 7)):
+        near.append(forward_kinematics(THESIS, last * x, guess=near[-1]))
+    jacobian = forward_kinematics(THESIS, last, guess=near[-1]).jacobian().position
+    fastest = float(np.linalg.norm(jacobian[:, 0])) * last[0] / 10
+    proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last])
+    assert 0.13 < fastest <= proof.largest_tip_rate <= 1.03 * fastest
+    assert proof.measured_tip_rate <= fastest
+    limited = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=0.12))
+    assert limited.faults[0].startswith("the tip reaches")
+    assert verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=0.135)).holds
+    # Less above the truth than what the bound gives away by itself.
+    assert verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=fastest * 1.003)).holds
+
+
+def test_a_circle_of_the_tip_is_passed_at_its_speed() -> None:
+    """All tubes turn together: the tip runs on a circle, whose radius is known."""
+    proof = verify_trajectory(THESIS, [0, 2], [[0.3, 0.3, 0.3], [1.3, 1.3, 1.3]])
+    x, y, _ = forward_kinematics(THESIS, [0.3, 0.3, 0.3]).tip_position
+    exact = math.hypot(x, y) / 2
+    assert exact * (1 - 1e-6) <= proof.largest_tip_rate <= 1.02 * exact
+
+
+def test_what_is_not_proved_of_the_speed_is_not_kept() -> None:
+    moved = [[0.0, 0, 0], [0.2, 0, 0]]
+    uncovered = Load(force=(1e-3, 0, 0), points=((0.05, (1e-3, 0.0, 0.0)),))
+    proof = verify_trajectory(THESIS, [0, 1], moved, load=uncovered, rate_limits=RateLimits(tip=1.0))
+    assert proof.largest_tip_rate == math.inf
+    assert math.isfinite(proof.measured_tip_rate)
+    assert any("nothing bounds the speed of the tip" in fault for fault in proof.faults)
+    pushed = verify_trajectory(THESIS, [0, 1], moved, max_force=1e-3, rate_limits=RateLimits(tip=1.0))
+    assert pushed.largest_tip_rate == math.inf
+    assert any("while a force changes" in fault for fault in pushed.faults)
+    with pytest.raises(InputError, match="the speed of a pushed tip is not bounded"):
+        plan_trajectory(
+            THESIS,
+            (moved[0], None),
+            (moved[1], None),
+            rate_limits=RateLimits(tip=0.1),
+            options=PlanOptions(max_force=1e-3),
+        )
+
+
+def test_product_and_inverse_of_jets_are_exact_where_all_derivatives_are_positive() -> None:
+    """(e^(a t), e^(b t)) at 0: derivatives of their product are powers of a + b; 1 / (1 - c (e^t - 1)) has those of a
+    series without negative terms."""
+    one, other = (Jet(*(np.array(x**k) for k in range(4))) for x in (0.7, 1.9))
+    product = one * other
+    assert [float(x) for x in (product.v, product.d, product.dd, product.ddd)] == pytest.approx(
+        [2.6**k for k in range(4)]
+    )
+    c = 0.4
+    found = inverse(Jet(np.array(1.0), *(np.array(c) for _ in range(3))))
+    exact = [1.0, c, c + 2 * c**2, c + 6 * c**2 + 6 * c**3]
+    assert [float(x) for x in (found.v, found.d, found.dd, found.ddd)] == pytest.approx(exact)
+
+
+def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
+    """e(phi) for phi = w t: derivatives are powers of w, exactly; for phi = t^3 the third is 6."""
+    steady = turned(Jet(np.array(0.0), np.array(1.7), np.array(0.0), np.array(0.0)))
+    assert [float(x) for x in (steady.v, steady.d, steady.dd, steady.ddd)] == pytest.approx([1.7**k for k in range(4)])
+    cubic = turned(Jet(np.array(0.0), np.array(0.0), np.array(0.0), np.array(6.0)))
+    assert float(cubic.ddd) == 6.0
+    # phi = t + t^2 at 0: |e'''| = |(i^2) 3 phi' phi'' + i^3 phi'^3| = |-6 - i|, at most 7.
+    both = turned(Jet(np.array(0.0), np.array(1.0), np.array(2.0), np.array(0.0)))
+    assert math.hypot(6, 1) <= float(both.ddd) == 7.0
