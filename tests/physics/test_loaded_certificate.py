@@ -1,0 +1,83 @@
+"""The largest eigenvalue under force: against closed forms of columns, and from below by any motion of the tubes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import Legendre, leggauss
+from scipy.linalg import eigh
+
+from tubeopt.physics.loaded_certificate import APART, OPPOSED, TURNED, largest_eigenvalue
+from tubeopt.typing import Array
+
+Sections = tuple[Array, Array, Array]
+Tubes = tuple[Array, Array]
+
+
+def ritz(force: float, sections: Sections, tubes: Tubes, pairs: tuple[float, float]) -> float:
+    """Largest quotient N / T over polynomials, each section its own, continuous Y_i and phi: never above lambda.
+
+    T = sum int kt Y'^2 + K r^2 + sum kt / |beta| Y(0)^2, r = phi' - A . Y, phi(0) = 0, by Gauss points.
+    """
+    (length, stiffness, pull), (kt, held), order = sections, tubes, 8
+    n, m = len(kt), len(length)
+    node, weight = leggauss(24)
+    place, share = (node + 1) / 2, weight / 2
+    slopes = np.array([Legendre.basis(k, domain=[0, 1])(place) for k in range(order)])
+    values = np.array([Legendre.basis(k, domain=[0, 1]).integ(lbnd=0)(place) for k in range(order)])
+    ends = np.array([Legendre.basis(k, domain=[0, 1]).integ(lbnd=0)(1.0) for k in range(order)])
+    size = n + (n + 1) * m * order  # Y(0), then the slopes of Y_1 ... Y_n, phi on every section
+    T, N = np.zeros((size, size)), np.zeros((size, size))
+    before = np.zeros((n + 1, size))
+    before[:n, :n] = np.eye(n)
+    T[:n, :n] = np.diag(kt / held)
+    lever = float(length.sum())
+    for k in range(m):
+        own = [slice(n + (k * (n + 1) + i) * order, n + (k * (n + 1) + i + 1) * order) for i in range(n + 1)]
+        A = pull[k] / stiffness[k]
+        c = np.outer(pull[k], pull[k]) / stiffness[k] * (1 - np.eye(n))
+        for g, (x, w) in enumerate(zip(place, share * length[k], strict=True)):
+            y, slope = before.copy(), np.zeros((n + 1, size))
+            for i in range(n + 1):
+                y[i, own[i]] += length[k] * values[:, g]
+                slope[i, own[i]] += slopes[:, g]
+            bend = slope[n] - A @ y[:n]
+            T += w * (slope[:n].T @ np.diag(kt) @ slope[:n] + stiffness[k] * np.outer(bend, bend))
+            moment = force * (lever - x * length[k])
+            form = pairs[0] * np.diag(c.sum(1)) + pairs[1] * c + np.diag(moment * A)
+            N += w * (y[:n].T @ form @ y[:n] + 1.5 * force * np.outer(y[n], y[n]))
+        for i in range(n + 1):
+            before[i, own[i]] += length[k] * ends
+        lever -= length[k]
+    return float(eigh(N, T, eigvals_only=True)[-1])
+
+
+@pytest.mark.parametrize("force", [1e-4, 0.02, 1.0, 300.0])
+def test_a_straight_rod_has_one_and_a_half_times_the_load_over_eulers(force: float) -> None:
+    # N / T = 3/2 F int phi^2 / int K phi'^2, phi(0) = 0: largest for the quarter of a sine.
+    K, L = 2e-3, 0.2
+    value, tip = largest_eigenvalue(force, (np.array([L]), np.array([K]), np.zeros((1, 1))), (np.ones(1), np.ones(1)))
+    assert value == pytest.approx(1.5 * force * (2 * L / np.pi) ** 2 / K, rel=1e-12)
+    assert np.abs(tip) == pytest.approx([0, 1], abs=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
+def test_two_tubes_turned_against_each_other_have_duponts_threshold(size: float) -> None:
+    # Without force lambda = c (1 / kt_1 + 1 / kt_2) / w^2; of tubes that are held at the plate itself w L = pi / 2.
+    kt, K, L = np.array([1.5e-3, 1.5e-3]), 3e-3, 0.1
+    pull = np.sqrt(size) * np.array([[2e-2, 3e-2]])
+    c = pull[0].prod() / K
+    value, _ = largest_eigenvalue(0.0, (np.array([L]), np.array([K]), pull), (kt, np.full(2, 1e-12)), TURNED)
+    assert value == pytest.approx(2 * c / kt[0] * (2 * L / np.pi) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("pairs", [OPPOSED, TURNED, APART])
+@pytest.mark.parametrize(("force", "seed"), [(0.3, 0), (0.02, 1), (4.0, 2)])
+def test_no_motion_has_a_larger_quotient_and_the_best_polynomials_come_to_it(
+    pairs: tuple[float, float], force: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    sections = random.uniform(0.02, 0.06, 2), random.uniform(1e-3, 4e-3, 2), random.uniform(0.005, 0.04, (2, 2))
+    tubes = random.uniform(5e-4, 3e-3, 2), random.uniform(0.02, 0.1, 2)
+    value, _ = largest_eigenvalue(force, sections, tubes, pairs)
+    assert value == pytest.approx(ritz(force, sections, tubes, pairs), rel=1e-9)
