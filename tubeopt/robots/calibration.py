@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, finite, positive
+from ..errors import InputError, finite, positive, vector
 from ..files.marks import Absent, unit
 from ..typing import Array
 from .limits import JointLimits, default_limits
@@ -18,16 +19,45 @@ from .tubes import Tube
 Numbers = tuple[float, ...]
 """A number for every tube."""
 
+Vector = tuple[float, ...]
+"""Components along the axes x, y and, where there are three, z."""
+
 LEFT_OUT = Absent(None)
+
+NONE3, NONE2 = (0.0,) * 3, (0.0,) * 2
+
+
+@dataclass(frozen=True)
+class SavedRegistration:
+    """The frame of a measuring device, as a fit to one recording found it.
+
+    Raises:
+        InputError: a rotation that is no rotation matrix, or a translation that is not three finite numbers.
+    """
+
+    recording: Annotated[str, "mark of the positions that it belongs to"]
+    method: Annotated[str, "by which it was found: rigid, base-axis, none or saved"]
+    rotation: Annotated[tuple[Vector, ...], "3 rows of the rotation matrix, device to plate"]
+    translation: Annotated[Vector, unit("mm"), "device to plate"]
+
+    def __post_init__(self) -> None:
+        matrix = np.array([vector("a row of rotation", row, 3, "x, y, z") for row in self.rotation])
+        turns = matrix.shape == (3, 3) and np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6)
+        if not turns or np.linalg.det(matrix) < 0:
+            raise InputError("rotation of the registration is not a rotation matrix; it must be three orthogonal rows")
+        object.__setattr__(self, "rotation", tuple(tuple(row) for row in matrix.tolist()))
+        object.__setattr__(self, "translation", tuple(vector("translation", self.translation, 3, "x, y, z").tolist()))
 
 
 @dataclass(frozen=True)
 class Calibration:
     """Joint values of the model from the readings of the drives, tube by tube:
 
-        model = gain * reading + offset - compliance * force
+        model = zero + gain * (reading - zero) + offset - compliance * force
 
-    The library works in the model's joint values throughout; the command line takes and gives readings.
+    The zero of a translation is 0. That of a rotation is the full turn next to the middle of the calibrated motion.
+    The library works in the model's joint values throughout; the command line takes and gives readings. What belongs to
+    the measurement (latency, sensor, plate, registration) is read by `validate` and by fits alone.
 
     Raises:
         InputError: tables of different length, a number that is not finite, a gain that is not positive, or a play
@@ -50,6 +80,22 @@ class Calibration:
     """Of concentric robots. The force is that of the tubes at the equilibrium, so it takes the mechanics:
     `tubeopt.equilibrium.readings` applies it, `to_model` of this class leaves it out."""
 
+    rotation_middles: Annotated[
+        Numbers,
+        unit("deg"),
+        LEFT_OUT,
+        "readings in the middle of the calibrated motion; a recording counts whole turns from there; 0 where not given",
+    ] = ()
+    """A gain acts about a full turn, so a reading that is a turn larger is another joint value. Where angles were
+    recorded modulo a turn, only this number says which turn is meant."""
+
+    sensor_offset: Annotated[Vector, unit("mm"), "of the tip's sensor from the tip, in the frame of the tip"] = NONE3
+    sensor_tilt: Annotated[Vector, unit("deg"), "of the sensor's axis about x and y of the frame of the tip"] = NONE2
+    sensor_axis: Annotated[Vector, LEFT_OUT, "direction along the tube in the frame of the tip's sensor"] = ()
+    plate_shift: Annotated[Vector, unit("mm"), "of the plate from where a registration puts it"] = NONE3
+    plate_tilt: Annotated[Vector, unit("deg"), "of the plate about x and y, from where a registration puts it"] = NONE2
+    registration: Annotated[SavedRegistration | None, "that was found with one recording"] = None
+
     def __post_init__(self) -> None:
         count = len(self.rotation_offsets)
         for name in TABLES:
@@ -58,6 +104,10 @@ class Calibration:
                 raise InputError(f"{name} are {len(values)} numbers; rotation_offsets are {count}, one per tube")
             object.__setattr__(self, name, tuple(_number(name, i, value) for i, value in enumerate(values)))
         object.__setattr__(self, "latency", finite("latency", self.latency))
+        for name, length in (("sensor_offset", 3), ("sensor_tilt", 2), ("plate_shift", 3), ("plate_tilt", 2)):
+            object.__setattr__(self, name, tuple(vector(name, getattr(self, name), length, "x, y, z"[: 3 * length - 2]).tolist()))
+        if self.sensor_axis:
+            object.__setattr__(self, "sensor_axis", tuple(vector("sensor_axis", self.sensor_axis, 3, "x, y, z").tolist()))
 
     @classmethod
     def none(cls, n_tubes: int) -> Calibration:
@@ -72,18 +122,33 @@ class Calibration:
 
     @property
     def trivial(self) -> bool:
-        """Whether the drives read true."""
+        """Whether drives and measurement need no correction."""
         return replace(self, found_by="") == Calibration.none(self.n_tubes)
+
+    @property
+    def reads_true(self) -> bool:
+        """Whether readings are the joint values of the model, without history."""
+        n = self.n_tubes
+        gains, offsets = self.rotation_gains + self.translation_gains, self.rotation_offsets + self.translation_offsets
+        return gains == (1.0,) * 2 * n and not any(offsets) and not any(self.translation_compliance)
+
+    @property
+    def rotation_zeros(self) -> Array:
+        """(n,) readings about which gains of rotations act, rad: full turns."""
+        turn = 2 * math.pi
+        return turn * np.round(np.array(self.rotation_middles) / turn)
 
     def to_model(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
         """Joint values (..., n) of the model, rad and m, at readings (..., n), where no carriage yields."""
-        alpha = np.asarray(rotations, dtype=float) * self.rotation_gains + self.rotation_offsets
+        zero = self.rotation_zeros
+        alpha = zero + (np.asarray(rotations, dtype=float) - zero) * self.rotation_gains + self.rotation_offsets
         shift = np.asarray(translations, dtype=float) * self.translation_gains + self.translation_offsets
         return alpha, shift
 
     def to_readings(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
         """Readings (..., n) at which the model has these joint values (..., n), rad and m, where no carriage yields."""
-        alpha = (np.asarray(rotations, dtype=float) - self.rotation_offsets) / self.rotation_gains
+        zero = self.rotation_zeros
+        alpha = zero + (np.asarray(rotations, dtype=float) - self.rotation_offsets - zero) / self.rotation_gains
         shift = (np.asarray(translations, dtype=float) - self.translation_offsets) / self.translation_gains
         return alpha, shift
 
@@ -102,7 +167,7 @@ TABLES = tuple(field.name for field in fields(Calibration) if str(field.type).st
 """Names of what a calibration holds for every tube."""
 
 
-LATER = ("translation_play", "translation_compliance")
+LATER = ("translation_play", "translation_compliance", "rotation_middles")
 """Those that are 0 where they are not given."""
 
 
@@ -110,7 +175,7 @@ def _number(name: str, tube: int, value: float) -> float:
     what = f"{name} of tube {tube + 1}"
     if name.endswith("_gains"):
         return positive(what, value)
-    return finite(what, value) if name.endswith("_offsets") else positive(what, value, zero=True)
+    return finite(what, value) if name.endswith(("_offsets", "_middles")) else positive(what, value, zero=True)
 
 
 def check_calibration(calibration: Calibration | None, n_tubes: int, *, yields: bool = False) -> None:

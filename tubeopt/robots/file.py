@@ -326,4 +326,4 @@ def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
     """A calibration with the keys and units of a robot file; what reads true is left out."""
     none, data = to_data(Calibration.none(calibration.n_tubes)), to_data(calibration)
     # One table stays, to tell how many tubes there are.
-    return {key: value for key, value in data.items() if value != none[key] or key == "rotation_offsets_deg"}
+    return {key: value for key, value in data.items() if value != none.get(key) or key == "rotation_offsets_deg"}

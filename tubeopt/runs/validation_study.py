@@ -44,6 +44,11 @@ class ValidationStudy(Timed):
     kind: Literal["validation"]
     robot: RobotPath
     measurements: MeasurementsPath
+    registration: Literal["rigid", "base-axis", "none", "saved"] | None = Field(
+        None,
+        description="how the device's frame is brought to the plate's: rigid, base-axis, none, or saved in the robot's "
+        "calibration; by default saved for the recording that it was found with, rigid for others and for fits",
+    )
     base_position_mm: Triple | None = Field(
         None, description="for base-axis: the plate's centre as the device sees it", examples=["X,Y,Z"]
     )
@@ -65,11 +70,11 @@ class ValidationStudy(Timed):
 
     @model_validator(mode="after")
     def _consistent(self) -> ValidationStudy:
-        if self.si("registration") != "base-axis" and (self.base_position_mm or self.base_axis):
+        if self.registration != "base-axis" and (self.base_position_mm or self.base_axis):
             raise ValueError("base_position_mm and base_axis are for registration base-axis only")
         self._base()
         if self.fit and not self.compare:
-            choose_parameters(self.robot, self.measurements, self.fit, self.si("registration"))
+            choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid")
         return self
 
     def _base(self) -> BasePose:
@@ -95,7 +100,7 @@ class ValidationStudy(Timed):
             return compare_effects(self.robot, self.measurements, self.fit, self._options(), progress=progress)
         if self.fit:
             return fit(self.robot, self.measurements, self.fit, self._options(), progress=progress)
-        return validate(self.robot, self.measurements, registration=self.si("registration"), base=self._base())
+        return validate(self.robot, self.measurements, registration=self.registration, base=self._base())
 
 
 class MeasureStudy(Timed):

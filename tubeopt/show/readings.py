@@ -28,7 +28,8 @@ def readings(of: Callable[[A], Equilibrium]) -> tuple[Quantity[A], ...]:
 
 
 def _read(e: Equilibrium) -> tuple[Array, Array] | None:
-    return None if e.robot.calibration is None else to_readings(e.robot, e.rotations, e.translations)
+    own = e.robot.calibration
+    return None if own is None or own.reads_true else to_readings(e.robot, e.rotations, e.translations)
 
 
 def _words(joints: tuple[Array, Array], form: str) -> str:

@@ -159,7 +159,7 @@ def validate(
     robot: Robot,
     measurements: Measurements,
     *,
-    registration: str = "rigid",
+    registration: str | None = None,
     base: BasePose = SENSOR_FRAME,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Validation:
@@ -168,9 +168,13 @@ def validate(
     Every configuration is solved for a stable equilibrium on its own, from tubes without torsion. A robot that can snap
     may have been measured in another one; its margin tells which configurations are in doubt.
 
+    A robot that a fit calibrated brings what was fitted of the sensor, the plate and the registration along. So its
+    errors with the recording of the fit are those that the fit reported.
+
     Args:
         registration: "rigid" (rotation and translation by least squares), "base-axis" (base and axis given by `base`,
-            only the yaw about the axis by least squares) or "none"; see `register`.
+            only the yaw about the axis by least squares), "none", or "saved" (that of the robot's calibration); see
+            `register`. None is "saved" for the recording that the saved one was found with, "rigid" for others.
         time_limit: s, on the clock.
 
     Raises:
@@ -180,8 +184,11 @@ def validate(
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     check_tubes(robot, measurements)
-    model = ArmModel(robot, measurements, (), registration, base)
-    if model.failures:
+    known = robot.calibration.registration if robot.calibration is not None else None
+    own = known is not None and known.recording == measurements.mark
+    method = registration or ("saved" if own else "rigid")
+    model = ArmModel(robot, measurements, (), method, base)
+    if model.failures and not own:
         row, reason = model.failures[0]
         raise SolveError(f"row {row + 1}: {reason}")
     return compare_at(model, model.start, robot)

@@ -87,6 +87,8 @@ class Effect:
     """Whether a model comparison tries it: "always", "asked" (by name only, since it takes long) or "never"."""
     drives: bool = False
     """Whether it changes nothing but joint values."""
+    idle: Callable[[Context, int | None], str] = lambda _, __: ""
+    """Why the parameter with an index has no influence on this robot's tips; "" where it may have one."""
 
 
 def _put(name: str, how: Callable[[float, Array], Array | float] = lambda value, _: value) -> Change:
@@ -136,6 +138,16 @@ def _own(name: str, reach: float, scale: float, prior: float, *, positive: bool 
         start = float(np.atleast_1d(getattr(context.setup.drives, name))[index or 0])
         ends = (0.0, max(start, reach)) if positive else (start - reach, start + reach)
         return Span(start, *ends, scale, prior)
+
+    return span
+
+
+def _mounted(name: str, reach: float, scale: float, prior: float) -> Range:
+    """Around where the file says that the plate or the sensor is."""
+
+    def span(context: Context, index: int | None) -> Span:
+        start = float(getattr(context.setup, name)[index or 0])
+        return Span(start, start - reach, start + reach, scale, prior)
 
     return span
 
@@ -202,12 +214,30 @@ def _curved_span(context: Context, index: int | None) -> Span:
     return Span(0.0, -reach, reach, context.length / 10, 2e-3)
 
 
+def _together(context: Context, pair: int) -> float:
+    """Greatest length in front of the plate along which tube `pair` (from 0) and the next one are, m."""
+    tubes = context.robot.tubes
+    return min(_furthest(context, i) + tubes[i].curved_length for i in (pair, pair + 1))
+
+
 def _friction_span(context: Context, index: int | None) -> Span:
-    """A large torque is one that turns the tubes by a tenth of a rad along the curved part of the outer one."""
-    pair = members(context.robot)[(index or 0) : (index or 0) + 2]
-    scale = 0.1 * min(context.setup.torsional_stiffness[(index or 0) :][:2]) / pair[-1].curved_length ** 2
-    start = float(context.setup.friction[index or 0])
+    """A large torque is one that turns the tubes by a tenth of a rad along the greatest length that rubs."""
+    pair = index or 0
+    length = max(_together(context, pair), 1e-3)
+    scale = 0.1 * float(min(context.setup.torsional_stiffness[pair : pair + 2])) / length**2
+    start = float(context.setup.friction[pair])
     return Span(start, 0.0, max(start, 50 * scale), scale, scale)
+
+
+def _no_friction(context: Context, index: int | None) -> str:
+    pair = index or 0
+    return "" if _together(context, pair) > 0 else f"tubes {pair + 1} and {pair + 2} are nowhere in front of the plate"
+
+
+def _no_curve(context: Context, index: int | None) -> str:
+    if index is None:
+        return "" if context.setup.curvature.any() else "all tubes are straight"
+    return "" if context.setup.curved_length[index] > 0 else f"tube {index + 1} has no curved part"
 
 
 def _clearance_span(context: Context, index: int | None) -> Span:
@@ -257,7 +287,7 @@ EFFECTS: dict[str, Effect] = {
     ),
     "friction": Effect(
         "torque per length that rubbing bears between tube I and the next one, N m per m", "N", "pair",
-        _friction_span, _put("friction"), needs="way", history=True,
+        _friction_span, _put("friction"), needs="way", history=True, idle=_no_friction,
     ),
     "clearance": Effect(
         "radial clearance of tube I in the next one, which lets the arm beyond its end tilt", "m", "pair",
@@ -274,14 +304,15 @@ EFFECTS: dict[str, Effect] = {
     ),
     "curvature": Effect(
         "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",
-        _curvature_span, _curvature, common=True, sets=("curvature",),
+        _curvature_span, _curvature, common=True, sets=("curvature",), idle=_no_curve,
     ),
     "piece_curvature": Effect(
         "added to the precurvature of piece J of tube I, about the axis that it is bent about", "1/m", "piece",
         _piece_span, _put("piece_curvature"),
     ),
     "curved_length": Effect(
-        "length added to the curved part of tube I", "m", "kind", _curved_span, _put("curved_length", np.add)
+        "length added to the curved part of tube I", "m", "kind",
+        _curved_span, _put("curved_length", np.add), idle=_no_curve,
     ),
     "bending_stiffness": Effect(
         "factor on the bending stiffness EI of tube I, GJ kept", "", "kind",
@@ -298,19 +329,19 @@ EFFECTS: dict[str, Effect] = {
     ),
     "plate_shift": Effect(
         "the plate stands off where the registration puts it", "m", "xyz",
-        _within(0.0, 0.05, 0.01, 2e-3), _put("plate_shift"), needs="plate",
+        _mounted("plate_shift", 0.05, 0.01, 2e-3), _put("plate_shift"), needs="plate",
     ),
     "plate_tilt": Effect(
         "the plate is tilted against where the registration puts it", "rad", "xy",
-        _within(0.0, 0.5, 0.1, 3 * DEGREE), _put("plate_tilt"), needs="plate",
+        _mounted("plate_tilt", 0.5, 0.1, 3 * DEGREE), _put("plate_tilt"), needs="plate",
     ),
     "sensor_offset": Effect(
         "the tip's sensor sits off the tip, in the frame of the tube that ends last", "m", "xyz",
-        _within(0.0, 0.05, 0.01, 2e-3), _put("sensor_offset"),
+        _mounted("sensor_offset", 0.05, 0.01, 2e-3), _put("sensor_offset"),
     ),
     "sensor_tilt": Effect(
         "the sensor's axis is tilted against the tip's tangent", "rad", "xy",
-        _within(0.0, 0.5, 0.1, 5 * DEGREE), _put("sensor_tilt"), needs="orientation",
+        _mounted("sensor_tilt", 0.5, 0.1, 5 * DEGREE), _put("sensor_tilt"), needs="orientation",
     ),
 }  # fmt: skip
 """Every effect by the kind of its parameters, in the order in which they are applied; of those that act alike a

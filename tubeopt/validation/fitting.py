@@ -8,7 +8,7 @@ where h_v is what the device should see: positions of stations along the arm and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -23,7 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, Sentence
-from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances
+from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances, validate
 from .descent import (
     DEFAULT_SOLVER,
     LOSSES,
@@ -36,14 +36,11 @@ from .descent import (
     normal_equations,
 )
 from .folds import deal, passes
-from .identifiability import doubts, entangled_history, louder, undetermined
+from .identifiability import doubts, entangled_history, left_out, louder, undetermined
 from .measurements import Measurements
 from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters
-from .registration import FREEDOMS, SENSOR_FRAME, BasePose
-
-FIRST_GUESS = 1e-3, np.radians(1.0)
-"""Standard deviations of positions (m) and directions (rad) before they are estimated."""
+from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose
 
 
 @typed
@@ -56,7 +53,7 @@ class FitOptions:
     """
 
     registration: Annotated[
-        str, OneOf(tuple(FREEDOMS)), "how the device's frame is brought to the plate's: rigid, base-axis or none"
+        str, OneOf(tuple(FREEDOMS)), "how the device's frame is brought to the plate's: rigid, base-axis, none or saved"
     ] = "rigid"
     base: BasePose = SENSOR_FRAME
     """As for `validate`."""
@@ -256,10 +253,16 @@ class FitProblem:
         self.fit = self._settle(State(begin.x[self.free], begin.registration), slopes[..., kept])
 
     def _undetermined(self, model: ArmModel, slopes: Array) -> tuple[list[int], list[str]]:
-        if not self.chosen or self.options.priors:
-            return [], []
+        idle = [k for k, p in enumerate(self.chosen) if p.idle]
+        words = [left_out(self.chosen[k]) for k in idle]
+        rest = [k for k, p in enumerate(self.chosen) if not p.idle]
+        if not rest or self.options.priors:
+            return idle, words
         unit = np.where(model.directed, model.length, 1.0)
-        return undetermined(self.chosen, slopes * unit[:, None, None], model.length)
+        kept = [*rest, *range(len(self.chosen), slopes.shape[2])]
+        chosen = [self.chosen[k] for k in rest]
+        held, more = undetermined(chosen, slopes[..., kept] * unit[:, None, None], model.length)
+        return sorted([*idle, *(rest[k] for k in held)]), words + more
 
     def weights(self) -> Weights:
         """How observations count, given the noise."""
@@ -276,7 +279,14 @@ class FitProblem:
             if alike or np.allclose(self.sigma, last, rtol=solver.same_noise, atol=0):
                 break
             found = descend(self.model, self.weights(), found.state, first=found.jacobian, solver=solver)
-        return found
+        return self._registered(found)
+
+    def _registered(self, found: Descent) -> Descent:
+        """The descent with the registration in closed form, which its last step reaches to first order only."""
+        if self.options.loss != "linear":
+            return found
+        state = self.model.registered(found.state, self.options.noise)
+        return replace(found, state=state, residuals=self.model.residuals(state))
 
     def _noise(self, found: Descent) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
@@ -335,8 +345,7 @@ class FitProblem:
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
         wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked
-        setup = model.setup(state.x)
-        calibrated = setup.robot(model.robot, f"{len(measurements)} rows of {measurements.source or 'measurements'}")
+        calibrated = self._calibrated(measurements)
         return Fit(
             robot=calibrated,
             estimates=_estimates(self.chosen, self.values, (errors, half), (blocked, wide)),
@@ -345,13 +354,23 @@ class FitProblem:
             noise=self.sigma[0],
             axis_noise=self.sigma[1] if model.directed.any() else None,
             before=compare_at(model, model.start, model.robot),
-            after=compare_at(model, state, calibrated),
+            after=validate(calibrated, measurements),
             held_out_errors=None if along is None else along[:, 0],
             held_out_axis_errors=axis,
             fold=fold,
             remarks=(*measurements.remarks, *self.remarks, *self._doubts(half, correlation)),
             evaluations=model.evaluations,
         )
+
+    def _calibrated(self, measurements: Measurements) -> Robot:
+        """The robot with all that was fitted: its own numbers, and those of this recording in its calibration."""
+        model, state = self.model, self.fit.state
+        found_by = f"{len(measurements)} rows of {measurements.source or 'measurements'}"
+        setup = model.setup(state.x)
+        setup.drives = replace(setup.drives, registration=state.registration.saved(measurements.mark))
+        if measurements.orientation is not None and model.axis is not None:
+            setup.drives = replace(setup.drives, sensor_axis=tuple(model.axis.tolist()))
+        return setup.robot(model.robot, found_by)
 
     def _spread(self) -> tuple[Array, Array]:
         """Standard errors (P,) and correlation (P, P); infinite and NaN for parameters that are held."""

@@ -51,6 +51,11 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
     return held, words
 
 
+def left_out(parameter: Parameter) -> str:
+    """The remark on a parameter without influence."""
+    return f"{parameter.name} has no influence on the tips and was left out: {parameter.idle}"
+
+
 def beside_registration(jacobian: Array, count: int) -> Array:
     """(3V, P) columns of the parameters of a Jacobian (V, 3, P + F), less what the registration would undo."""
     flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -168,9 +169,14 @@ class Measurements:
         squares = ((self._at(self.stations[0]) - self.tip_position[:, None]) ** 2).sum(2)
         return np.asarray(np.sqrt(np.nansum(squares, axis=1) / np.maximum(np.isfinite(squares).sum(1), 1)))
 
-    def rows(self, index: ArrayLike) -> Measurements:
-        """The configurations with these indices, or where this mask is true; a log stays whole."""
-        k = np.asarray(index)
+    @property
+    def mark(self) -> str:
+        """16 hexadecimal digits of the measured positions, by which a saved registration knows its recording."""
+        return hashlib.sha256(np.nan_to_num(self.sensors, nan=1e9).tobytes()).hexdigest()[:16]
+
+    def rows(self, index: ArrayLike | slice) -> Measurements:
+        """The configurations with these indices, of this slice, or where this mask is true; a log stays whole."""
+        k = index if isinstance(index, slice) else np.asarray(index)
         whole = {name: getattr(self, name) for name in BY_ROW}
         picked: dict[str, Any] = {name: None if value is None else value[k] for name, value in whole.items()}
         return replace(self, **picked)

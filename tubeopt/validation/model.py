@@ -16,9 +16,9 @@ from ..typing import Array, Mask
 from .measurements import Measurements
 from .parameters import Parameter, apply
 from .poses import Poses, rubbed_poses, solve_poses
-from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration, register
+from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Directions, Registration, register
 from .setup import Setup
-from .timeline import Timeline
+from .timeline import Timeline, counted
 
 STEP = 2e-6
 """Step, in units of a parameter's scale, of the difference quotients: the quotients are as exact as it is small, a few
@@ -70,10 +70,12 @@ class ArmModel:
         base: BasePose = SENSOR_FRAME,
     ) -> None:
         self.robot, self.measurements, self.parameters = robot, measurements, tuple(parameters)
+        choice("registration", method, FREEDOMS)
         self.method, self.base = method, base
         self.freedoms = FREEDOMS[choice("registration", method, FREEDOMS)]
         self.first = Setup.of(robot)
         self.timeline = Timeline.of(measurements)
+        self.first.drives, self.turns = counted(self.first.drives, measurements)
         self.stations = measurements.stations
         self.evaluations = 0
         self._solved: list[tuple[Setup, Array, Array, Poses]] = []
@@ -91,33 +93,57 @@ class ArmModel:
         positions = self.measurements.station_position
         seen = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
         rows, stations = np.nonzero(seen)
-        predicted = self._placed(self.first, poses)[0]
-        registration = register(positions[seen], predicted[seen], self.method, base=self.base)
-        self.axis = self._sensor_axis(poses, registration)
+        predicted, pointing = self._placed(self.first, poses)
+        m, registration = self.measurements, self._register(positions[seen], predicted[seen])
+        self.axis = self._sensor_axis(poses, pointing, registration)
         parts, row, station = [positions[rows, stations]], [rows], [stations]
-        frames = self.measurements.orientation
+        frames = m.orientation
         if frames is not None and self.axis is not None:
             directed = np.flatnonzero(np.isfinite(frames).all((1, 2)) & poses.found)
             parts.append(frames[directed] @ self.axis)
             row.append(directed)
             station.append(np.full(len(directed), -1))
+            directions = Directions(parts[1], pointing[directed])
+            registration = self._register(positions[seen], predicted[seen], directions)
         self.observed, self.row, self.station = np.concatenate(parts), np.concatenate(row), np.concatenate(station)
         self.start = State(np.array([p.start for p in self.parameters]), registration)
+
+    def _register(self, measured: Array, predicted: Array, directions: Directions | None = None) -> Registration:
+        """The registration by closed form, or that of the calibration."""
+        if self.method != "saved":
+            return register(measured, predicted, self.method, base=self.base, directions=directions)
+        saved = self.first.drives.registration
+        if saved is None:
+            raise InputError("registration is 'saved', and the robot has none in its calibration; fit with rigid first")
+        return Registration.of_saved(saved)
+
+    def registered(self, state: State, noise: tuple[float | None, float | None]) -> State:
+        """The state with the registration that fits its shapes best; `noise` as for `Directions`."""
+        if self.method in ("none", "saved"):
+            return state
+        setup, a = self.setup(state.x), self.directed
+        placed = self._placed(setup, self.poses(setup))
+        directions = Directions(self.observed[a], placed[1][self.row[a]], noise)
+        found = self._register(self.observed[~a], placed[0][self.row[~a], self.station[~a]], directions)
+        return State(state.x, found)
 
     @property
     def directed(self) -> Mask:
         """(V,) which observations are directions."""
         return np.asarray(self.station < 0)
 
-    def _sensor_axis(self, poses: Poses, registration: Registration) -> Array | None:
-        """The direction along the tube in the sensor's frame: as given, or the one of AXES that fits best."""
-        m = self.measurements
+    def _sensor_axis(self, poses: Poses, pointing: Array, registration: Registration) -> Array | None:
+        """The direction along the tube in the sensor's frame: as the recording or the calibration gives it, or the one
+        of AXES that fits best."""
+        m, known = self.measurements, self.first.drives.sensor_axis
         if m.orientation is None or m.sensor_axis is not None:
             return m.sensor_axis
+        if known:
+            return np.array(known)
         seen = np.isfinite(m.orientation).all((1, 2)) & poses.found
         if not seen.any():
             return None
-        tangent = poses.frame[seen, :, 2] @ registration.rotation
+        tangent = pointing[seen] @ registration.rotation
         alike = np.einsum("ka,nba,nb->k", AXES, m.orientation[seen], tangent)
         return np.asarray(AXES[int(np.argmax(alike))])
 
@@ -138,7 +164,8 @@ class ArmModel:
     def joints(self, setup: Setup) -> tuple[Array, Array]:
         """(N, n) joint values of the model, rad and m."""
         drives = setup.drives
-        alpha, shift = drives.to_model(*self.timeline.readings(drives.latency))
+        read, moved = self.timeline.readings(drives.latency)
+        alpha, shift = drives.to_model(read - self.turns, moved)
         alpha = self.timeline.with_play(alpha, np.array(drives.rotation_play))
         shift = self.timeline.with_play(shift, np.array(drives.translation_play))
         if not any(drives.translation_compliance):

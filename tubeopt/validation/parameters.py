@@ -36,6 +36,8 @@ class Parameter(Span):
     """As of its effect; "" for a factor on all curvatures."""
     which: tuple[int, ...]
     """Places in the setup that it sets."""
+    idle: str = ""
+    """Why it has no influence on the tips, in words; "" where it may have one."""
 
     @property
     def effect(self) -> Effect:
@@ -118,7 +120,8 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
     index = None if number is None else numbers_of(context, effect).index(number) + effect.first - 1
     unit = "" if index is None and kind == "curvature" else effect.unit
     span, which = effect.span(context, index), _places(context, effect, index)
-    return Parameter(**vars(span), name=name, kind=kind, index=index, unit=unit, which=which)
+    idle = effect.idle(context, index)
+    return Parameter(**vars(span), name=name, kind=kind, index=index, unit=unit, which=which, idle=idle)
 
 
 def _known(kind: str, number: str | None) -> bool:

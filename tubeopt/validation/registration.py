@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..errors import InputError, choice, finite_array, vector
+from ..robots.calibration import SavedRegistration
 from ..typing import Array
 
-FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0}
+FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0, "saved": 0}
 """Methods, and how many numbers each takes from the measured tips."""
 
 FITS_PLATE = tuple(name for name, count in FREEDOMS.items() if count == 6)
@@ -42,6 +43,12 @@ class BasePose:
         object.__setattr__(self, "position", tuple(position.tolist()))
         object.__setattr__(self, "axis", tuple((axis / np.linalg.norm(axis)).tolist()))
 
+
+FIRST_GUESS = 1e-3, math.radians(1.0)
+"""Standard deviations of positions (m) and directions (rad) before they are estimated."""
+
+ROUNDS = 200
+"""At most, until the noise that weighs directions against positions has settled."""
 
 SENSOR_FRAME = BasePose()
 """Base at the origin of the device, axis along its z: data that were brought into place before."""
@@ -77,6 +84,16 @@ class Registration:
         axis = np.eye(3)[k % 3]
         return (axis, np.zeros(3)) if k < 3 else (np.zeros(3), axis)
 
+    @classmethod
+    def of_saved(cls, saved: SavedRegistration) -> Registration:
+        """The registration that a calibration holds."""
+        return cls("saved", np.array(saved.rotation), np.array(saved.translation))
+
+    def saved(self, recording: str) -> SavedRegistration:
+        """The same for the calibration, with the mark of its recording."""
+        rows = tuple(tuple(row) for row in self.rotation.tolist())
+        return SavedRegistration(recording, self.method, rows, tuple(self.translation.tolist()))
+
     @property
     def yaw(self) -> float:
         """Turn about the plate's axis (rad, in (-pi, pi]), the twist that is left when the tilt is undone."""
@@ -89,49 +106,93 @@ class Registration:
         return math.atan2(math.hypot(self.rotation[0, 2], self.rotation[1, 2]), self.rotation[2, 2])
 
 
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions of the tip's sensor (D, 3), measured in the device's frame and predicted in the plate's; unit vectors,
+    weighed by the noise of positions (m) and of directions (rad), None where it is estimated."""
+
+    measured: Array
+    predicted: Array
+    noise: tuple[float | None, float | None] = (None, None)
+
+
 @typed
 def register(
-    measured: ArrayLike, predicted: ArrayLike, method: str = "rigid", *, base: BasePose = SENSOR_FRAME
+    measured: ArrayLike,
+    predicted: ArrayLike,
+    method: str = "rigid",
+    *,
+    base: BasePose = SENSOR_FRAME,
+    directions: Directions | None = None,
 ) -> Registration:
     """The registration with the least sum of squared distances between measured and predicted tips.
 
     - "rigid": any rotation and translation, by the singular values of the cross-covariance (Kabsch, Acta Cryst. A 32
-      (1976); with the sign of Umeyama, IEEE Trans. PAMI 13 (1991), which excludes mirrorings; without his scale).
+      (1976); with the sign of Umeyama, IEEE Trans. PAMI 13 (1991), which excludes mirror images; without his scale).
     - "base-axis": `base` is taken to the plate's origin and z axis by the smallest turn, as measured at the base or at
       the straight robot; only the yaw about that axis is fitted, in closed form.
     - "none": device coordinates are plate coordinates.
 
     Args:
         measured: (N, 3) in the device's frame, m.   predicted: (N, 3) in the plate frame, m.
+        directions: of the tip's sensor. Their squares count too, each over the variance of its kind, as in a fit.
 
     Raises:
         InputError: unknown method, or tips that leave the turn undetermined: on a line (rigid) or on the axis.
     """
-    choice("registration", method, FREEDOMS)
+    choice("registration", method, [name for name in FREEDOMS if name != "saved"])
     m, p = finite_array("measured", measured, 2), finite_array("predicted", predicted, 2)
     if m.shape != p.shape or m.shape[1] != 3:
         raise InputError(f"measured has shape {m.shape} and predicted {p.shape}; both must be (N, 3)")
     if method == "none":
         return Registration(method, np.eye(3), np.zeros(3))
-    if method == "base-axis":
-        return _about_axis(m, p, base)
+    solve = _about_axis if method == "base-axis" else _rigid
+    d = directions
+    found = solve(m, p, base, None, 0.0)
+    if d is None or not len(d.measured):
+        return found
+    ratio = (d.noise[0] or FIRST_GUESS[0]) / (d.noise[1] or FIRST_GUESS[1])
+    for _ in range(ROUNDS):
+        found, last = solve(m, p, base, d, ratio), ratio
+        ratio = _noise_ratio(found, m, p, d)
+        if abs(ratio - last) <= 1e-12 * last:
+            break
+    return found
+
+
+def _noise_ratio(found: Registration, m: Array, p: Array, d: Directions) -> float:
+    """Noise of a coordinate of positions over that of directions, m: given, or what a registration leaves."""
+    left = found.apply(m) - p, d.measured @ found.rotation.T - d.predicted
+    each = [math.sqrt((r**2).sum() / (k * len(r))) for k, r in zip((3, 2), left, strict=True)]
+    position, direction = (given or max(own, 1e-12) for given, own in zip(d.noise, each, strict=True))
+    return position / direction
+
+
+def _rigid(m: Array, p: Array, _: BasePose, d: Directions | None, ratio: float) -> Registration:
+    """By positions, and directions in units of `ratio`, m."""
     if len(m) < 3:
         raise InputError(f"registration is 'rigid' and there are {len(m)} measurements; it needs at least 3")
     m_mean, p_mean = m.mean(0), p.mean(0)
-    if np.linalg.svd(p - p_mean, compute_uv=False)[1] <= IN_LINE * math.sqrt(len(p)):
+    there, here = p - p_mean, m - m_mean
+    if d is not None:
+        there, here = np.vstack([there, ratio * d.predicted]), np.vstack([here, ratio * d.measured])
+    if np.linalg.svd(there, compute_uv=False)[1] <= IN_LINE * math.sqrt(len(p)):
         raise InputError(
             "registration is 'rigid' and the predicted tips lie on a line, about which the frame could turn; measure "
             "more configurations, or use base-axis or none"
         )
-    rotation = scipy.spatial.transform.Rotation.align_vectors(p - p_mean, m - m_mean)[0].as_matrix()
-    return Registration(method, rotation, p_mean - rotation @ m_mean)
+    rotation = scipy.spatial.transform.Rotation.align_vectors(there, here)[0].as_matrix()
+    return Registration("rigid", rotation, p_mean - rotation @ m_mean)
 
 
-def _about_axis(measured: Array, predicted: Array, base: BasePose) -> Registration:
+def _about_axis(measured: Array, predicted: Array, base: BasePose, d: Directions | None, ratio: float) -> Registration:
     """Base to the origin, its axis to z, with the best yaw."""
     from_base = measured - np.array(base.position)
-    pairs = np.vstack([[0.0, 0.0, 1.0], predicted]), np.vstack([base.axis, from_base])
-    weights = np.append(np.inf, np.ones(len(measured)))
+    there, here = [predicted], [from_base]
+    if d is not None:
+        there, here = [predicted, ratio * d.predicted], [from_base, ratio * d.measured]
+    pairs = np.vstack([[0.0, 0.0, 1.0], *there]), np.vstack([base.axis, *here])
+    weights = np.append(np.inf, np.ones(len(pairs[0]) - 1))
     rotation = scipy.spatial.transform.Rotation.align_vectors(*pairs, weights=weights)[0].as_matrix()
     if ((from_base @ rotation.T)[:, :2] * predicted[:, :2]).sum() <= IN_LINE**2 * len(measured):
         raise InputError(

@@ -25,12 +25,13 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
 from .comparison import ErrorSummary, check_tubes, distances
 from .descent import Descent, Weights, cost_of, descend, predicted_held_out
-from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
+from .fitting import Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
+from .identifiability import left_out
 from .measurements import Measurements
 from .model import ArmModel, State
 from .parameters import choose_parameters, groups
-from .registration import FREEDOMS
+from .registration import FIRST_GUESS, FREEDOMS
 from .subsets import Effects, HeldOutSets, Slopes, slopes_around
 
 
@@ -146,9 +147,13 @@ class _Search:
         options: FitOptions,
         progress: Progress | None,
     ) -> None:
-        self.measurements, self.known, self.progress = measurements, known, progress
+        self.measurements, self.progress = measurements, progress
         self.given, self.options = options, replace(options, priors=True)
-        self.parameters = {k: choose_parameters(robot, measurements, v, options.registration) for k, v in known.items()}
+        named = {k: choose_parameters(robot, measurements, v, options.registration) for k, v in known.items()}
+        self.idle = [p for some in named.values() for p in some if p.idle]
+        active = {k: tuple(p for p in some if not p.idle) for k, some in named.items()}
+        self.parameters = {k: some for k, some in active.items() if some}
+        self.known = {k: known[k] for k in self.parameters}
         place = passes(measurements).place
         self.fold, self.block = (deal(measurements, k, place) for k in (options.folds, options.solver.blocks))
         self.model = ArmModel(robot, measurements, (), options.registration, options.base)
@@ -312,7 +317,7 @@ class _Search:
             refused=self._refused(),
             fit=found,
             folds=len(np.unique(self.fold)),
-            remarks=self.measurements.remarks,
+            remarks=(*self.measurements.remarks, *(left_out(p) for p in self.idle)),
         )
 
     def _kept(self) -> tuple[Step, ...]:

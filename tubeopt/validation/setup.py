@@ -60,23 +60,21 @@ class Setup:
 
     @classmethod
     def of(cls, robot: Robot) -> Setup:
-        """The robot as its file describes it, on a plate and with a sensor that are where they should be."""
+        """The robot, its plate and its sensor as the file describes them."""
         tubes = members(robot)
         torque, clearance = _between(robot)
         extra = robot.transmission_length if isinstance(robot, EccentricRobot) else 0.0
         dimensions = dimensions_of(tubes)
         dimensions["straight_length"] += extra
+        drives = robot.calibration or Calibration.none(robot.n_tubes)
         pieces = tuple((k, j) for k, tube in enumerate(tubes) if len(tube.pieces) > 1 for j in range(len(tube.pieces)))
         return cls(
-            drives=robot.calibration or Calibration.none(robot.n_tubes),
+            drives=drives,
             friction=torque,
             clearance=clearance,
             **dimensions,
             piece_curvature=np.zeros(len(pieces)),
-            plate_shift=np.zeros(3),
-            plate_tilt=np.zeros(2),
-            sensor_offset=np.zeros(3),
-            sensor_tilt=np.zeros(2),
+            **{name: np.array(getattr(drives, name)) for name in MOUNTS},
             transmission=extra,
             pieces=pieces,
         )
@@ -96,7 +94,11 @@ class Setup:
             tubes = members(given)
         else:
             tubes = tuple(self._tube(tube, k, first) for k, tube in enumerate(members(given)))
-        drives = None if self.drives.trivial else replace(self.drives, found_by=found_by)
+        mounts = {name: tuple(getattr(self, name).tolist()) for name in MOUNTS}
+        pairs = zip(self.drives.rotation_gains, self.drives.rotation_middles, strict=True)
+        middles = tuple(middle if gain != 1.0 else 0.0 for gain, middle in pairs)
+        calibration = replace(self.drives, found_by=found_by, rotation_middles=middles, **mounts)
+        drives = None if calibration.trivial else calibration
         if isinstance(given, ConcentricRobot):
             rubbing = replace(friction_of(given) or Friction(), torque=tuple(self.friction.tolist()) or (0.0,))
             friction = None if rubbing.trivial else rubbing
@@ -137,6 +139,9 @@ class Setup:
 
 TUBES = ("friction", "clearance", "piece_curvature", *DIMENSIONS)
 """What describes the tubes, how they rub, and how loose they are."""
+
+MOUNTS = ("plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
+"""Where the plate and the tip's sensor stand off where they should be."""
 
 
 def _between(robot: Robot) -> tuple[Array, Array]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
+from ..robots.calibration import Calibration
 from ..typing import Array, Index
 from .measurements import Measurements
 
@@ -92,3 +94,16 @@ def _between(time: Array, values: Array, wanted: Array) -> Array:
         return np.repeat(values[:1], len(wanted), axis=0)
     inside = np.clip(wanted, time[0], time[-1])
     return np.asarray(scipy.interpolate.PchipInterpolator(time, values)(inside))
+
+
+def counted(drives: Calibration, measurements: Measurements) -> tuple[Calibration, Array]:
+    """Drives whose gains act where the recording lies, and full turns (n,), rad, to subtract from its rotations.
+
+    A gain acts about the full turn next to the median of the recording that it was found with. A recording that counts
+    its turns from elsewhere is moved by full turns, so that its median lies as near as possible to that of the first.
+    """
+    middle, turn = np.median(measurements.rotations, axis=0), 2 * math.pi
+    gained = np.array(drives.rotation_gains) != 1.0
+    turns = np.where(gained, turn * np.round((middle - drives.rotation_middles) / turn), 0.0)
+    known = np.where(gained, drives.rotation_middles, middle)
+    return replace(drives, rotation_middles=tuple(known.tolist())), turns
