@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tubeopt import ConcentricRobot, EccentricRobot, InputError, load_robot
+from tubeopt import ConcentricRobot, InputError, load_robot
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.robot import Robot
 from tubeopt.validation import BasePose, FitOptions, FitSolver, Measurements, compare_effects, fit, validate
@@ -34,12 +34,12 @@ def recording(robot: Robot, *, poses: bool = True, count: int = 16) -> Measureme
     phase = np.minimum(time, time[-1] - time)
     rotations = 0.5 * np.sin(0.6 * np.outer(phase, 1 + 0.2 * np.arange(n)) + np.arange(n))
     shift = np.zeros((count, n))
-    if not isinstance(robot, EccentricRobot):
-        for tubes in robot.moving_together:
+    for tubes in robot.moving_together if isinstance(robot, ConcentricRobot) else ():
+        if min(robot.tubes[i].straight_length for i in tubes) > 5 * MM:
             shift[:, list(tubes)] = (2e-3 + 1e-3 * np.sin(0.8 * phase + len(tubes)))[:, None]
     found = solve_poses(robot, rotations, shift, np.zeros(1))
     tips = (found.position[:, 0] + found.frame @ [1 * MM, 2 * MM, -3 * MM]) @ TURN.T + BASE
-    wobble = Rotation.from_rotvec(random.normal(0, 0.01, (count, 3)) + [0.05, -0.03, 0.0]).as_matrix()
+    wobble = Rotation.from_rotvec(random.normal([0.05, -0.03, 0.0], 0.01, (count, 3))).as_matrix()
     return Measurements(
         rotations,
         shift,

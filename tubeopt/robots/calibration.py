@@ -105,9 +105,13 @@ class Calibration:
             object.__setattr__(self, name, tuple(_number(name, i, value) for i, value in enumerate(values)))
         object.__setattr__(self, "latency", finite("latency", self.latency))
         for name, length in (("sensor_offset", 3), ("sensor_tilt", 2), ("plate_shift", 3), ("plate_tilt", 2)):
-            object.__setattr__(self, name, tuple(vector(name, getattr(self, name), length, "x, y, z"[: 3 * length - 2]).tolist()))
+            object.__setattr__(
+                self, name, tuple(vector(name, getattr(self, name), length, "x, y, z"[: 3 * length - 2]).tolist())
+            )
         if self.sensor_axis:
-            object.__setattr__(self, "sensor_axis", tuple(vector("sensor_axis", self.sensor_axis, 3, "x, y, z").tolist()))
+            object.__setattr__(
+                self, "sensor_axis", tuple(vector("sensor_axis", self.sensor_axis, 3, "x, y, z").tolist())
+            )
 
     @classmethod
     def none(cls, n_tubes: int) -> Calibration:

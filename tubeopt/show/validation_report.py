@@ -13,7 +13,18 @@ from ..files.files import write_text
 from ..files.units import SIGNS, TO_MM
 from ..robots.file import calibration_to_dict, save_robot
 from ..typing import Array
-from ..validation import Comparison, ErrorGroup, ErrorSummary, Estimate, Fit, Parity, Registration, Step, Validation
+from ..validation import (
+    Comparison,
+    ErrorGroup,
+    ErrorSummary,
+    Estimate,
+    Fit,
+    Parity,
+    Registration,
+    RegistrationError,
+    Step,
+    Validation,
+)
 from . import quantities
 from .quantities import Quantity, in_units, line, with_unit
 from .report import Drawing, Report, drawing, grid
@@ -60,6 +71,11 @@ REGISTRATION: tuple[Quantity[Registration], ...] = (
     Quantity("tilt_deg", "angle between the frames' z axes"),
 )
 
+REGISTRATION_ERROR: tuple[Quantity[RegistrationError], ...] = (
+    Quantity("turn_deg", "about the axis that is known worst"),
+    Quantity("reach_mm", "of the position of a point at the arm's length from the plate"),
+)
+
 PARITY: tuple[Quantity[Parity], ...] = (
     Quantity("pairs", "places that were passed in both directions"),
     Quantity("history_mm", "RMS of half the difference of their errors"),
@@ -97,6 +113,9 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("registration", "registration", of=REGISTRATION,
              words="{registration[method]}: yaw {registration[yaw_deg]:.2f} deg, "
              "tilt {registration[tilt_deg]:.2f} deg"),
+    Quantity("registration_error", "standard errors of a registration by least squares, for the shapes of the model",
+             of=REGISTRATION_ERROR, label="known to", words="{registration_error[turn_deg]:.2f} deg and "
+             "{registration_error[reach_mm]:.2f} mm at the arm's length (standard errors)"),
     Quantity("error", "tip error", lambda v: _summary(v.summary, v.length),
              words=lambda v: _errors_in_words(v.summary, v.length)),
     Quantity("by_direction", "the same by direction", lambda v: _groups(v.by_direction, "direction_deg", v.length),
@@ -111,7 +130,7 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "the same errors at each distance behind the tip", lambda v: _stations(v)),
     Quantity("parity", "what depends on the way", of=PARITY, label="both ways", words=lambda v: _both_ways(v)),
-    Quantity("remarks", "what was noticed when the file was read", lambda v: v.measurements.remarks),
+    Quantity("remarks", "what was noticed in the measurements"),
 )  # fmt: skip
 
 
@@ -258,6 +277,10 @@ EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
              label="as given", words="RMS {start[rms_mm]:.2f} mm held out"),
     Quantity("start_axis_deg", "RMS angle of the directions, held out", form=".2f"),
     Quantity("steps", "effects that pay, in order", lambda c: [_step(s, _length(c)) for s in c.steps]),
+    Quantity("chosen_anew", "held-out errors that include the choice of effects, to first order; those of the steps "
+             "and of the fit do not: their rows took part in the choice",
+             lambda c: _summary(c.chosen_anew, _length(c)), label="held out, choice included",
+             words="RMS {chosen_anew[rms_mm]:.2f} mm; the rows held out below took part in the choice of effects"),
     Quantity("dropped", "effects that later ones made useless"),
     Quantity("refused", "effects that do not pay beside them", lambda c: [_step(s, _length(c)) for s in c.refused]),
     Quantity("remarks", "what was noticed when the file was read"),

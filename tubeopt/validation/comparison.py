@@ -14,6 +14,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array
+from .certainty import RegistrationError, check_registration, registration_error
 from .folds import Parity, parity, passes
 from .measurements import Measurements
 from .model import ArmModel, State
@@ -125,6 +126,21 @@ class Validation(Displayed):
     """Greatest arc length of the arm in front of the plate, m: what percentages refer to."""
     parity: Parity | None
     """How far the errors depend on the way; None where the way does not retrace itself."""
+    registration_error: RegistrationError | None
+    """Of a registration by least squares, as far as these tips tell it; None of one that was given."""
+    left_out: tuple[tuple[int, str], ...] = ()
+    """(row, reason in words) of rows without a stable shape."""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was noticed in the measurements and in their comparison, in words."""
+        error = self.registration_error
+        words = list(self.measurements.remarks) + ([error.remark] if error is not None and error.remark else [])
+        if self.left_out:
+            row, reason = self.left_out[0]
+            count = f"{len(self.left_out)} rows have no stable shape and were left out"
+            words.append(f"{count}; the first is row {row + 1}: {reason}")
+        return tuple(words)
 
     @property
     def residuals(self) -> Array:
@@ -179,7 +195,7 @@ def validate(
 
     Raises:
         InputError: measurements of another number of tubes, joint values out of range (naming the row), a registration
-            that the data leave undetermined.
+            that the data leave undetermined or tell to no better than 5 deg (standard error).
         SolveError: no stable shape was found for a row.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
@@ -191,7 +207,9 @@ def validate(
     if model.failures and not own:
         row, reason = model.failures[0]
         raise SolveError(f"row {row + 1}: {reason}")
-    return compare_at(model, model.start, robot)
+    found = compare_at(model, model.start, robot)
+    check_registration(found.registration_error, method)
+    return found
 
 
 def check_tubes(robot: Robot, measurements: Measurements) -> None:
@@ -222,6 +240,8 @@ def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
         margin=poses.margin,
         length=model.length,
         parity=parity(found.pairs, measured - tip, measured),
+        registration_error=registration_error(model, state),
+        left_out=model.failures,
     )
 
 

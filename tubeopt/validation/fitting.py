@@ -23,6 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, Sentence
+from .certainty import check_registration, registration_error
 from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances, validate
 from .descent import (
     DEFAULT_SOLVER,
@@ -331,6 +332,8 @@ class FitProblem:
     def answer(self, measurements: Measurements, told: Progress) -> Fit:
         """Everything that is said about the fit."""
         model, options, state = self.model, self.options, self.fit.state
+        known = registration_error(model, state)
+        check_registration(known, model.method)
         place = passes(measurements).place
         errors, correlation = self._spread()
         block = deal(measurements, min(options.solver.blocks, len(np.unique(place))), place)
@@ -346,6 +349,7 @@ class FitProblem:
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
         wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked
         calibrated = self._calibrated(measurements)
+        after = replace(validate(calibrated, measurements), registration_error=known)
         return Fit(
             robot=calibrated,
             estimates=_estimates(self.chosen, self.values, (errors, half), (blocked, wide)),
@@ -354,11 +358,11 @@ class FitProblem:
             noise=self.sigma[0],
             axis_noise=self.sigma[1] if model.directed.any() else None,
             before=compare_at(model, model.start, model.robot),
-            after=validate(calibrated, measurements),
+            after=after,
             held_out_errors=None if along is None else along[:, 0],
             held_out_axis_errors=axis,
             fold=fold,
-            remarks=(*measurements.remarks, *self.remarks, *self._doubts(half, correlation)),
+            remarks=(*after.remarks, *self.remarks, *self._doubts(half, correlation)),
             evaluations=model.evaluations,
         )
 

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
@@ -21,7 +22,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
-from ..typing import Array, Progress, Sentence
+from ..typing import Array, Mask, Progress, Sentence
 from .comparison import check_tubes
 from .measurements import Measurements
 
@@ -47,6 +48,15 @@ class ForceSolver(Settings):
     """Step, in standard errors of the force, below which it has settled."""
 
 
+SETTLED, STEPS = 1e-2, 12
+"""Of fits to measurements that are moved: a hundredth of a standard error, and the steps in which most are found."""
+
+ROOT = np.sqrt(3.0)
+"""Standard deviations by which measurements are moved."""
+
+NORMAL = scipy.special.ndtri(scipy.stats.qmc.Halton(3, scramble=False).random(1025)[1:])
+"""(1024, 3) normal numbers, evenly spread."""
+
 DEFAULT_FORCE = ForceSolver()
 
 
@@ -71,7 +81,8 @@ class ForceEstimate(Displayed):
     force: Array
     """(3,) N."""
     covariance: Array
-    """(3, 3) N^2, by the noise of the measurement; inf along directions that are not seen at all."""
+    """(3, 3) N^2, by the noise of the measurement, to second order: its ellipsoid of 95 % (chi-squared of 3 degrees of
+    freedom) holds the force with 95 %. inf along directions in which the measurement does not bound the force."""
     directions: Array
     """(3, 3) unit vectors by row, from the best to the worst told."""
     errors: Array
@@ -84,6 +95,25 @@ class ForceEstimate(Displayed):
     """Sum of squares of residuals over noise, and by what number it is on average: measured coordinates less 3."""
     iterations: int
     """Steps of the fit."""
+    measured: tuple[Array, Array, float]
+    """Arc lengths (P,), positions (P, 3), and the noise of a coordinate, m."""
+    base: Load
+    """Loads that were known."""
+
+    def contains(self, force: ArrayLike, confidence: float = 0.95) -> bool:
+        """Whether a force, N, is in the confidence region of the likelihood.
+
+        The region holds the forces whose sum of squares over the noise exceeds the least one by no more than the
+        quantile of chi-squared with 3 degrees of freedom. Where only the tip was measured its confidence is exact,
+        however much the arm bends.
+        """
+        wanted = vector("force", force, 3, "x, y, z")
+        try:
+            there = _trial(self.equilibrium, self.base, wanted, _Measured(*self.measured))
+        except SolveError:
+            return False
+        excess = float(there.residual @ there.residual) - self.fit[0]
+        return excess <= float(scipy.special.chdtri(3, 1 - confidence))
 
     @property
     def value(self) -> Array:
@@ -275,7 +305,13 @@ def estimate_force(  # noqa: PLR0913
     start = forward_kinematics(robot, alpha, shift, load=first, guess=guess)
     measured = _measured(float(start.arc_length[-1]), tip_position, points, positive("noise", noise))
     trial = _trial(start, base, np.subtract(first.force, base.force), measured)
-    damping, length = solver.first_damping, float(start.arc_length[-1])
+    trial, iterations = _settled(trial, base, measured, solver)
+    return _estimate(trial, base, measured, iterations, solver)
+
+
+def _settled(trial: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> tuple[_Trial, int]:
+    """The fit from a trial, and its steps; raises SolveError where it does not settle."""
+    noise, damping, length = measured.noise, solver.first_damping, float(trial.equilibrium.arc_length[-1])
     for iteration in range(1, solver.steps + 1):
         step = _step(trial.jacobian, trial.residual, damping)
         moved = np.abs(trial.jacobian @ step).max() * noise
@@ -294,9 +330,9 @@ def estimate_force(  # noqa: PLR0913
             damping *= 8
             continue
         if settled:
-            return _estimate(trial, measured, iteration)
+            return trial, iteration
     if float(np.linalg.norm(trial.jacobian @ _step(trial.jacobian, trial.residual, 0.0))) <= 1e-3:
-        return _estimate(trial, measured, iteration)
+        return trial, iteration
     raise SolveError(
         f"the force did not settle in {solver.steps} steps: {_distance(trial, measured) * 1e3:.3g} mm are left",
         trial.equilibrium,
@@ -353,20 +389,81 @@ def _distance(trial: _Trial, measured: _Measured) -> float:
     return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
-def _estimate(trial: _Trial, measured: _Measured, iterations: int) -> ForceEstimate:
-    _, size, directions = np.linalg.svd(trial.jacobian, full_matrices=True)
-    with np.errstate(divide="ignore"):
-        errors = np.where(size > UNSEEN * size[0], 1 / size, np.inf)
+def _estimate(trial: _Trial, base: Load, measured: _Measured, iterations: int, solver: ForceSolver) -> ForceEstimate:
+    covariance, directions, errors = _spread(trial, base, measured, replace(solver, settled=SETTLED, steps=STEPS))
     return ForceEstimate(
         force=trial.force,
-        covariance=_covariance(directions, errors),
+        covariance=covariance,
         directions=directions,
         errors=errors,
         equilibrium=trial.equilibrium,
         residual=_distance(trial, measured),
         fit=(float(trial.residual @ trial.residual), len(trial.residual) - 3),
         iterations=iterations,
+        measured=(measured.arc_length, measured.position, measured.noise),
+        base=base,
     )
+
+
+def _spread(trial: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> tuple[Array, Array, Array]:
+    """Covariance, its axes by row from the best to the worst told, and standard errors along these, to second order.
+
+    A measurement that is off by z standard deviations along the k-th left singular vector of the Jacobian gives a
+    force F(z) = F + a z + b z^2 / 2. Both vectors are taken from fits to measurements that are moved by the root of 3
+    standard deviations, forth and back: these points integrate a Gaussian to the third order. The covariance is the
+    mean of squares about F, scaled so that its ellipsoid of 95 % holds 95 % of the forces F(z) of normal z.
+    """
+    left, size, right = np.linalg.svd(trial.jacobian, full_matrices=True)
+    linear, bent, lost = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, dtype=bool)
+    for k in range(3):
+        if k >= len(size) or size[k] <= UNSEEN * size[0]:
+            lost[k] = True
+            continue
+        sides = [_moved(trial, base, measured, sign * ROOT * left[:, k], solver) for sign in (1.0, -1.0)]
+        known = [side for side in sides if side is not None]
+        lost[k] = len(known) < 2
+        if sides[0] is not None and sides[1] is not None:
+            linear[k], bent[k] = (sides[0] - sides[1]) / (2 * ROOT), (sides[0] + sides[1]) / ROOT**2
+        elif known:
+            bent[k] = 2 * (known[0] - np.sign((known[0]) @ right[k]) * ROOT * right[k] / size[k]) / ROOT**2
+    if lost.any():
+        return _open(linear, bent, right, lost)
+    first = right.T / size
+    forces = NORMAL @ linear + 0.5 * NORMAL**2 @ bent
+    covariance = _second_moment(linear, bent)
+    reached, usual = (
+        np.quantile(np.einsum("ki,ij,kj->k", f, np.linalg.inv(c), f), 0.95)
+        for f, c in ((forces, covariance), (NORMAL @ first.T, first @ first.T))
+    )
+    covariance *= reached / usual
+    square, axes = np.linalg.eigh(covariance)
+    return covariance, axes.T, np.sqrt(square)
+
+
+def _second_moment(linear: Array, bent: Array) -> Array:
+    """(3, 3) mean of F F' of F = sum_k a_k z_k + b_k z_k^2 / 2, rows a_k and b_k, z normal."""
+    total = bent.sum(0)
+    return np.asarray(linear.T @ linear + bent.T @ bent / 2 + np.outer(total, total) / 4)
+
+
+def _moved(trial: _Trial, base: Load, measured: _Measured, by: Array, solver: ForceSolver) -> Array | None:
+    """(3,) how the force changes, N, where residuals change `by` (3 P,) standard deviations; None if none is found."""
+    other = replace(measured, position=measured.position + measured.noise * by.reshape(-1, 3))
+    near = replace(trial, residual=trial.residual + by)
+    try:
+        return np.asarray(_settled(near, base, other, solver)[0].force - trial.force)
+    except (InputError, SolveError):
+        return None
+
+
+def _open(linear: Array, bent: Array, right: Array, lost: Mask) -> tuple[Array, Array, Array]:
+    """The same as `_spread` where forces along some directions have no bound."""
+    rest = right[~lost]
+    square = rest @ _second_moment(linear, bent) @ rest.T
+    own, turns = np.linalg.eigh(square)
+    directions = np.vstack([turns.T @ rest, right[lost]])
+    errors = np.append(np.sqrt(np.maximum(own, 0.0)), np.full(int(lost.sum()), np.inf))
+    return _covariance(directions, errors), directions, errors
 
 
 def _covariance(directions: Array, errors: Array) -> Array:

@@ -23,6 +23,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
+from .certainty import check_registration, registration_error
 from .comparison import ErrorSummary, check_tubes, distances
 from .descent import Descent, Weights, cost_of, descend, predicted_held_out
 from .fitting import Fit, FitOptions, FitProblem, check_counts, weigh
@@ -72,7 +73,11 @@ class Comparison(Displayed):
     refused: tuple[Step, ...]
     """Those that do not pay beside the kept ones, the best first."""
     fit: Fit | None
-    """With the kept effects; None where none pays."""
+    """With the kept effects; None where none pays. Its held-out errors, like those of the steps, are of rows that took
+    part in the choice of effects."""
+    chosen_anew: ErrorSummary
+    """Held-out tip errors that include the choice: each fold is predicted by the effects that the others choose, to
+    first order around the fit, m."""
     folds: int
     """How many there are."""
     remarks: tuple[str, ...]
@@ -308,6 +313,8 @@ class _Search:
         if self.now.effects:
             problem = FitProblem(self.now.model, self.given, self.now.fit.state, self.now.sigma)
             found = problem.answer(self.measurements, lambda done, total: None)
+        else:
+            check_registration(registration_error(self.begun.model, self.begun.fit.state), self.begun.model.method)
         along, axis = distances(self.model, self.begun.residuals)
         return Comparison(
             start=ErrorSummary.of(along[:, 0]),
@@ -316,9 +323,13 @@ class _Search:
             dropped=tuple(dict.fromkeys(kind for kind in self.passed if kind not in self.now.effects)),
             refused=self._refused(),
             fit=found,
+            chosen_anew=self._chosen_anew(),
             folds=len(np.unique(self.fold)),
             remarks=(*self.measurements.remarks, *(left_out(p) for p in self.idle)),
         )
+
+    def _chosen_anew(self) -> ErrorSummary:
+        return ErrorSummary.of(distances(self.model, self.sets.chosen_anew())[0][:, 0])
 
     def _kept(self) -> tuple[Step, ...]:
         """What was kept, in the order in which it pays."""

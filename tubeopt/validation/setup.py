@@ -94,7 +94,7 @@ class Setup:
             tubes = members(given)
         else:
             tubes = tuple(self._tube(tube, k, first) for k, tube in enumerate(members(given)))
-        mounts = {name: tuple(getattr(self, name).tolist()) for name in MOUNTS}
+        mounts: dict[str, Any] = {name: tuple(getattr(self, name).tolist()) for name in MOUNTS}
         pairs = zip(self.drives.rotation_gains, self.drives.rotation_middles, strict=True)
         middles = tuple(middle if gain != 1.0 else 0.0 for gain, middle in pairs)
         calibration = replace(self.drives, found_by=found_by, rotation_middles=middles, **mounts)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -144,14 +145,29 @@ class HeldOutSets:
         matrix[np.arange(len(at)), np.arange(len(at))] += 1e-12
         step[at] = -np.linalg.solve(matrix, slope)
 
-    def explore(self) -> list[Effects]:
-        """Sets in the order of their costs: all beside the way of single changes that leads down from the set that is
-        there, from none and from all."""
-        for start in (self.there, Effects(), Effects(self.names)):
+    def explore(self, starts: Sequence[Effects] = ()) -> list[Effects]:
+        """Sets in the order of their costs: all beside the way of single changes that leads down from each start, by
+        default from the set that is there, from none and from all."""
+        for start in starts or (self.there, Effects(), Effects(self.names)):
             best = start
             while (found := min([best, *self.around(best)], key=self.cost)) != best:
                 best = found
         return sorted(self.known, key=self.cost)
+
+    def chosen_anew(self) -> Array:
+        """(V, 3) residuals of every fold by the set that the other folds choose, fitted to these."""
+        out, total = np.empty_like(self.residuals), self.squares.sum(0)
+        columns = [self.slopes, *(jump[..., None] for jump in self.jumps.values())]
+        for k, label in enumerate(np.unique(self.fold)):
+            rest = copy(self)
+            rest.squares, rest.known = np.delete(self.squares, k, axis=0), {}
+            # From no effect: the set that is there was chosen with this fold.
+            best = rest.explore([Effects()])[0]
+            step = self._step(best, total - self.squares[k])[:-1] / self.scale
+            mine = self.fold == label
+            table = np.concatenate([column[mine] for column in columns], axis=2)
+            out[mine] = self.residuals[mine] + table @ step
+        return out
 
     def around(self, effects: Effects) -> list[Effects]:
         """Sets with one effect more, one less, or one in the place of another."""
