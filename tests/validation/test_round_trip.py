@@ -27,16 +27,17 @@ ASKED = ("clearance", "translation_compliance")
 QUICK = FitOptions(folds=0, solver=FitSolver(iterations=2, draws=5))
 
 
-def recording(robot: Robot, *, poses: bool = True, count: int = 16) -> Measurements:
+def recording(robot: Robot, *, poses: bool = True, count: int = 20) -> Measurements:
     """A way of a few rows, whose sensor is off the tip and tilted, with noise."""
     random, n = np.random.default_rng(0), robot.n_tubes
     time = np.arange(count) / 4
     phase = np.minimum(time, time[-1] - time)
     rotations = 0.5 * np.sin(0.6 * np.outer(phase, 1 + 0.2 * np.arange(n)) + np.arange(n))
-    shift = np.zeros((count, n))
+    rotations += 2.5 * np.sin(0.9 * phase)[:, None]  # all together, so that the tips tell the frame
+    shift = np.tile(robot.home_translations, (count, 1))
     for tubes in robot.moving_together if isinstance(robot, ConcentricRobot) else ():
         if min(robot.tubes[i].straight_length for i in tubes) > 5 * MM:
-            shift[:, list(tubes)] = (2e-3 + 1e-3 * np.sin(0.8 * phase + len(tubes)))[:, None]
+            shift[:, list(tubes)] += (2e-3 + 1e-3 * np.sin(0.8 * phase + len(tubes)))[:, None]
     found = solve_poses(robot, rotations, shift, np.zeros(1))
     tips = (found.position[:, 0] + found.frame @ [1 * MM, 2 * MM, -3 * MM]) @ TURN.T + BASE
     wobble = Rotation.from_rotvec(random.normal([0.05, -0.03, 0.0], 0.01, (count, 3))).as_matrix()
@@ -121,7 +122,7 @@ def test_effects_that_pay_come_back(tmp_path: Path) -> None:
 
 def test_a_saved_registration_belongs_to_its_recording() -> None:
     robot = load_robot(CONFIGS / "robots" / "two_tube.yaml")
-    m = recording(robot, poses=False, count=24)
+    m = recording(robot, poses=False)
     found = fit(robot, m, ["curvature"], FitOptions(folds=0))
     assert validate(found.robot, m).registration.method == "saved"
     moved = replace(m, sensors=m.sensors + 0.1)  # the device stands elsewhere

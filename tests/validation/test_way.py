@@ -98,6 +98,26 @@ def test_the_calibrated_robot_predicts_by_itself() -> None:
     assert found.before.parity.history > 1.5 * found.after.parity.history
 
 
+def test_gains_do_not_depend_on_the_turn_that_a_recording_counts_from() -> None:
+    m = driven(count=150)
+    found = fit(robot(), m, ["rotation_2", "rotation_gain_all"], FitOptions(folds=0))
+    for turns in ([1, 0], [0, -2], [-3, 1]):
+        elsewhere = replace(m, rotations=m.rotations + 2 * np.pi * np.array(turns))
+        assert validate(found.robot, elsewhere).summary.rms == pytest.approx(found.after.summary.rms, rel=1e-9)
+        alone = [fit(robot(), each, ["rotation_gain_all"], FitOptions(folds=0)) for each in (m, elsewhere)]
+        assert alone[1].after.summary.rms == pytest.approx(alone[0].after.summary.rms, rel=1e-6)
+    # A reading is the same joint value in commands as in the recording.
+    calibration = alone[1].robot.calibration
+    assert calibration is not None
+    assert np.round(calibration.rotation_zeros / (2 * np.pi)).tolist() == [-3, 1]
+    read = elsewhere.rotations[:3], elsewhere.translations[:3]
+    np.testing.assert_allclose(calibration.to_readings(*calibration.to_model(*read))[0], read[0])
+    first = alone[0].robot.calibration
+    assert first is not None
+    turned = calibration.to_model(*read)[0] - first.to_model(m.rotations[:3], m.translations[:3])[0]
+    np.testing.assert_allclose(turned, np.tile(2 * np.pi * np.array(turns), (3, 1)), atol=1e-6)
+
+
 def test_effects_that_are_there_are_found_and_no_others() -> None:
     c = compare_effects(robot(), driven(), ["latency", "rotation_play", "translation", "rotation_gain"])
     assert set(c.chosen) >= {"latency", "translation_1", "translation_2"}
@@ -110,6 +130,9 @@ def test_effects_that_are_there_are_found_and_no_others() -> None:
     assert rms == sorted(rms, reverse=True)
     assert c.fit is not None
     assert c.fit.robot.calibration is not None
+    assert c.fit.held_out is not None
+    # To first order, and with the choice made anew without each fold.
+    assert c.chosen_anew.rms == pytest.approx(c.fit.held_out.rms, rel=0.05)
 
 
 def test_where_nothing_is_wrong_nothing_is_chosen() -> None:

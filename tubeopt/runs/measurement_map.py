@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -212,10 +212,18 @@ def _count(words: list[str], mask: Mask, what: str) -> None:
 
 
 def _unwrapped(time: Array, rotations: Array, words: list[str]) -> Array:
-    """Rotations (N, n) without the jumps by full turns between rows of a run; says where there were any."""
-    out = rotations.copy()
-    for rows in runs_of(time):
+    """Rotations (N, n) without the jumps by full turns between rows of a run; says where there were any.
+
+    A run of an angle that was wrapped begins in the turn in which the run before it ended.
+    """
+    out, runs = rotations.copy(), runs_of(time)
+    for rows in runs:
         out[rows] = np.unwrap(rotations[rows], discont=A_TURN, axis=0)
+    jumps = np.diff(rotations - out, axis=0)
+    wrapped = np.any([np.abs(jumps[rows[:-1]]).max(0, initial=0.0) > 1.0 for rows in runs], axis=0)
+    for before, rows in pairwise(runs):
+        turns = np.round((out[before[-1]] - out[rows[0]]) / (2 * math.pi))
+        out[rows] += np.where(wrapped, 2 * math.pi * turns, 0.0)
     steps = np.abs(np.diff(rotations - out, axis=0)) > 1.0
     for tube in np.flatnonzero(steps.any(0)).tolist():
         count = int(steps[:, tube].sum())
