@@ -98,7 +98,7 @@ def test_a_fit_writes_the_calibrated_robot(run: Run, tmp_path: Path) -> None:
         "after the fit",
         "held out",
         "95 % interval",
-        "their offsets, gains and latency go into robot.yaml of --out",
+        "their offsets, gains and latency go into robot.yaml",
     ):
         assert part in outcome.out
     record = json.loads((tmp_path / "report.json").read_text())
@@ -147,7 +147,10 @@ def test_a_study(run: Run, tmp_path: Path) -> None:
     ("arguments", "problem"),
     [
         ((ROBOT, "none.csv"), "none.csv: there is no such file"),
-        ((ROBOT, MEASURED, "--registration", "rigd"), "--registration is 'rigd'; it must be rigid, base-axis or none"),
+        (
+            (ROBOT, MEASURED, "--registration", "rigd"),
+            "--registration is 'rigd'; it must be rigid, base-axis, none or saved",
+        ),
         ((ROBOT, MEASURED, "--fit", "curvatur"), "parameter 'curvatur' is not known; did you mean 'curvature'"),
         ((ROBOT, MEASURED, "--fit", "nu", "--folds", "1.5"), "--folds is 1.5; it must be a whole number"),
         ((ROBOT, MEASURED, "--fit", "nu", "--folds", "1"), "folds is 1; it must be 0, or 2 to"),

@@ -193,9 +193,8 @@ FIT: tuple[Quantity[Fit], ...] = (
     Quantity("axis_noise_deg", "noise of a direction", form=".3f"),
     Quantity("calibration", "what robot.yaml holds of drives, sensor, plate and registration",
              lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
-             label="all that was fitted",
-             words="goes into robot.yaml of --out; `tubeopt validate` of it with these measurements gives the error "
-             "after the fit again"),
+             label="drives", words="their offsets, gains and latency go into robot.yaml of --out, with sensor, plate "
+             "and registration: `tubeopt validate` of it with these measurements gives the error after the fit again"),
     Quantity("held_out_axis_deg", "RMS angle of directions that a fit to the others did not see",
              lambda f: None if f.held_out_axis_errors is None else np.sqrt(np.nanmean(f.held_out_axis_errors**2)),
              form=".2f"),

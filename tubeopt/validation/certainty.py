@@ -24,6 +24,9 @@ MOST = math.radians(5.0)
 BLOCKS = 20
 """Of rows, where there are as many places: errors of neighbouring rows are alike."""
 
+NARROW = 0.1
+"""Spread across over spread along, below which tips are taken as near to a line."""
+
 MIRRORED = 0.7
 """A mirror image whose residual is below this part of the registration's is worth a remark."""
 
@@ -36,14 +39,17 @@ class RegistrationError:
     """About the axis that is known worst, rad; inf where the data leave it open."""
     reach: float
     """Of the position of a point at the arm's length from the plate's centre, the worst of all directions, m."""
+    narrow: float
+    """Spread of the predicted tips across the line that is nearest to them, over the spread along it."""
     mirrored: float | None = None
     """Root mean square distance to the best mirror image, m, where that is clearly smaller; else None."""
 
     @property
     def remark(self) -> str:
-        """What a mirror image that fits better means, in words; "" where none does."""
+        """What a mirror image that fits better means, or a turn that is known badly, in words; "" where neither is."""
         if self.mirrored is None:
-            return ""
+            known = f"the frame is known to {math.degrees(self.turn):.0f} deg only (standard error)"
+            return "" if self.turn <= MOST else f"{known}: the tips are too few, or the model is too far from them"
         return (
             f"a mirror image of the measured tips fits better (RMS {self.mirrored * 1e3:.2f} mm): does a rotation or "
             "an axis of the device have the wrong sign?"
@@ -67,8 +73,10 @@ def registration_error(model: ArmModel, state: State) -> RegistrationError | Non
     hessian = turns @ (np.trace(s) * np.eye(3) - (s + s.T) / 2) @ turns.T
     least, scale = np.linalg.eigvalsh(hessian)[0], max(float(np.trace(hessian)), 1e-300)
     mirrored = _mirrored(here[~a], there[~a], math.sqrt(size[0] / (~a).sum())) if freedoms == 6 else None
+    along = np.linalg.svd(there[~a] - there[~a].mean(0), compute_uv=False)
+    narrow = float(along[1] / max(along[0], 1e-300)) if len(along) > 1 else 0.0
     if least <= 1e-9 * scale:
-        return RegistrationError(math.inf, math.inf, mirrored)
+        return RegistrationError(math.inf, math.inf, narrow, mirrored)
     inverse = np.linalg.inv(hessian)
     pull = weight[:, None] * np.cross(here + lever, there - here) @ turns.T
     shift = np.where(a[:, None], 0.0, there - here) / (~a).sum() if freedoms == 6 else np.zeros_like(here)
@@ -81,7 +89,7 @@ def registration_error(model: ArmModel, state: State) -> RegistrationError | Non
     centre = there[~a].mean(0) if freedoms == 6 else np.zeros(3)
     errors = [_errors(covariance, turns, centre, model.length) for covariance in both]
     turn, reach = np.max(errors, axis=0).tolist()
-    return RegistrationError(turn, reach, mirrored)
+    return RegistrationError(turn, reach, narrow, mirrored)
 
 
 def _pairs(model: ArmModel, state: State) -> tuple[Array, Array, Array]:
@@ -131,15 +139,12 @@ def _mirrored(here: Array, there: Array, left: float) -> float | None:
 
 
 def check_registration(error: RegistrationError | None, method: str) -> None:
-    """Raise InputError where the turn of a registration is known too badly."""
-    if error is None or error.turn <= MOST:
+    """Raise InputError where the turn of a rigid registration is known too badly, from tips near to a line."""
+    if error is None or error.turn <= MOST or error.narrow > NARROW or method != "rigid":
         return
     known = "not at all" if math.isinf(error.turn) else f"to {math.degrees(error.turn):.0f} deg only"
-    more = "give registration base-axis with a measured base"
-    if method == "base-axis":
-        more = "give data in the plate's frame with registration none"
     raise InputError(
         f"the tips tell the device's frame {known} (standard error; at most {math.degrees(MOST):g} deg): they lie too "
         "near to a line for what the model leaves unexplained; measure configurations bent to at least three sides, "
-        f"90 deg apart, or {more}"
+        "90 deg apart, or give registration base-axis with a measured base"
     )
