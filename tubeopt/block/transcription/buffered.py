@@ -45,6 +45,7 @@ class Empty:
     """A function mapped over no points, as on an arm of length zero, which CasADi has no map for: empty outputs."""
 
     def __init__(self, function: ca.Function) -> None:
+        self.inputs = [np.zeros((0, function.size1_in(i))) for i in range(function.n_in())]
         self.outputs = [np.zeros((0, function.size1_out(i))) for i in range(function.n_out())]
 
     def __call__(self, *arguments: Any) -> list[Array]:
