@@ -81,8 +81,9 @@ class ForceEstimate(Displayed):
     force: Array
     """(3,) N."""
     covariance: Array
-    """(3, 3) N^2, by the noise of the measurement, to second order: its ellipsoid of 95 % (chi-squared of 3 degrees of
-    freedom) holds the force with 95 %. inf along directions in which the measurement does not bound the force."""
+    """(3, 3) N^2, by the noise of the measurement, to second order; inf along directions in which the measurement does
+    not bound the force. Its ellipsoid is an approximation: where a standard error is some tenths of a newton or more, it
+    may hold the force less often than it says, and `contains` is the region to ask."""
     directions: Array
     """(3, 3) unit vectors by row, from the best to the worst told."""
     errors: Array
