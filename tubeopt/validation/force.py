@@ -82,8 +82,8 @@ class ForceEstimate(Displayed):
     """(3,) N."""
     covariance: Array
     """(3, 3) N^2, by the noise of the measurement, to second order; inf along directions in which the measurement does
-    not bound the force. Its ellipsoid is an approximation: where a standard error is some tenths of a newton or more, it
-    may hold the force less often than it says, and `contains` is the region to ask."""
+    not bound the force. Its ellipsoid is an approximation: where a standard error is some tenths of a newton, it may
+    hold the force less often than it says, and `contains` is the region to ask."""
     directions: Array
     """(3, 3) unit vectors by row, from the best to the worst told."""
     errors: Array
