@@ -103,8 +103,10 @@ def test_the_naive_turn_is_refuted_at_the_exact_snap() -> None:
 
 def test_every_fault_is_told() -> None:
     limits = RateLimits(rotation=0.5)
-    proof = verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], [1.0, 0.0, 0.0]], rate_limits=limits, min_margin=0.99)
-    assert any("rotation of tube 1 reaches 57.3 deg/s" in fault for fault in proof.faults)
+    proof = verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], [3.5, 0.0, 0.0]], rate_limits=limits, min_margin=0.99)
+    assert any("rotation of tube 1 reaches 200.5 deg/s" in fault for fault in proof.faults)
+    assert proof.least_margin < 0.99
+    assert any(f"the margin falls to {proof.least_margin:.4g}; it must be at least 0.99" in f for f in proof.faults)
     near = Sphere((0.0, -0.06, 0.13), 0.005)
     proof = verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], [0.1, 0.0, 0.0]], obstacles=[near], clearance=1.0)
     assert any("must keep" in fault for fault in proof.faults)

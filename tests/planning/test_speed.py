@@ -135,3 +135,12 @@ def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
     # phi = t + t^2 at 0: |e'''| = |(i^2) 3 phi' phi'' + i^3 phi'^3| = |-6 - i|, at most 7.
     both = turned(Jet(np.array(0.0), np.array(1.0), np.array(2.0), np.array(0.0)))
     assert math.hypot(6, 1) <= float(both.ddd) == 7.0
+
+
+def test_a_limit_that_the_bound_does_not_reach_is_not_proved() -> None:
+    """With too few equilibria for a sharp bound the limit is neither refuted nor satisfied."""
+    last = np.radians([214, 0, 0])
+    proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=0.1329))
+    assert proof.measured_tip_rate < 0.1329 < proof.largest_tip_rate
+    assert not proof.holds
+    assert any("of the speed of the tip only" in fault for fault in proof.faults)

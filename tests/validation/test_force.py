@@ -8,6 +8,7 @@ import pytest
 from tests.examples import THESIS
 from tubeopt import InputError, Load, estimate_force, forward_kinematics
 from tubeopt.typing import Array
+from tubeopt.validation.force import ForceRecord
 
 ROTATIONS = (0.0, 1.0, 2.0)
 FORCES = ((0.1, 0.0, 0.0), (0.05, 0.1, -0.05), (0.0, 0.3, 0.2))
@@ -106,3 +107,11 @@ def test_what_makes_no_sense_says_so() -> None:
         estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), noise=0)
     with pytest.raises(InputError, match="known has a moment"):
         estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), known=Load(moment=(1, 0, 0)))
+
+
+def test_standard_errors_of_a_record_are_roots_of_variances() -> None:
+    tip, points = shape(np.array(FORCES[0]), 2)
+    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=1e-4)
+    record = ForceRecord(THESIS, None, 1e-4, (found, None), ((1, "none"),))  # type: ignore[arg-type]
+    assert record.standard_error[0] ** 2 == pytest.approx(np.diag(found.covariance), rel=1e-12)
+    assert np.isnan(record.standard_error[1]).all()

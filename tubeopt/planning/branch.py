@@ -80,6 +80,13 @@ def tip_rates(intervals: Intervals, stiffness: Array) -> Array:
         return tip_of(found.long * whirled(w, spin, jerk).map(lambda bound: bound.mean(0)))
 
 
+def least_root(first: Array, left: Array, bow: Array) -> tuple[Array, Mask]:
+    """(B,) the least r with left r = first + bow r^2 / 2, and whether there is one (Newton and Kantorovich)."""
+    root = left**2 - 2 * bow * first
+    radius = 2 * first / (left + np.sqrt(np.maximum(root, 0.0)))
+    return np.asarray(radius), np.asarray((left > 0) & (root > 0))
+
+
 def whirled(w: Array, spin: Array, jerk: Array | None = None) -> Jet:
     """Of what turns at phi, and so of the tangent, where |phi|, |phi'| and maybe |phi''| have these bounds."""
     return Jet(np.ones_like(w), w, spin + w**2, None if jerk is None else jerk + 3 * w * spin + w**3)
@@ -250,10 +257,8 @@ class _Bounds:
             made = self._varied(varied, gained, by, moving)
             added.append(self.norm(self.response(_both(made))))
         q, bow = added[0] / 2, added[1]
-        root = (1 - q) ** 2 - 2 * bow * first
-        kept = (q < 1) & (root > 0)
-        radius = 2 * first / ((1 - q) + np.sqrt(np.maximum(root, 0.0)))
-        return _Ball(radius, 8 * first, added[0], 1 - q - bow * radius), np.asarray(kept)
+        radius, kept = least_root(first, 1 - q, bow)
+        return _Ball(radius, 8 * first, added[0], 1 - q - bow * radius), kept
 
     def course(self, turn: Turn, ball: _Ball) -> Course:
         """That of theta, to the third derivative.

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..typing import Array, Mask
-from .branch import Branch, Turn, tip_of, whirled
+from .branch import Branch, Turn, least_root, tip_of, whirled
 from .cross_sections import Jet, linear, part, turned
 from .loaded_sections import LoadedIntervals
 from .sections import PARTS
@@ -302,10 +302,8 @@ class _Bounds:
         by_ball = _Moved(self.weight, self.swing, np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
         q, bow = self.variation(by_time, stretched=True), self.variation(by_ball, stretched=False)
         first, left = self.gradient(), margin - q
-        root = left**2 - 2 * bow * first
-        kept = (left > 0) & (root > 0)
-        radius = 2 * first / (left + np.sqrt(np.maximum(root, 0.0)))
-        return np.asarray(radius), np.asarray(left - bow * radius), np.asarray(kept)
+        radius, kept = least_root(first, left, bow)
+        return radius, np.asarray(left - bow * radius), kept
 
     def off(self, radius: Array) -> Array:
         """(B, K) bound of the distance of a point from the straight line between its places at both ends, m."""

@@ -1,0 +1,117 @@
+"""Every bound of a proof of a motion, from both sides: it holds, and where it is sharp it gives nothing away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.examples import DEG, THESIS, nested
+from tubeopt import forward_kinematics, verify_trajectory
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.control.command import ServoOptions, Why
+from tubeopt.control.guard import Guard
+from tubeopt.planning.branch import least_root, whirled
+from tubeopt.planning.clearing import Sizes
+from tubeopt.planning.cross_sections import Constants
+from tubeopt.planning.sections import Arms, Intervals
+
+
+@pytest.mark.parametrize(("along", "wide", "height"), [(4e-3, 0.0, 5e-3), (3e-3, 4e-3, 2e-3), (1e-3, 8e-3, 1e-4)])
+def test_variance_of_a_patch_is_a_quarter_of_its_squares(along: float, wide: float, height: float) -> None:
+    """A point above the middle of a rectangle is as far from its corners as Pythagoras says."""
+    zero = np.zeros(1)
+    sizes = Sizes(np.array([along**2]), np.array([wide**2]), zero, zero, zero)
+    corner = np.array([np.sqrt(height**2 + (along**2 + wide**2) / 4)])
+    assert sizes.bound(corner)[0] == pytest.approx(height, rel=1e-9)
+    # Cells are looked up as far as they may matter, and no farther.
+    assert sizes.needed(height) == pytest.approx(corner[0], rel=1e-12)
+
+
+def test_a_point_inside_a_patch_is_no_farther_than_its_half_diagonal() -> None:
+    sizes = Sizes(np.array([9e-6]), np.array([16e-6]), *np.zeros((3, 1)))
+    assert sizes.bound(np.array([1e-3]))[0] == pytest.approx(1e-3 - 2.5e-3)
+
+
+def test_sagitta_of_an_arc_is_an_eighth_of_curvature_times_length_squared() -> None:
+    """Two tubes that are bent alike form a circle: the sagitta of a short arc is known."""
+    robot = nested((0.0, 0.1, 8.0), (0.0, 0.1, 8.0))
+    arm = forward_kinematics(robot, [0.0, 0.0])
+    intervals = Intervals.of(Arms.of(Constants.of(robot), [arm, arm]), np.array([0]), np.array([1]))
+    section = int(np.argmax(intervals.length[0][0]))
+    x = np.array([[0.0, 0.1], [0.2, 0.7]])
+    found = intervals.sagitta(np.zeros(2, int), np.full(2, section), x)
+    true = (1 - np.cos(8.0 * 0.1 * np.diff(x)[:, 0] / 2)) / 8.0
+    assert (found >= true).all()
+    assert true == pytest.approx(found, rel=5e-3)
+
+
+def test_newton_and_kantorovich_take_the_least_root() -> None:
+    """r = first + q r + bow r^2 / 2, and a fixed-point iteration from 0 ends there; none where no root is."""
+    first, q, bow = np.array([1e-3, 0.1, 0.2]), np.array([0.3, 0.1, 0.5]), np.array([2.0, 3.0, 1.0])
+    radius, kept = least_root(first, 1 - q, bow)
+    assert kept.tolist() == [True, True, False]
+    r = np.zeros(3)
+    for _ in range(2000):
+        r = np.minimum(first + q * r + bow * r**2 / 2, 1.0)
+    assert radius[kept] == pytest.approx(r[kept], rel=1e-9)
+    # There is one up to where the discriminant vanishes.
+    edge = (1 - q) ** 2 / (2 * bow)
+    assert least_root(edge * 0.999, 1 - q, bow)[1].all()
+    assert not least_root(edge * 1.001, 1 - q, bow)[1].any()
+    assert not least_root(first, -(1 - q), bow)[1].any()
+
+
+def test_the_margin_that_is_asked_for_is_kept_to_the_last_digit() -> None:
+    table = [0.0, 1.0], [[0.0, 0.0, 0.0], [200 * DEG, 0.0, 0.0]]
+    least = verify_trajectory(THESIS, *table).least_margin
+    assert least < 0.999
+    assert verify_trajectory(THESIS, *table, min_margin=least - 1e-6).holds
+    short = verify_trajectory(THESIS, *table, min_margin=least + 1e-4)
+    assert any(f"the margin falls to {least:.4g}" in fault for fault in short.faults)
+    assert not short.holds
+
+
+def test_the_guard_makes_no_step_towards_a_body() -> None:
+    """Whatever asks for the step: it is halved until the clearance is kept, or not made."""
+    begin = np.zeros(3)
+    there = forward_kinematics(THESIS, [20 * DEG, 0.0, 0.0]).tip_position
+    ball = Sphere(tuple(there.tolist()), 1e-3)
+    options = ServoOptions(clearance=2e-3)
+    guard, free = (Guard(THESIS, (begin, None), None, bodies, options) for bodies in ([ball], []))
+    asked = np.zeros(len(guard.here.q))
+    asked[0] = 2 * DEG
+    for _ in range(12):
+        free.go(asked, Why(0))
+        _, why = guard.go(asked, Why(0))
+    assert Why.HELD in why
+    radius = 1e-3 + THESIS.tubes[0].outer_diameter / 2
+    gap = np.linalg.norm(guard.here.tip - there) - radius
+    assert gap >= 2e-3 - 1e-6
+    assert np.linalg.norm(free.here.tip - there) - radius < 0
+
+
+def test_the_guard_keeps_the_floor_of_the_margin() -> None:
+    """A turn of the inner tube towards the snap, asked for again and again."""
+    floor = 0.5
+    guard = Guard(THESIS, (np.zeros(3), None), None, [], ServoOptions(min_margin=floor))
+    asked = np.zeros(len(guard.here.q))
+    asked[0] = 4 * DEG
+    for _ in range(60):
+        _, why = guard.go(asked, Why(0))
+    assert Why.HELD in why
+    assert floor <= guard.here.margin < floor + 0.05
+
+
+def test_a_tangent_that_spins_about_a_fixed_axis_changes_by_powers_of_its_rate() -> None:
+    """w, w^2 and w^3; about an axis that speeds up the derivatives of (cos phi, sin phi) for phi = w t + a t^2 / 2."""
+    w, a = 1.3, 0.9
+    still, zero = whirled(np.array(w), np.array(0.0), np.array(0.0)), np.array(0.0)
+    assert [float(x) for x in (still.d, still.dd)] == pytest.approx([w, w**2])
+    assert still.ddd is not None
+    assert float(still.ddd) == pytest.approx(w**3)
+    speeding = whirled(np.array(w), np.array(a), zero)
+    assert speeding.ddd is not None
+    second, third = np.hypot(w**2, a), np.hypot(3 * w * a, w**3)
+    assert second <= float(speeding.dd) == pytest.approx(w**2 + a)
+    assert third <= float(speeding.ddd) == pytest.approx(3 * w * a + w**3)
+    assert whirled(np.array(0.0), zero, np.array(2.0)).ddd == 2.0

@@ -1,0 +1,87 @@
+"""Bounds of stability from both sides: by closed forms and by brute force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.examples import CRL, nested
+from tubeopt import ConcentricRobot, EccentricRobot, Piece, Tube, certify, deflection_bound, snap_free_certificate
+from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.stability.certificate import convexity, worst_case
+from tubeopt.stability.loaded_certificate import bundle_of
+
+
+def test_a_cantilever_moves_by_the_cube_of_its_length_over_three_times_its_stiffness() -> None:
+    """F L^3 / 3 EI for a straight tube; a point inside by F s^2 (3 L - s) / 6 EI, which the bound exceeds."""
+    robot = ConcentricRobot((Tube(1.2e-3, 1.0e-3, 0.0, 0.1, 0.0),))
+    stiffness, force, length = robot.tubes[0].bending_stiffness, 1e-4, 0.1
+    margin = snap_free_certificate(robot, max_force=force)
+    assert 0.99 < margin <= 1
+    tip, middle = deflection_bound(robot, max_force=force, arc_length=[length, length / 2])
+    exact = force * length**3 / (3 * stiffness)
+    assert tip * margin == pytest.approx(exact, rel=1e-9)
+    assert middle * margin == pytest.approx(exact / 8**0.5, rel=1e-9)
+    assert middle > force * 0.05**2 * (3 * length - 0.05) / (6 * stiffness)
+
+
+def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
+    """kappa(s)^2 by sums over many points, sections and tubes at once."""
+    shift, force = np.array([-0.02, 0.0, 0.0]), 1e-3
+    bundle = bundle_of(CRL.assembly(shift))
+    length = bundle.total_length
+
+    def kappa(s: float) -> float:
+        x = (np.arange(40000) + 0.5) / 40000 * s
+        section = np.searchsorted(bundle.start + bundle.length, x).clip(0, len(bundle.start) - 1)
+        slope = bundle.pull[section] / bundle.stiffness[section, None]
+        step = s / len(x)
+        moment = np.cumsum((((s - x)[:, None] * slope)[::-1]), axis=0)[::-1] * step
+        inside = (s - x) ** 2 / bundle.stiffness[section] + (moment**2 / bundle.torsional).sum(1)
+        return float(np.sqrt(inside.sum() * step + (bundle.transmission * moment[0] ** 2 / bundle.torsional).sum()))
+
+    margin = snap_free_certificate(CRL, shift, max_force=force)
+    found = deflection_bound(CRL, shift, max_force=force, arc_length=[length, length / 2])
+    exact = force * kappa(length) * np.array([kappa(length), kappa(length / 2)]) / margin
+    assert found == pytest.approx(exact, rel=1e-3)
+
+
+def test_three_equal_tubes_share_what_takes_from_the_certificate() -> None:
+    robot = EccentricRobot(Tube(1.2e-3, 1.0e-3, 0.0, 0.08, 12.0), transmission_length=0.05)
+    share = certify(robot).share
+    assert np.triu(share, 1).sum() == pytest.approx(1.0)
+    assert np.diag(share).max() == 0
+
+
+def test_a_transmission_takes_away_from_the_certificate_what_the_closed_form_says() -> None:
+    """Two tubes, alike, on the centreline: tan form of docs/theory.md, 1 - mu = (L lambda)^2 / x^2."""
+    robot = nested((0.0, 0.1, 3.0), (0.0, 0.1, 3.0))
+    one, two = robot.tubes
+    pull = one.bending_stiffness * 3.0 * two.bending_stiffness * 3.0 / (one.bending_stiffness + two.bending_stiffness)
+    rate = pull * (1 / one.torsional_stiffness + 1 / two.torsional_stiffness)
+    exact = 1 - rate * (0.1 * 2 / np.pi) ** 2
+    assert snap_free_certificate(robot) == pytest.approx(exact, rel=1e-6)
+
+
+def test_what_a_mesh_leaves_out_is_taken_off_the_certificate() -> None:
+    """Curvatures that wave faster than the mesh follows: it says too much, and the bound is below a mesh of eighths."""
+
+    def waving(outer: float, inner: float, bend: float, rate: float) -> Tube:
+        def curvature(s: np.ndarray) -> tuple[np.ndarray, float, float]:
+            return bend * np.cos(rate * s), 0.0, 0.0
+
+        return Tube.of_pieces(outer * 1e-3, inner * 1e-3, [Piece(0.1, curvature)])
+
+    robot = ConcentricRobot((waving(1.0, 0.8, 6, 40), waving(1.3, 1.1, 4, 28), waving(1.6, 1.4, 3, 52)))
+    home = np.array(robot.home_translations)
+
+    def on_mesh(refinement: int) -> float:
+        discretisation = replace(DEFAULT_DISCRETISATION, refinement=refinement)
+        return worst_case(reduced_problem(robot, tuple(home.tolist()), discretisation))[0]
+
+    plain, finest = on_mesh(0), on_mesh(3)
+    assert plain > finest + 1e-11
+    assert finest - 2 * (plain - finest) < convexity(robot, home) <= finest + 1e-13
+    assert snap_free_certificate(robot) == convexity(robot, home)
