@@ -68,7 +68,7 @@ class Battery:
     capacity: Annotated[
         float,
         unit("Ah"),
-        Range(above=0.0, most=1e4 * AMPERE_HOUR),
+        Range(above=0.0, most=1e6 * AMPERE_HOUR),
         Usual(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR),
         "charge that it holds",
     ] = 60.0 * AMPERE_HOUR
