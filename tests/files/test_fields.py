@@ -117,6 +117,36 @@ def test_what_is_wrong_is_said_in_the_units_of_the_file(data: dict[str, object],
     assert message in str(caught.value)
 
 
+@dataclass(frozen=True)
+class Nail:
+    length: Annotated[float, unit("mm"), Range(above=0.0015, most=0.0125), "of the shaft"] = 0.0115
+    strokes: Annotated[int, Range(least=1), "of the hammer"] = 3
+
+
+def nail(data: dict[str, object]) -> Nail:
+    made: Nail = check(entry_of(Nail), data, "nail.yaml").build()
+    return made
+
+
+def test_bounds_and_defaults_between_whole_numbers_of_a_unit_keep_their_digits() -> None:
+    assert nail({}) == Nail(0.0115, 3)
+    assert type(nail({}).strokes) is int
+    assert nail({"length_mm": Decimal("12.5")}).length == 0.0125
+    assert nail({"length_mm": Decimal("1.501")}).length == 0.001501
+    for value, message in (("12.501", "at most 12.5"), ("1.5", "greater than 1.5")):
+        with pytest.raises(InputError, match=f"length_mm is {value}; it must be {message}"):
+            nail({"length_mm": Decimal(value)})
+
+
+def test_a_key_may_be_empty_where_its_field_may_be_none_or_has_many_parts_and_nowhere_else() -> None:
+    first = {"length_mm": 30, "taper_deg": None}
+    made = read({"first": first, "place_mm": None, "pegs": None})
+    assert (made.first.taper, made.place, made.pegs) == (None, None, Rack().pegs)
+    for name in ("width_mm", "marks_mm", "first"):
+        with pytest.raises(InputError, match=name):
+            read({**FIRST, name: None})
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

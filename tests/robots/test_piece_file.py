@@ -102,6 +102,15 @@ def test_saved_and_loaded_is_equal_to_the_last_bit(tmp_path: Path) -> None:
         assert thick[0] == thick[1]
 
 
+def test_a_helix_of_less_than_a_turn_may_have_any_pitch(tmp_path: Path) -> None:
+    # One turn takes the hypotenuse of 2 pi 10 mm and the pitch of 0.5 mm, 62.834 mm.
+    turn = math.hypot(2 * math.pi * 10, 0.5)
+    load(tmp_path, f"{{length_mm: {turn - 0.01:.6f}, helix: {{radius_mm: 10, pitch_mm: 0.5}}}}")
+    with pytest.raises(InputError, match=r"helix.pitch_mm is 0.5; it must exceed the tube's diameter, 1 mm"):
+        load(tmp_path, f"{{length_mm: {turn + 0.01:.6f}, helix: {{radius_mm: 10, pitch_mm: 0.5}}}}")
+    load(tmp_path, "{length_mm: 200, helix: {radius_mm: 10, pitch_mm: 1.001}}")
+
+
 @pytest.mark.parametrize(
     ("pieces", "more", "problem"),
     [
