@@ -243,20 +243,26 @@ C_CHANGES: tuple[tuple[str, tuple[str, ...]], ...] = (
     (r"\bsin(?=\()", ("cos",)), (r"\bcos(?=\()", ("sin",)), (r"!(?=[\w(])", ("",)),
     (r"\btrue\b", ("false",)), (r"\bfalse\b", ("true",)), (r"(?<=[(,= ])-(?=[\w(])", ("",)),
     (r"(?<=\bif \()(?=.)", ("0 && ", "1 || ")), (r"(?m)^ +\w+\([^;{}]*\);$", (";",)),
+    (r"(?m)^ +[\w.\[\]]+ [-+*/]?= [^;{}]*;$", (";",)), (r"\+\+", ("--",)), (r"--", ("++",)), (r" % ", (" / ",)),
+    (r"\b[A-Z][A-Z]+_?[A-Z_]*\b(?=[ ;),])", ("(2 * {})", "(1.05f * {})")),
     (r"(?<![\w.\"])\d+\.\d*f?(?!\w)|(?<![\w.\"])\d+e-?\d+(?!\w)", ("2 * {}", "0.5f * {}", "-{}")),
     (r"(?<![\w.\"%])\d+(?![\w.])", ("({} + 1)", "({} - 1)")),
 )  # fmt: skip
-"""What is changed in C and C++, and into what."""
+"""What is changed in C and C++, and into what: names in capitals are limits that a header defines."""
 
 
 def c_mutants(file: str) -> list[Mutant]:
-    """All mutants of a file of C or C++: comments, texts and directives stay."""
+    """All mutants of a file of C or C++: comments, texts, directives and names of states stay."""
     text = (ROOT / "tubeopt" / file).read_text(encoding="utf-8")
     blank = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|^#[^\n]*', re.DOTALL | re.MULTILINE)
     bare = blank.sub(lambda found: re.sub(r"[^\n]", "\x01", found[0]), text)
+    headers = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tubeopt" / file).parent.glob("*.h"))
+    states = set(re.findall(r"[A-Z_]+", " ".join(re.findall(r"enum[^{]*{([^}]*)", headers))))
     found = []
     for pattern, news in C_CHANGES:
         for match in re.finditer(pattern, bare):
+            if match[0] in states:
+                continue
             old, line = text[match.start() : match.end()], text.count("\n", 0, match.start()) + 1
             start = len(text[: match.start()].encode())
             found += [Mutant(file, line, start, old, new.format(old), "") for new in news if "\x01" not in match[0]]
