@@ -23,7 +23,7 @@ from tubeopt.inverse.clock import Clock
 from tubeopt.planning import PlanOptions
 from tubeopt.planning.clearing import Wanted
 from tubeopt.planning.cross_sections import Jet, inverse, turned
-from tubeopt.planning.effort import DEFAULT_PROOF
+from tubeopt.planning.effort import DEFAULT_PROOF, ProofSearch
 from tubeopt.planning.passage import Follower
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -140,7 +140,8 @@ def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
 def test_a_limit_that_the_bound_does_not_reach_is_not_proved() -> None:
     """With too few equilibria for a sharp bound the limit is neither refuted nor satisfied."""
     last = np.radians([214, 0, 0])
-    proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=0.1329))
+    limits, few = RateLimits(tip=0.1329), ProofSearch(equilibria=121)
+    proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=limits, effort=few)
     assert proof.measured_tip_rate < 0.1329 < proof.largest_tip_rate
     assert not proof.holds
     assert any("of the speed of the tip only" in fault for fault in proof.faults)

@@ -23,7 +23,7 @@ from ..inverse.clock import Clock
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import find_snap
-from ..typing import Array, Index, Mask
+from ..typing import Array, Index
 from .branch import Branch, branch, tip_rates
 from .clearing import Wanted, cleared
 from .cross_sections import Constants
@@ -37,18 +37,6 @@ SHORTEST = 1e-9
 
 DIP = 1e-7
 """Depth of a least margin between equilibria that does not matter."""
-
-TIGHT = 0.02
-"""Share of the speed of the tip by which its bound may lie above what was measured."""
-
-STEADY = 1e-9
-"""Share of joint rates by which they may differ where they are the same."""
-
-MOST_HALVINGS = 2
-"""At a time."""
-
-FINEST = 12
-"""Times that links are halved for that at most."""
 
 BATCH = 2000
 """Intervals at once: bounds the memory."""
@@ -77,14 +65,6 @@ class Link:
     fastest: float = math.inf
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Speed of the tip, m/s: an upper bound `most`, infinite where nothing is proved, and what was `measured`."""
-
-    most: float
-    measured: float
-
-
 @dataclass(frozen=True, eq=False)
 class Passage:
     """What was found on the way."""
@@ -101,8 +81,8 @@ class Passage:
     """Bound of all times up to the last step, m; -inf where some is lost."""
     measured: float
     """Least distance that was measured, m."""
-    pace: Pace
-    """Of the tip, at all times up to the last step."""
+    links: tuple[Link, ...]
+    """Between the steps."""
 
 
 class BranchEndsError(Exception):
@@ -222,9 +202,8 @@ class Follower:
         return None if snap is None else here.at + snap.fraction * (at - here.at)
 
 
-def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array, limit: float = math.inf) -> Passage:
-    """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them; `limit`: of the
-    speed of the tip, m/s, which is shown where it is kept."""
+def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
+    """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
     begin = Step(0.0 if len(joints) > 1 else 1.0, first, joints[0])
     steps, snap = _through(follower, begin, t, joints)
     while True:
@@ -241,10 +220,9 @@ def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array, limi
         lost += more
         clearance = min(link.bound for link in kept) if not lost else -math.inf
         links = links if lost else [link for link in kept if link.one is not link.other]
-    links, pace = paced(follower, links, float(t[-1] - t[0]), limit)
     steps = [begin, *(link.other for link in links)]
     margin = 0.0 if snap is not None else _least_margin(follower, steps)
-    return Passage(tuple(steps), snap, tuple(lost), margin, clearance, measured, pace)
+    return Passage(tuple(steps), snap, tuple(lost), margin, clearance, measured, tuple(links))
 
 
 def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[list[Step], float | None]:
@@ -292,7 +270,7 @@ def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tupl
     lost: list[tuple[float, float]] = []
     while links:
         fresh: list[Link] = []
-        for some, intervals in _batches(follower, links):
+        for some, intervals in batches(follower, links):
             found = follower.joined(intervals)
             told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, strict=True)
             for link, turned, unbroken, off in told:
@@ -319,7 +297,7 @@ def halves(follower: Follower, link: Link) -> list[Link]:
     return [replace(half, unbounded=link.unbounded, fastest=link.fastest) for half in parts]
 
 
-def _batches(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Sequence[Link], Intervals]]:
+def batches(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Sequence[Link], Intervals]]:
     """Links, so many at once as memory allows, with the intervals between their ends."""
     for k in range(0, len(links), BATCH):
         some = links[k : k + BATCH]
@@ -344,7 +322,7 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
     lost: list[tuple[float, float]] = []
     closest = math.inf
     while links:
-        for some, intervals in _batches(follower, links):
+        for some, intervals in batches(follower, links):
             off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
             bounds, closest = cleared(intervals, off, follower.scene, follower.wanted, closest)
             for link, bound in zip(some, bounds.tolist(), strict=True):
@@ -362,89 +340,6 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
         for key in short:
             del done[key]
     return sorted(done.values(), key=lambda link: link.one.at), lost, closest
-
-
-def paced(follower: Follower, links: list[Link], span: float, limit: float) -> tuple[list[Link], Pace]:
-    """Links of a motion that takes `span`, s, halved where the bound of the tip's speed is not sharp; its pace.
-
-    See `docs/theory.md`. In a link the velocity differs from its mean by at most half of what it can change by. With a
-    neighbour along the same straight line of joint values three tips are known, whose parabola tells the velocity.
-    """
-    most = measured = 0.0
-    bounds: dict[int, Array] = {}
-    for _ in range(FINEST):
-        if not all(len(link.off) and np.isfinite(link.off).all() for link in links):
-            return links, Pace(math.inf, float(_chords(links, span)[1].max(initial=0.0)))
-        fresh = [link for link in links if id(link) not in bounds]
-        for some, intervals in _batches(follower, fresh):
-            bounds.update(zip(map(id, some), follower.tip_rates(intervals).T, strict=True))
-        passed, chord = _chords(links, span)
-        rates = np.array([bounds[id(link)] for link in links]).reshape(-1, 2).T / np.array([passed**2, passed**3])
-        own = np.minimum(_fastest(follower, links, rates, passed), [link.fastest for link in links])
-        most, measured = float(own.max(initial=0.0)), float(chord.max(initial=0.0))
-        line = measured * (1 + TIGHT)
-        loose = own > (min(line, limit) if measured <= limit else line)
-        if not loose.any() or follower.over:
-            break
-        loose &= np.array([link.other.at - link.one.at >= SHORTEST for link in links])
-        if not loose.any():
-            break
-        # What the bound gives away falls with the square of the length, and faster near folds.
-        wide = np.maximum(own - measured, TIGHT * measured) / (TIGHT * measured or 1.0)
-        times = np.where(loose, np.ceil(np.log2(wide) / 3).clip(1, MOST_HALVINGS), 0).tolist()
-        parts = []
-        for link, count, bound in zip(links, times, own.tolist(), strict=True):
-            more = [replace(link, fastest=bound)] if count else []
-            for _ in range(int(count)):
-                more = [half for each in more for half in halves(follower, each)]
-            parts += more
-        links = [link for link, count in zip(links, times, strict=True) if not count]
-        links += joined(follower, parts)[0]
-        links.sort(key=lambda link: link.one.at)
-    return links, Pace(most, measured)
-
-
-def _chords(links: Sequence[Link], span: float) -> tuple[Array, Array]:
-    """(B,) durations of links, s, and (B,) mean speeds of the tip, m/s."""
-    passed = np.array([span * (link.other.at - link.one.at) for link in links])
-    moved = [np.linalg.norm(link.other.equilibrium.tip_position - link.one.equilibrium.tip_position) for link in links]
-    return passed, np.array(moved) / passed
-
-
-def _fastest(follower: Follower, links: Sequence[Link], rates: Array, passed: Array) -> Array:
-    """(B,) bounds of the speed of the tip in links that follow each other, m/s, in which its second and third
-    derivatives are at most `rates` (2, B)."""
-    if not links:
-        return np.zeros(0)
-    steps = [links[0].one, *(link.other for link in links)]
-    tips, error = (np.array([getattr(s.equilibrium, name) for s in steps]) for name in ("tip_position", "tip_error"))
-    wrong = np.maximum(error[1:], error[:-1]) / passed
-    chord = np.diff(tips, axis=0) / passed[:, None]
-    out = np.linalg.norm(chord, axis=1) + rates[0] * passed / 2 + 2 * wrong
-    # Both links as one, which the parabola through three tips passes: velocities at these, and what they are off by.
-    h, g, third = passed[:-1], passed[1:], np.maximum(rates[1, 1:], rates[1, :-1])
-    bend = np.diff(chord, axis=0) / (h + g)[:, None]
-    ends = chord[:-1] - h[:, None] * bend, chord[:-1] + h[:, None] * bend, chord[1:] + g[:, None] * bend
-    off = third * h * (h + g) / 6, third * h * g / 6, third * g * (h + g) / 6
-    first, middle, last = (np.linalg.norm(v, axis=1) + e for v, e in zip(ends, off, strict=True))
-    noise = 4 * np.maximum(wrong[1:], wrong[:-1]) * (1 + np.maximum(h / g, g / h))
-    alike = _alike(follower, steps, passed)
-    for k, (one, long) in ((slice(0, -1), (first, h)), (slice(1, None), (last, g))):
-        known = np.maximum(one, middle) + third * long**2 / 8 + noise
-        out[k] = np.where(alike, np.minimum(out[k], known), out[k])
-    return np.asarray(out)
-
-
-def _alike(follower: Follower, steps: Sequence[Step], passed: Array) -> Mask:
-    """(B - 1,) whether joint values go on as before at the inner steps of B + 1, and so do the sections of the arm."""
-    q, n = np.array([step.joints for step in steps]), follower.robot.n_tubes
-    rate = np.diff(q, axis=0) / passed[:, None]
-    same = (np.abs(np.diff(rate, axis=0)) <= STEADY * np.abs(rate).max(0, initial=0.0)).all(1)
-    points = follower.constants.breakpoints(q[:, n:])
-    points = np.concatenate([np.zeros((len(points), 1)), points], axis=1)
-    gap = points[:, :, None] - points[:, None, :]
-    crossed = (gap[:-2] > SWAPPED) & (gap[2:] < -SWAPPED)
-    return np.asarray(same & ~crossed.any((1, 2)))
 
 
 def _least_margin(follower: Follower, steps: Sequence[Step]) -> float:

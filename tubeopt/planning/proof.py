@@ -38,7 +38,8 @@ from ..typing import Array, Of, Sentence
 from .clearing import Wanted
 from .effort import DEFAULT_PROOF, ProofSearch
 from .motion import SLACK, RateLimits, joint_range, out_of_range, rates_of, too_fast
-from .passage import SHORTEST, Follower, Pace, Passage, Step, follow
+from .passage import SHORTEST, Follower, Passage, Step, follow
+from .speed import Pace, paced
 
 
 class ProofStatus(Sentence):
@@ -217,13 +218,14 @@ def verify_trajectory(  # noqa: PLR0913
     wanted = Wanted(clearance + moved, effort.accuracy, effort.cells)
     follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(LONG_TIME_LIMIT), effort, load)
     tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
-    passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1), tip)
+    passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
+    pace = paced(follower, passage.links, float(t[-1] - t[0]), tip)
     refuted, unproved = _branch_faults(follower, passage, min_margin)
-    unproved += _tip_faults(passage.pace, tip, pushed=forced is not None)
+    unproved += _tip_faults(pace, tip, pushed=forced is not None)
     if forced is not None:
         unproved += _force_faults(forced, min_margin)
     late = bool(unproved) and follower.clock.over
-    proof = _judge(follower, passage, refuted, joint_range(robot, limits), (t, alpha, shift), rate_limits)
+    proof = _judge(follower, (passage, pace), refuted, joint_range(robot, limits), (t, alpha, shift), rate_limits)
     proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
     return proof if forced is None else _under_force(proof, forced)
 
@@ -339,18 +341,18 @@ def _again(equilibrium: Equilibrium) -> float:
 
 def _judge(
     follower: Follower,
-    passage: Passage,
+    found: tuple[Passage, Pace],
     faults: list[str],
     space: JointSpace,
     table: tuple[Array, Array, Array],
     rate_limits: RateLimits | None,
 ) -> Proof:
     """Gather what was found, with what is wrong with the table itself."""
-    t, alpha, shift = table
+    (t, alpha, shift), (passage, pace) = table, found
     steps = [step.equilibrium for step in passage.steps]
     tips = np.array([e.tip_position for e in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    pace, tip_step = passage.pace, float(moved.max(initial=0.0))
+    tip_step = float(moved.max(initial=0.0))
     picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.verified).astype(int))]
     again = max(_again(e) for e in picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
