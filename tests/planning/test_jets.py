@@ -1,0 +1,68 @@
+"""Bounds that go through products and chords: derivatives of exponentials, and of parabolas over a chord."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tubeopt.planning.clearing import Sizes
+from tubeopt.planning.cross_sections import Jet
+from tubeopt.planning.loaded_branch import _Bounds
+
+
+def exponential(rate: float) -> Jet:
+    """exp(rate t) at t = 0, with its first three derivatives."""
+    return Jet(*(np.array([rate**order]) for order in range(4)))
+
+
+def parts(jet: Jet) -> list[float]:
+    return [float(each[0]) for each in (jet.v, jet.d, jet.dd, jet.ddd) if each is not None]
+
+
+@pytest.mark.parametrize(("a", "b"), [(2.0, 3.0), (0.5, 7.0), (0.0, 4.0)])
+def test_the_product_of_exponentials_is_that_of_the_sum_of_their_rates(a: float, b: float) -> None:
+    assert parts(exponential(a) * exponential(b)) == pytest.approx(parts(exponential(a + b)))
+    total = exponential(a) + exponential(b)
+    assert parts(total) == pytest.approx([a**k + b**k for k in range(4)])
+    short = Jet(*(np.array([a**order]) for order in range(3)))
+    assert parts(short * exponential(b)) == pytest.approx([(a + b) ** k for k in range(3)])
+    assert parts(exponential(a).map(lambda x: 3 * x)) == pytest.approx([3 * a**k for k in range(4)])
+
+
+@pytest.mark.parametrize(("along", "time", "sagitta", "radius"), [(0.0, 0.0, 3e-4, 5e-4), (4e-6, 9e-6, 2e-4, 1e-3)])
+def test_a_bent_patch_of_an_arm_takes_sagitta_and_radius_off_the_clearance(
+    along: float, time: float, sagitta: float, radius: float
+) -> None:
+    sizes = Sizes(*(np.array([each]) for each in (along, time, sagitta, 7e-4, radius)))
+    flat = Sizes(*(np.array([each]) for each in (along, time, 0.0, 7e-4, 0.0)))
+    for distance in (0.0, 1e-3, 8e-3):
+        at = np.array([distance])
+        assert sizes.bound(at)[0] == pytest.approx(flat.bound(at)[0] - sagitta - radius, abs=1e-15)
+    # What is looked up at least so far is clear of the line by all that the arm may be off it, and no farther.
+    clear = sizes.bound(np.array([sizes.needed(2e-3)]))[0]
+    assert clear == pytest.approx(2e-3 + 7e-4, rel=1e-12)
+
+
+@pytest.mark.parametrize("bow", [0.0, 0.6, 4.0])
+def test_between_its_ends_a_parabola_is_no_steeper_than_its_chord_by_more_than_half_its_bow(bow: float) -> None:
+    # f = t (change + bow (1 - t) / 2): f' is change + bow / 2 where it begins, |f''| the bow.
+    change, t = 0.3, np.linspace(0, 1, 101)
+    curve = Jet(np.ones((1, 1, 1)), np.zeros((1, 1, 1)), np.full((1, 1, 1), bow))
+    still = SimpleNamespace(
+        lever=np.zeros((1, 1)),
+        _wound=lambda torque: curve,
+        _bends=lambda theta, moment: Jet(*np.zeros((3, 1, 1))),
+        _answer=lambda theta, pair, tangent: None,
+    )
+    turn = np.full((1, 1, 1), change), np.full((1, 1, 1, 1), change)
+    changes: Any = SimpleNamespace(turn=turn, torque=np.zeros((1, 1, 1)), moment=np.zeros((1, 1)))
+    theta, pair, _, _ = _Bounds._chord(still, changes, np.zeros((1, 1, 1)))  # type: ignore[arg-type]
+    steepest = np.abs(change + bow * (1 - 2 * t) / 2).max()
+    assert theta.d.item() == pytest.approx(steepest)
+    assert theta.dd.item() == bow
+    # Of a difference of two tubes that bow by as much each, twice the bow at most, and by as much its slope.
+    assert pair.dd.item() == pytest.approx(2 * bow)
+    assert pair.d.item() == pytest.approx(change + bow)

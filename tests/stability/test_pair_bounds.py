@@ -1,0 +1,51 @@
+"""Bounds of the certificate of two tubes made of pieces: how far a margin can bend, and what a mesh leaves out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from tests.stability.test_pair import Case
+from tubeopt import snap_free_certificate
+from tubeopt.stability import certificate
+from tubeopt.stability.pair import Pair, greatest_bend, margins
+from tubeopt.typing import Array
+
+
+def lever(coupling: float, reach: float, root: float) -> Pair:
+    """Two tubes that are coupled at one point: D = x + reach c sin D, mu = 1 + c root^2 cos D."""
+    nothing: Any = None
+    one = np.ones((1, 1))
+    return Pair(nothing, (0, 1), np.array([coupling]), np.zeros(1), np.zeros(1), reach * one, root * one)
+
+
+@pytest.mark.parametrize(("coupling", "reach", "root"), [(0.3, 0.0, 1.7), (0.4, 0.8, 1.2), (0.2, 2.5, 0.6)])
+def test_no_margin_of_a_pair_bends_more_than_the_bound(coupling: float, reach: float, root: float) -> None:
+    pair = lever(coupling, reach, root)
+    x = np.linspace(0, 2 * np.pi, 721)
+    turn = reach * coupling
+    d = np.array([brentq(lambda d, a=a: d - turn * np.sin(d) - a, a - turn - 1, a + turn + 1, xtol=1e-14) for a in x])
+    assert margins(pair, x) == pytest.approx(1 + coupling * root**2 * np.cos(d), abs=1e-10)
+    # D' = 1 / (1 - turn cos D), and twice by the chain rule.
+    slope = 1 / (1 - turn * np.cos(d))
+    bend = coupling * root**2 * (-np.cos(d) * slope**2 + np.sin(d) * turn * np.sin(d) * slope**3)
+    most = float(np.abs(bend).max())
+    assert most <= greatest_bend(pair) * (1 + 1e-12)
+    if not reach:
+        assert most == pytest.approx(greatest_bend(pair), rel=1e-9)
+
+
+def test_what_a_finer_mesh_differs_by_is_taken_off_the_certificate_of_a_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    turned = [(0.05, (15.0, 0.0, 0.0)), (0.05, (0.0, 15.0, 0.0))]
+    robot = Case((turned, [(0.09, (12.0, 0.0, 0.0))])).robot
+    sharp, worst = snap_free_certificate(robot), certificate.convexity(robot, robot.home_translations)
+    assert sharp > worst + 1e-3
+
+    def off(pair: Pair, tips: Array) -> Array:
+        return margins(pair, tips) - 5e-4
+
+    monkeypatch.setattr(certificate, "margins", off)
+    assert snap_free_certificate(robot) == pytest.approx(sharp - 5e-4, abs=1e-6)
