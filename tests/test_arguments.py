@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 import tubeopt
+from tests.examples import THESIS
 from tests.public_calls import CALLS, ONE, PAIR, home, wrong_values
 from tubeopt import InputError, SolveError
 from tubeopt.arguments import typed
@@ -155,3 +156,9 @@ def test_given_stiffnesses_and_closed_forms_are_not_warned_of() -> None:
         tubeopt.forward_kinematics(tubeopt.ConcentricRobot((rod,)), [0.0], load=tubeopt.Load((0.5, 0.0, 0.0)))
         _robot(1e-3, 0.5e-3, 1.0, 1.0, 1.0)
         tubeopt.forward_kinematics(PAIR, [0.0, 4 * np.pi])
+
+
+@pytest.mark.parametrize("rotations", [[0, 1j, 2], np.array([0, 1j, 2])])
+def test_complex_joint_values_are_refused(rotations: object) -> None:
+    with pytest.raises(InputError, match="rotations"):
+        tubeopt.forward_kinematics(THESIS, rotations)  # type: ignore[arg-type]

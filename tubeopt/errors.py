@@ -77,9 +77,9 @@ def finite(name: str, value: Any) -> float:
 
 
 def _only_numbers(value: Any) -> Any:
-    """`value`, or TypeError where a truth value or a text stands in it, which Python would take for a number."""
-    if isinstance(value, bool | np.bool_ | str | bytes) or (
-        isinstance(value, np.ndarray) and value.dtype.kind in "bSU"
+    """`value`, or TypeError where a truth value, a text or a complex number stands in it, which NumPy would convert."""
+    if isinstance(value, bool | np.bool_ | str | bytes | complex | np.complexfloating) or (
+        isinstance(value, np.ndarray) and value.dtype.kind in "bSUc"
     ):
         raise TypeError("no number")
     if isinstance(value, list | tuple):

@@ -232,3 +232,12 @@ def test_images_that_say_how_they_lie_are_not_overruled(tmp_path: Path) -> None:
     assert read_image(tmp_path / "a.nii", "RAS").spacing == pytest.approx([1e-3, 2e-3, 3e-3])
     with pytest.raises(InputError, match="axes is LPS, but the header states RAS"):
         read_image(tmp_path / "a.nii", "LPS")
+
+
+@pytest.mark.parametrize("line", ["# space: LPS", "# Space = lps", "# SPACE=LPS"])
+def test_the_word_for_axes_may_be_spelled_otherwise(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"{line}\nx_mm,y_mm,z_mm\n1,2,3\n")
+    assert stated_axes(path) == "LPS"
+    path.write_text("# space: laboratory\nx_mm,y_mm,z_mm\n1,2,3\n")
+    assert stated_axes(path) is None

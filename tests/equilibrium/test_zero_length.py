@@ -13,7 +13,9 @@ from tubeopt import (
     InputError,
     Load,
     SolveError,
+    find_stroke_force,
     follow,
+    follow_the_leader,
     forward_kinematics,
     inverse_kinematics,
     load_equilibrium,
@@ -167,6 +169,10 @@ def test_what_needs_an_arm_says_that_there_is_none(tmp_path: Path) -> None:
     for length in (0.0, 1e-13):
         with pytest.raises(InputError, match="no tube is in front of the plate"):
             forward_kinematics(at.robot, at.rotations, at.translations + length, load=Load(force=(0.1, 0, 0)))
+    with pytest.raises(InputError, match="goal has no tube in front of the plate"):
+        follow_the_leader(at.robot, at)
+    with pytest.raises(InputError, match="no tube is in front of the plate"):
+        find_stroke_force(at.robot, at.rotations, at.translations)
     at.save(tmp_path / "at")
     assert load_equilibrium(tmp_path / "at").tip_position == pytest.approx([0, 0, 0])
 

@@ -14,8 +14,11 @@ from ..errors import InputError
 from ..files.files import read_bytes
 from .frames import AXES
 
-STATED = re.compile(rb"""\bSPACE=([A-Za-z0-9-]+)|(?i:\bCoordinateSystem)["']?\s*[=:]\s*["']?([A-Za-z0-9-]+)""")
-"""A statement, and its word."""
+STATED = re.compile(
+    rb"""\bSPACE=([A-Za-z0-9-]+)|(?i:\bCoordinateSystem)["']?\s*[=:]\s*["']?([A-Za-z0-9-]+)|"""
+    rb"""(?i:\bspace\s*[=:]\s*(ras|lps|right-anterior-superior|left-posterior-superior)\b)"""
+)
+"""A statement, and its word; of other spellings of SPACE only the words that are known, since "space" is common."""
 
 WORDS = {
     "ras": "RAS", "right-anterior-superior": "RAS", "0": "RAS",
@@ -39,7 +42,7 @@ def stated_axes(path: str | PathLike[str]) -> str | None:
     Raises:
         InputError: no such file, axes that are not known, or two of them.
     """
-    found = {(one or other).decode().lower() for one, other in STATED.findall(_statements(path))}
+    found = {"".join(word.decode() for word in one).lower() for one in STATED.findall(_statements(path))}
     unknown = sorted(found - WORDS.keys())
     if unknown:
         raise InputError(f"{path}: it states the axes {unknown[0]!r}; they must be {' or '.join(AXES)}")

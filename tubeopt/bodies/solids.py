@@ -172,8 +172,10 @@ def _lattice(points: Array, cell: float | None, name: str, around: int) -> tuple
     size = max(FINEST, least) if cell is None else positive(f"cell of {name}", cell)
     count = np.ceil(extent / size).astype(int) + 2 * around + 1
     if count.max() > LARGEST or count.prod() > 20 * MOST_NODES:
+        larger = 1.1 * size * max(count.max() / LARGEST, (count.prod() / (20 * MOST_NODES)) ** (1 / 3))
         raise InputError(
-            f"{name} would have {' x '.join(map(str, count))} cells of {size * 1e3:g} mm; make them larger"
+            f"{name} would have {' x '.join(map(str, count))} cells of {size * 1e3:g} mm; give cell_mm of at least "
+            f"{larger * 1e3:.2g}"
         )
     nodes = np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) * size
     return nodes, tuple(count.tolist()), size, (low + high) / 2 - (count - 1) / 2 * size

@@ -58,7 +58,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
         )
     length = assembly.total_length
     if not length:
-        raise InputError("load is given, but no tube is in front of the plate: there is nothing that it could act on")
+        raise InputError("no tube is in front of the plate, so there is no arm on which a load could act")
     _warn_of_size(robot, load, length)
     for k, part in enumerate(load.points):
         if part.at > length * (1 + 1e-12):

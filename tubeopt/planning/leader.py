@@ -101,6 +101,8 @@ def follow_the_leader(  # noqa: PLR0913
     task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(goal,))
     with task.in_time():
         last = _goal(task, goal)
+        if not float(last.arc_length[-1]) > 0:
+            raise InputError("goal has no tube in front of the plate; deployment needs an arm there")
         path = [task.chart.of(last)]
         for share in np.linspace(1.0, begin, solver.lengths + 1)[1:]:
             path.append(_fit(task, path[-1], last, share * float(last.arc_length[-1]), solver))

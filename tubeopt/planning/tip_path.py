@@ -205,6 +205,8 @@ def _track(task: PlanTask, first: Equilibrium, places: Array) -> tuple[list[Equi
 
 def distance_from(curve: Array, points: Array) -> Array:
     """(T,) distance of points (T, 3) from a polyline (k, 3), m."""
+    if len(curve) < 2:  # an arm of length zero is a point
+        return np.asarray(np.linalg.norm(points - curve[0], axis=1))
     a, b = curve[:-1], curve[1:]
     along = b - a
     square = np.maximum((along**2).sum(1), 1e-300)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..equilibrium.result import Equilibrium
-from ..errors import extra
+from ..errors import extra, instance
 from ..files.units import TO_MM
 from .arm_surfaces import Part, plate_part, plate_radius, robot_parts
 
@@ -40,6 +40,7 @@ def show_in_3d(
         >>> figure.layout.height
         300
     """
+    instance("equilibrium", equilibrium, Equilibrium)
     library = extra("plotly.graph_objects", "notebook", "scenes in a notebook")
     parts = [plate_part(plate_radius(equilibrium)), *robot_parts(equilibrium)]
     meshes = [_mesh(library, part, part.opacity) for part in parts]

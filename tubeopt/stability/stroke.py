@@ -65,6 +65,8 @@ def find_stroke_force(
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, rotations, translations)
     if first.load is not None:
         raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
+    if not float(first.arc_length[-1]) > 0:
+        raise InputError("no tube is in front of the plate; there is no arm that could push")
     unit, load = _push(first, up_to)
     limit = find_load_limit(
         robot, rotations, translations, load, equilibrium=first, up_to=float(np.divide(up_to, unit))
