@@ -68,6 +68,7 @@ def robots(draw: st.DrawFn) -> ConcentricRobot:
     return ConcentricRobot(tuple(tubes), draw(TEXT), limits)
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")
 @given(robots())
 def test_saved_and_loaded_is_equal_to_the_last_bit(
     tmp_path_factory: pytest.TempPathFactory, robot: ConcentricRobot
@@ -77,6 +78,7 @@ def test_saved_and_loaded_is_equal_to_the_last_bit(
     assert load_robot(path) == robot
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")
 @given(robots())
 def test_dictionary_there_and_back(robot: ConcentricRobot) -> None:
     assert robot_from_dict(robot_to_dict(robot)) == robot

@@ -39,7 +39,17 @@ from tubeopt.shaping.heating.thermal import (
 from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.shaping.mold.heat import HeatSpec, heat_flow
 
-from .heating_reference import TUBE, conductance, ideal_tube, integrate, mold_of, section, thesis_rig, with_mold
+from .heating_reference import (
+    TUBE,
+    conductance,
+    ideal_tube,
+    integrate,
+    mold_of,
+    section,
+    thesis_rig,
+    unchecked,
+    with_mold,
+)
 
 SCHEDULE = np.concatenate([np.linspace(3, 16, 40).round(), np.full(60, 10.0)]) / 255
 
@@ -53,7 +63,7 @@ def test_a_tube_that_only_stands_in_air_warms_up_exponentially() -> None:
     """Without conduction the bare cell is a lump: T = Ta + P / G (1 - exp(-G t / C))."""
     tube = ideal_tube(conductivity=1e-9)
     rig = replace(thesis_rig(), convection=60.0)
-    rig = replace(rig, battery=replace(rig.battery, sag_resistance=0.0, capacity=1e12))
+    rig = replace(rig, battery=unchecked(rig.battery, sag_resistance=0.0, capacity=1e12))
     model = thermal_model(tube, rig, COARSE)
     history = integrate(model, 0.5, np.full(80, 5 / 255), rtol=1e-9, atol=1e-7)
     bare = int(np.flatnonzero(zones(COARSE) == 1)[1])
@@ -70,8 +80,9 @@ def test_the_steady_fin_between_fixed_ends() -> None:
     """Uniform heat and loss, the ends held by clamps: a hyperbolic cosine."""
     tube = ideal_tube()
     rig = thesis_rig()
-    clamps = replace(rig.clamps, contact_conductance=1e9, mass=1e6, clearance=60e-3, grip=1e-3)
-    rig = replace(rig, clamps=clamps, convection=60.0, battery=replace(rig.battery, sag_resistance=0.0, capacity=1e12))
+    clamps = unchecked(rig.clamps, contact_conductance=1e9, mass=1e6, clearance=60e-3, grip=1e-3)
+    battery = unchecked(rig.battery, sag_resistance=0.0, capacity=1e12)
+    rig = replace(rig, clamps=clamps, convection=60.0, battery=battery)
     rig = with_mold(rig, lead=1e-3, gap=1e3)
     tube = replace(tube, curved_length=1e-3, curvature=0.0)
     errors = []

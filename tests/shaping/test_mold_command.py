@@ -69,8 +69,8 @@ def test_calibration_feeds_the_plan(run: Run, tmp_path: Path) -> None:
 
 def test_materials(run: Run, tmp_path: Path) -> None:
     out = answer(run("mold", "materials", "--out", str(tmp_path), "--json"))
-    assert [m["material"] for m in out["materials"]] == ["calcium_silicate", "glass_mica", "mdf", "steel"]
-    assert [m["suitable"] for m in out["materials"]] == [True, True, False, False]
+    assert [m["material"] for m in out["materials"]] == ["calcium_silicate", "mdf", "glass_mica", "steel"]
+    assert [m["suitable"] for m in out["materials"]] == [True, False, False, False]
     assert out["outer_diameter_mm"] == pytest.approx(load_robot(ETR).tubes[0].outer_diameter * 1e3)
     other = answer(run("mold", "materials", THESIS, "--tube", "2", "--hold-s", "5", "--json"))
     assert other["outer_diameter_mm"] == pytest.approx(load_robot(THESIS).tubes[1].outer_diameter * 1e3)

@@ -431,6 +431,7 @@ def test_columns_of_a_jacobian_are_those_asked_for() -> None:
     assert at.jacobian().position == pytest.approx(every.position[:, :6], rel=1e-11)
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")
 @compiler
 def test_a_margin_that_two_modes_share_has_no_slope_unless_one_of_them_is_asked_for() -> None:
     """Three tubes as stiff and as curved as each other, a third of a turn apart: two modes are alike."""

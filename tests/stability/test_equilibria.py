@@ -78,7 +78,7 @@ def test_three_tubes_against_brute_force(part: int) -> None:
 @pytest.mark.parametrize("robot", [THESIS, CRL], ids=["thesis", "CRL"])
 def test_published_robots_against_brute_force(robot: Robot) -> None:
     for rotations in np.array([[np.pi, 0.0, 0.1], [-3.3, 3.0, 0.0]]):
-        check_set(robot, rotations, np.zeros(3), find_equilibria(robot, rotations), 120)
+        check_set(robot, rotations, np.zeros(3), find_equilibria(robot, rotations, np.zeros(3)), 120)
 
 
 def test_strong_coupling_has_many() -> None:

@@ -69,7 +69,7 @@ def test_two_tubes_are_stationary_at_their_equilibria(robot: Robot, rotations: t
 def test_energy_map_against_finite_elements() -> None:
     rotations = np.array([2.0, 0.3, 0.0])
     for robot in (THESIS, CRL):
-        chart = energy_map(robot, rotations, samples=9)
+        chart = energy_map(robot, rotations, np.zeros(3), samples=9)
         expected = np.array(
             [
                 [held_energy(robot, rotations, (0, 1), np.array([a, b])) for b in chart.second[2:7:2]]

@@ -92,12 +92,14 @@ def test_none_where_the_branch_reaches_the_end() -> None:
 def test_agrees_with_the_traced_branch_and_following() -> None:
     for robot, end in ((THESIS, [4.5, 0.5, -0.5]), (CRL, [5.0, 0.0, -0.3]), (CRL, [8.0, 1.0, 0.0])):
         start = np.zeros(3)
-        snap = find_snap(robot, (start, None), (end, None))
+        snap = find_snap(robot, (start, np.zeros(3)), (end, np.zeros(3)))
         assert snap is not None
         k = int(np.argmax(np.abs(end)))
-        branch = trace_branch(robot, start, end)
+        branch = trace_branch(robot, start, end, np.zeros(3))
         assert branch.folds[0].rotations[k] / end[k] == pytest.approx(snap.fraction, abs=1e-9)
-        assert follow(robot, np.stack([start, end])).snaps[0].fraction == pytest.approx(snap.fraction, abs=1e-9)
+        assert follow(robot, np.stack([start, end]), np.zeros((2, 3))).snaps[0].fraction == pytest.approx(
+            snap.fraction, abs=1e-9
+        )
         # Every point of the traced curve is an equilibrium, and both folds of its S are on it.
         assert len(branch.folds) == 2
         for t, rotations, tips, margin in zip(
