@@ -287,7 +287,9 @@ class FitProblem:
         if self.options.loss != "linear":
             return found
         state = self.model.registered(found.state, self.options.noise)
-        return replace(found, state=state, residuals=self.model.residuals(state))
+        # Slopes of motion with friction cost as much as a fit; those of the state before serve there, as in `descend`.
+        slopes = found.jacobian if self.model.costly(state) else self.model.jacobian(state)
+        return replace(found, state=state, residuals=self.model.residuals(state), jacobian=slopes)
 
     def _noise(self, found: Descent) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
