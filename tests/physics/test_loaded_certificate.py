@@ -79,5 +79,6 @@ def test_no_motion_has_a_larger_quotient_and_the_best_polynomials_come_to_it(
     random = np.random.default_rng(seed)
     sections = random.uniform(0.02, 0.06, 2), random.uniform(1e-3, 4e-3, 2), random.uniform(0.005, 0.04, (2, 2))
     tubes = random.uniform(5e-4, 3e-3, 2), random.uniform(0.02, 0.1, 2)
-    value, _ = largest_eigenvalue(force, sections, tubes, pairs)
+    value, tip = largest_eigenvalue(force, sections, tubes, pairs)
+    assert tip[np.argmax(np.abs(tip))] == 1
     assert value == pytest.approx(ritz(force, sections, tubes, pairs), rel=1e-9)
