@@ -162,5 +162,5 @@ def _sizes(coefficients: Array, half: float) -> Array:
     """(4,) bounds of the size of a polynomial and of its first three derivatives by arc length."""
     orders = [coefficients]
     for _ in range(3):
-        orders.append(chebyshev.chebder(orders[-1]) / half)
+        orders.append(np.asarray(chebyshev.chebder(orders[-1]) / half, dtype=float))
     return np.array([np.abs(each).sum() for each in orders])
