@@ -76,15 +76,21 @@ def finite(name: str, value: Any) -> float:
     return number
 
 
+PLAIN = {float, int, np.float64}
+"""Types of numbers that need no further look: what is asked at each solve is checked in a microsecond."""
+
+
 def _only_numbers(value: Any) -> Any:
     """`value`, or TypeError where a truth value, a text or a complex number stands in it, which NumPy would convert."""
-    if isinstance(value, bool | np.bool_ | str | bytes | complex | np.complexfloating) or (
-        isinstance(value, np.ndarray) and value.dtype.kind in "bSUc"
-    ):
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind in "bSUc":
+            raise TypeError("no number")
+    elif isinstance(value, list | tuple):
+        if not PLAIN.issuperset(map(type, value)):
+            for each in value:
+                _only_numbers(each)
+    elif isinstance(value, bool | np.bool_ | str | bytes | complex | np.complexfloating):
         raise TypeError("no number")
-    if isinstance(value, list | tuple):
-        for each in value:
-            _only_numbers(each)
     return value
 
 
