@@ -49,13 +49,16 @@ def of_robot(robot: Any, masses: Sequence[float] | None = None) -> list[RefTube]
 
 @dataclass(frozen=True)
 class RefLoad:
-    """Dead loads in world axes: tip force and moment, points (s, force), gravity, constant load per length."""
+    """Dead loads in world axes: tip force and moment, points (s, force), gravity, constant load per length; moments
+    (s, moment) at places, and a constant one per length, whose part along the arm turns the outermost tube."""
 
     force: Any = (0.0, 0.0, 0.0)
     moment: Any = (0.0, 0.0, 0.0)
     points: tuple[tuple[float, Any], ...] = ()
     gravity: Any = (0.0, 0.0, 0.0)
     distributed: Any = (0.0, 0.0, 0.0)
+    couples: tuple[tuple[float, Any], ...] = ()
+    couple_per_length: Any = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +84,7 @@ class Shooting:
         self.transition = self.beta + [t.straight for t in tubes]
         self.end = self.beta + [t.length for t in tubes]
         self.length = float(self.end.max())
-        cuts = [0.0, *self.transition, *self.end, *(s for s, _ in load.points)]
+        cuts = [0.0, *self.transition, *self.end, *(s for s, _ in (*load.points, *load.couples))]
         self.cuts = sorted({round(c, 13) for c in cuts if 0 <= c <= self.length + 1e-13})
 
     def _rates(self, s: float, flat: Array, present: Array, curved: Array) -> Array:
@@ -109,7 +112,9 @@ class Shooting:
         turned = np.stack(
             [-uy[:, None] * along, ux[:, None] * along, uy[:, None] * R[:, :, 0] - ux[:, None] * R[:, :, 1]], 2
         )
-        bend = np.stack([-uy * whole + nu[1], ux * whole - nu[0]], 1)
+        couple = np.einsum("bji,j->ib", R, np.array(self.load.couple_per_length, float))
+        bend = np.stack([-uy * whole + nu[1] - couple[0], ux * whole - nu[0] - couple[1]], 1)
+        torque[:, np.flatnonzero(present)[-1]] -= couple[2]
         parts = slope, torque, along, turned.reshape(-1, 9), bend, np.broadcast_to(-f, (len(y), 3))
         return np.concatenate(parts, axis=1).ravel()
 
@@ -146,6 +151,7 @@ class Shooting:
             for s, f in self.load.points:
                 if abs(s - a) < 1e-12:
                     y[:, 2 * n + 14 :] -= f
+            self._jump(y, a)
             y = self._along((a, b), y, tolerance)[-1]
             for i in range(n):
                 if abs(self.end[i] - b) < 1e-12 and i != last:
@@ -155,6 +161,16 @@ class Shooting:
         own = np.einsum("bji,j->bi", R, np.array(self.load.moment, float))
         miss[:, last] = y[:, n + last] - own[:, 2]
         return np.concatenate([miss, y[:, 2 * n + 12 : 2 * n + 14] - own[:, :2]], axis=1), y
+
+    def _jump(self, y: Array, at: float) -> None:
+        """Past an arc length, the moments there no longer act."""
+        n = self.n
+        for s, couple in self.load.couples:
+            if abs(s - at) < 1e-12:
+                R = y[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3)
+                own = np.einsum("bji,j->bi", R, np.array(couple, float))
+                y[:, 2 * n + 12 : 2 * n + 14] -= own[:, :2]
+                y[:, n + np.flatnonzero(self.end >= at - 1e-12)[-1]] -= own[:, 2]
 
     def _along(self, ends: tuple[float, float], y: Array, tolerance: float, count: int = 2) -> Array:
         """States (count, B, S) of several arms along a section, from those (B, S) where it begins or ends."""

@@ -9,7 +9,7 @@ import pytest
 
 from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
 from tubeopt import InputError, Load, forward_kinematics, load_robot
-from tubeopt.robots.load import PointForce, Stretch
+from tubeopt.robots.load import PointLoad, Stretch
 from tubeopt.runs.load_file import load_entry
 from tubeopt.runs.study_file import load_study
 
@@ -35,7 +35,7 @@ def test_a_file_says_what_pushes(file: Path, tmp_path: Path) -> None:
     assert load_entry(file).build() == Load(
         (0.1, 0, 0),
         gravity=(0, 0, -9.81),
-        points=(PointForce(0.05, (0.01, 0, 0)),),
+        points=(PointLoad(0.05, (0.01, 0, 0)),),
         distributed=(Stretch(0.01, 0.06, (1.0, 0, 0)),),
     )
     file.write_text("tip_force_mN: [1, 2]\ngravity: [0, 0, -9.81]")

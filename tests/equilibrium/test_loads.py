@@ -62,7 +62,8 @@ def base_values(e: Equilibrium) -> Array:
     """(n + 2,) torques and bending moment at the plate, where shooting may start."""
     point = loaded_point(e)
     torque = -(point.member.problem.torsion.weight @ point.state.torque)
-    torque[point.member.problem.tip_tube] += point.state.tip_torque
+    if point.member.problem.couples is not None:
+        torque[point.member.problem.tip_tube] += point.state.joint_torques[0]
     return np.concatenate([torque, e.base_wrench[3:5]])
 
 
@@ -453,7 +454,7 @@ def test_a_load_along_the_arm_may_be_a_function(thesis: ConcentricRobot) -> None
     constant = forward_kinematics(thesis, ROTATIONS, load=Load(distributed=(0.1, 0.2, 0.0)))
     assert np.allclose(as_function.tip_position, constant.tip_position, rtol=0, atol=1e-14)
     half = Load(distributed=lambda s: (0.1, 0.2, 0.0)).scaled(0.5)
-    assert np.array_equal(half.scaled(0.5).per_length(np.array([0.1])), [[0.025, 0.05, 0.0]])
+    assert np.array_equal(half.scaled(0.5).per_length(np.array([0.1]))[:, :3], [[0.025, 0.05, 0.0]])
 
 
 def test_loads_between_two_loads() -> None:
@@ -462,7 +463,7 @@ def test_loads_between_two_loads() -> None:
     mixed = between(one, other, 0.25)
     assert mixed.force == (0.75, 0.25, 0.0)
     assert mixed.gravity == (0, 0, 1)
-    assert np.allclose(mixed.per_length(np.array([0.05, 0.15])), [(0.75, 0.5, 0), (0.75, 0, 0)])
+    assert np.allclose(mixed.per_length(np.array([0.05, 0.15]))[:, :3], [(0.75, 0.5, 0), (0.75, 0, 0)])
     assert mixed.points[0].force == (0.75, 0, 0)
     with pytest.raises(InputError, match="frame"):
         between(one, dataclasses.replace(other, frame="tip"), 0.5)

@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
-from tubeopt.robots.load import PointForce
+from tubeopt.robots.load import PointLoad
 from tubeopt.show.arm_surfaces import Centreline, ring_surface, robot_parts, tube_surface, visible
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, save_figure, tube_colour
 from tubeopt.show.plots.mesh import Mesh, facets_of
-from tubeopt.show.plots.shape import forces, robot_mesh
+from tubeopt.show.plots.shape import pushes, robot_mesh
 from tubeopt.show.plots.stage import Box, View, rule_step, widest_view
 from tubeopt.show.plots.style import number
 from tubeopt.show.plots.torsion import breakpoints
@@ -303,16 +303,18 @@ def test_torsion_jumps_where_pieces_meet_as_the_torque_does_not() -> None:
 
 def test_forces_are_drawn_and_named() -> None:
     """An arrow from the tip along the force as it is seen, and force and gravity in words."""
-    load = Load((0.02, 0.03, 0.0), points=(PointForce(0.05, (0.0, 0.01, 0.0)),))
+    load = Load((0.02, 0.03, 0.0), points=(PointLoad(0.05, (0.0, 0.01, 0.0), (0.0, 0.0, 0.002)),))
     arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=load)
-    tip, along = forces(arm)
+    tip, along, moment = pushes(arm)
+    np.testing.assert_allclose(np.cross(moment.end - moment.start, (0.0, 0.0, 1.0)), 0.0, atol=1e-12)
+    np.testing.assert_allclose(moment.start, along.start)
     np.testing.assert_allclose(tip[0], arm.tip_position)
     np.testing.assert_allclose(np.cross(tip[1] - tip[0], load.force), 0.0, atol=1e-12)
     assert tip[2] == pytest.approx(np.hypot(0.02, 0.03))
     np.testing.assert_allclose(np.linalg.norm(along[1] - along[0]) / np.linalg.norm(tip[1] - tip[0]), 0.01 / tip[2])
     figure = plot_shape(arm, view=(20.0, -60.0))
     texts = [text for text in figure.axes[0].texts if isinstance(text, matplotlib.text.Annotation)]
-    assert {"36.06 mN", "10 mN"} <= {text.get_text() for text in texts}
+    assert {"36.06 mN", "10 mN", "2 mN m"} <= {text.get_text() for text in texts}
     arrow = next(text for text in texts if text.arrow_patch is not None)
     seen = View(20.0, -60.0).project(arm.tip_position)
     np.testing.assert_allclose(arrow.xyann, seen[:2])
@@ -321,7 +323,7 @@ def test_forces_are_drawn_and_named() -> None:
 
 def test_a_following_force_turns_with_the_tip_in_the_picture() -> None:
     arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=Load((0.0, 0.0, 0.02), frame="tip"))
-    ((start, end, _),) = forces(arm)
+    ((start, end, *_),) = pushes(arm)
     np.testing.assert_allclose(np.cross(end - start, arm.tip_rotation[:, 2]), 0.0, atol=1e-12)
 
 

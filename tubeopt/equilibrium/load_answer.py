@@ -8,7 +8,7 @@ import numpy as np
 
 from ..block.transcription.arm import CollocationPoints
 from ..block.transcription.loaded import base_wrench, compliance, tip_position, tip_slopes
-from ..block.transcription.loaded_arm import loaded_arm, loaded_profile
+from ..block.transcription.loaded_arm import elastic_energy, loaded_arm, loaded_profile
 from ..solvers.compiled.loaded import LoadedAnswer
 from ..solvers.newton import loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
@@ -26,19 +26,20 @@ def to_loaded(
     """Shape, energy and error estimates of a solved problem; `how` is the start and when (s) begun."""
     member, state = point.member, point.state
     problem = member.problem
+    profile = loaded_profile(problem, member.rotations, state)
     found = LoadedAnswer(
         theta=state.theta,
         curvature=state.curvature,
         margin=point.margin,
         residual=loaded_residual(problem, state),
-        energy=state.energy,
+        energy=elastic_energy(problem, profile, state),
         work=state.work if problem.load.has_energy else float("nan"),
         iterations=point.iterations,
         errors=mesh_errors(point) if errors is None else errors,
         # What follows from the solved state at once need not be solved for again.
         compliance=None if abs(point.margin) < CONTINUATION.least_stiffness else compliance(problem, state),
         base_wrench=base_wrench(problem, state),
-        arm=loaded_arm(problem, loaded_profile(problem, member.rotations, state), state),
+        arm=loaded_arm(problem, profile, state),
     )
     unstable = not (point.margin > 0 or np.isnan(point.margin))
     index = int((np.linalg.eigvalsh(state.hessian) < 0).sum()) if unstable else 0

@@ -11,7 +11,7 @@ from ..block.transcription.mesh import loaded_counts, loaded_mesh
 from ..block.transcription.reduced import ReducedProblem, reduce
 from ..errors import InputError, implausible
 from ..robots.assembly import Assembly, cut
-from ..robots.load import Load, masses
+from ..robots.load import FORCE, MOMENT, Load, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
 from ..typing import Array
@@ -113,12 +113,12 @@ def _torsion(
 
 
 def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, float]:
-    """Bounds of the force on any cross-section, N, and of the moment at the tip, N m."""
-    along = 0.0
-    if load.distributed is not None:
-        places = np.linspace(0, assembly.total_length, 33)[1:-1]
-        along = float(np.linalg.norm(load.per_length(places), axis=-1).max(initial=0.0))
+    """Bounds of the force on any cross-section, N, and of the moment of what is not a force, N m."""
+    places = np.linspace(0, assembly.total_length, 33)[1:-1]
+    per_length = load.per_length(places)
+    along, turning = (float(np.linalg.norm(per_length[:, k], axis=-1).max(initial=0.0)) for k in (FORCE, MOMENT))
     weight = np.linalg.norm(load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
     points = sum(float(np.linalg.norm(part.force)) for part in load.points)
     force = np.linalg.norm(load.force) + points + weight + along * assembly.total_length
-    return float(force), float(np.linalg.norm(load.moment))
+    moment = sum(float(np.linalg.norm(part.moment)) for part in (load, *load.points))
+    return float(force), moment + turning * assembly.total_length

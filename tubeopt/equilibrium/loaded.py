@@ -11,7 +11,7 @@ from ..block.transcription.collocated import STEPS
 from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
 from ..block.transcription.loaded_arm import compliance_along
 from ..errors import InputError, SolveError, finite
-from ..robots.load import Load, PointForce
+from ..robots.load import Load, PointLoad
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import LoadedAnswer, solve_loaded_compiled, solve_many_loaded_compiled
@@ -280,7 +280,7 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
         raise InputError(f"tube is {tube}; tubes {', '.join(map(str, here))} are at {arc_length:g} m")
     # Where a wrench acts the curvature jumps: elements end there.
     load = equilibrium.load or Load()
-    cut = replace(load, points=(*load.points, PointForce(min(arc_length, length), (0.0, 0.0, 0.0))))
+    cut = replace(load, points=(*load.points, PointLoad(min(arc_length, length))))
     there = Member.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
     failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
     state = LoadedPoint.near(there, carry(point, there), failure).state

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.loaded import LoadedProblem, evaluate, tip_frame, tip_position
-from ..block.transcription.loaded_arm import loaded_arm, loaded_profile
+from ..block.transcription.loaded_arm import elastic_energy, loaded_arm, loaded_profile
 from ..errors import InputError, SolveError
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.load import Load
@@ -131,9 +131,10 @@ def _softest(hessian: Array) -> Array | None:
 def _outcome(problem: LoadedProblem, rotations: Array, x: Array) -> tuple[Array, ...]:
     """Tip position (3,), frame (3, 3), tip rotations (n,), second variation, and energy."""
     state = evaluate(problem, rotations, x)
-    arm = loaded_arm(problem, loaded_profile(problem, rotations, state), state)
+    profile = loaded_profile(problem, rotations, state)
+    arm = loaded_arm(problem, profile, state)
     tips = told_by_arm(arm, problem.torsion.assembly)["tip_rotations"]
-    energy = np.array(state.energy)
+    energy = np.array(elastic_energy(problem, profile, state))
     return tip_position(problem, state), tip_frame(state.orientation), tips, state.hessian, energy
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from typing import Annotated, Any, TypeGuard
 
 import numpy as np
@@ -19,6 +19,11 @@ Vector = tuple[float, float, float]
 
 FRAMES = ("world", "tip")
 
+FORCE, MOMENT = slice(0, 3), slice(3, 6)
+"""Parts of a load per length."""
+
+ZERO = (0.0, 0.0, 0.0)
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -26,15 +31,17 @@ class Stretch:
 
     start: Annotated[float, key("from_mm"), NOT_NEGATIVE, "arc length from the plate"]
     end: Annotated[float, key("to_mm"), "arc length from the plate"]
-    force: Annotated[Vector, unit("mN_per_m")]
+    force: Annotated[Vector, unit("mN_per_m")] = ZERO
+    moment: Annotated[Vector, unit("mN_m_per_m"), "its part along the arm turns the outermost tube"] = ZERO
 
 
 @dataclass(frozen=True)
-class PointForce:
-    """A force on the arm, in world axes."""
+class PointLoad:
+    """A force and a moment at one place of the arm, in world axes."""
 
     at: Annotated[float, unit("mm"), NOT_NEGATIVE, "arc length from the plate"]
-    force: Annotated[Vector, unit("mN")]
+    force: Annotated[Vector, unit("mN")] = ZERO
+    moment: Annotated[Vector, unit("mN_m"), "its part along the arm turns the outermost tube"] = ZERO
 
 
 @dataclass(frozen=True)
@@ -45,9 +52,9 @@ class Load(Displayed):
         InputError: a vector that is not three finite numbers, an unknown frame, a stretch or point behind the plate.
     """
 
-    force: Annotated[Vector, key("tip_force_mN"), "force on the tip in axes of the plate"] = (0.0, 0.0, 0.0)
+    force: Annotated[Vector, key("tip_force_mN"), "force on the tip in axes of the plate"] = ZERO
     """N."""
-    moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in axes of the plate"] = (0.0, 0.0, 0.0)
+    moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in axes of the plate"] = ZERO
     """N m; its part along the tip turns the tube that ends last."""
     _: KW_ONLY
     frame: Annotated[
@@ -56,10 +63,12 @@ class Load(Displayed):
     """Dead loads are those of the "world"; following ones turn with the Bishop frame of the tip, the `tip_rotation` of
     an equilibrium."""
     distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
-    """N/m in world axes: (3,) all along the arm; a function of arc length (m from the plate) -> (3,); or stretches
-    (start, end, (3,)) with a constant load on each."""
-    points: Annotated[tuple[PointForce, ...], "forces along the arm, in world axes"] = ()
-    """(arc length, (3,)) each, m and N."""
+    """Per length in world axes: a force (3,), N/m, all along the arm; a function of arc length (m from the plate)
+    -> (3,), or (6,) with a moment, N; or stretches (start, end, force (3,)) or (start, end, force (3,), moment (3,)),
+    constant on each. A moment's part along the arm turns the outermost tube."""
+    points: Annotated[tuple[PointLoad, ...], "forces and moments at places of the arm, in world axes"] = ()
+    """(arc length, force (3,)) or (arc length, force (3,), moment (3,)) each, m, N and N m; the part of a moment along
+    the arm turns the outermost tube."""
     gravity: Annotated[Vector | None, unit("m_per_s2"), "gravity, which acts on the mass of the tubes"] = None
     """m/s^2; the tubes are those in front of the plate."""
 
@@ -72,13 +81,14 @@ class Load(Displayed):
             set_field(self, "gravity", triple("gravity", self.gravity))
         if self.distributed is not None and not callable(self.distributed):
             set_field(self, "distributed", _distributed(self.distributed))
-        points = items("points", self.points, object, "(arc length, (x, y, z))")
+        points = items("points", self.points, object, POINT)
         set_field(self, "points", tuple(_point(k, entry) for k, entry in enumerate(points)))
 
     @property
     def has_energy(self) -> bool:
-        """Whether the load keeps its direction and makes no moment: then equilibria are minima of an energy."""
-        return not any(self.moment) and (self.frame == "world" or not any(self.force))
+        """Whether all forces keep their direction and there are no moments: then equilibria are minima of an energy."""
+        turning = _has_moment(self.distributed) or any(any(part.moment) for part in (self, *self.points))
+        return not turning and (self.frame == "world" or not any(self.force))
 
     def require_energy(self, untold: str) -> None:
         """Raise InputError, which ends with what is therefore `untold`, where the load has no energy."""
@@ -102,7 +112,7 @@ class Load(Displayed):
         elif callable(along):
             along = Scaled(along, factor)
         elif along is not None and _stretches(along):
-            along = tuple(replace(part, force=times(part.force)) for part in along)
+            along = tuple(replace(part, force=times(part.force), moment=times(part.moment)) for part in along)
         elif along is not None:
             along = triple("distributed", factor * np.array(along, dtype=float))
         return replace(
@@ -110,7 +120,7 @@ class Load(Displayed):
             force=times(self.force),
             moment=times(self.moment),
             distributed=along,
-            points=tuple(replace(part, force=times(part.force)) for part in self.points),
+            points=tuple(replace(p, force=times(p.force), moment=times(p.moment)) for p in self.points),
             gravity=None if self.gravity is None else times(self.gravity),
         )
 
@@ -122,20 +132,22 @@ class Load(Displayed):
         return np.array(places, dtype=float)
 
     def per_length(self, arc_length: Array) -> Array:
-        """(..., 3) `distributed` at arc lengths (...), N/m."""
-        out = np.zeros((*arc_length.shape, 3))
+        """(..., 6) `distributed` at arc lengths (...): force, N/m, and moment, N."""
+        out = np.zeros((*arc_length.shape, 6))
         along = self.distributed
         if along is None:
             return out
         if callable(along):
             for index in np.ndindex(arc_length.shape):
                 s = float(arc_length[index])
-                out[index] = vector(f"distributed at {s:g} m", along(s), 3, "x, y, z")
+                given = along(s)
+                size = 6 if np.size(given) == 6 else 3
+                out[index][:size] = vector(f"distributed at {s:g} m", given, size, "force, or force and moment")
         elif _stretches(along):
             for part in along:
-                out[(arc_length > part.start) & (arc_length < part.end)] += part.force
+                out[(arc_length > part.start) & (arc_length < part.end)] += (*part.force, *part.moment)
         else:
-            out[:] = along
+            out[..., FORCE] = along
         return out
 
 
@@ -159,7 +171,8 @@ class Sum:
 
     def __call__(self, arc_length: float) -> Array:
         at = np.array(arc_length)
-        return self.one.per_length(at) + self.other.per_length(at)
+        total = self.one.per_length(at) + self.other.per_length(at)
+        return total if _has_moment(self.one.distributed) or _has_moment(self.other.distributed) else total[FORCE]
 
 
 def between(start: Load, end: Load, t: float) -> Load:
@@ -201,6 +214,13 @@ def masses(tubes: Sequence[Tube], load: Load) -> Array:
     return np.array(known, dtype=float)
 
 
+def _has_moment(along: Any) -> bool:
+    """Whether a distributed load has moments, as a function has that returns six numbers."""
+    if callable(along):
+        return bool(np.size(along(0.0)) == 6)
+    return _stretches(along) and any(any(part.moment) for part in along)
+
+
 def _stretches(value: Any) -> TypeGuard[tuple[Stretch, ...]]:
     return isinstance(value, tuple) and bool(value) and isinstance(value[0], Stretch)
 
@@ -211,25 +231,38 @@ def _distributed(value: Any) -> Vector | tuple[Stretch, ...]:
     return triple("distributed", value)
 
 
+STRETCH = "(start, end, force (x, y, z)), or with a moment (start, end, force, moment)"
+POINT = "(arc length, force (x, y, z)), or with a moment (arc length, force, moment)"
+
+
 def _stretch(k: int, entry: Any) -> Stretch:
-    if isinstance(entry, Stretch):
-        entry = (entry.start, entry.end, entry.force)
     name = f"distributed[{k}]"
-    try:
-        start, end, force = entry
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is {entry!r}; it must be (start, end, (x, y, z))") from None
+    start, end, *loads = _parts(name, entry, 2, STRETCH)
     begin, stop = positive(f"start of {name}", start, zero=True), finite(f"end of {name}", end)
     if stop <= begin:
         raise InputError(f"end of {name} is {stop:g} m; it must be greater than its start, {begin:g} m")
-    return Stretch(begin, stop, triple(f"force of {name}", force))
+    return Stretch(begin, stop, *_wrench(name, loads))
 
 
-def _point(k: int, entry: Any) -> PointForce:
-    if isinstance(entry, PointForce):
-        entry = (entry.at, entry.force)
+def _point(k: int, entry: Any) -> PointLoad:
+    name = f"points[{k}]"
+    at, *loads = _parts(name, entry, 1, POINT)
+    return PointLoad(positive(f"arc length of {name}", at, zero=True), *_wrench(name, loads))
+
+
+def _parts(name: str, entry: Any, places: int, allowed: str) -> tuple[Any, ...]:
+    """Arc lengths, force and perhaps moment of an entry."""
+    if isinstance(entry, Stretch | PointLoad):
+        return tuple(getattr(entry, field.name) for field in fields(entry))
     try:
-        at, force = entry
-    except (TypeError, ValueError):
-        raise InputError(f"points[{k}] is {entry!r}; it must be (arc length, (x, y, z))") from None
-    return PointForce(positive(f"arc length of points[{k}]", at, zero=True), triple(f"force of points[{k}]", force))
+        parts = tuple(entry)
+    except TypeError:
+        parts = ()
+    if not places + 1 <= len(parts) <= places + 2:
+        raise InputError(f"{name} is {entry!r}; it must be {allowed}")
+    return parts
+
+
+def _wrench(name: str, loads: Sequence[Any]) -> list[Vector]:
+    """Force, and moment where one is given, of what is called `name`."""
+    return [triple(f"{what} of {name}", value) for what, value in zip(("force", "moment"), loads, strict=False)]

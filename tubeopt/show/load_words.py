@@ -19,7 +19,10 @@ def load_in_words(load: Load) -> str:
     if any(load.moment):
         at_tip.append(f"{row(np.array(load.moment) * TO_MILLI, '.6g')} mN m at the tip")
     parts = [*at_tip, *(["turning with the tip"] if load.frame == "tip" and at_tip else [])]
-    parts += [f"{row(np.array(p.force) * TO_MILLI, '.6g')} mN at {p.at * TO_MM:.6g} mm" for p in load.points]
+    for part in load.points:
+        for value, unit in ((part.force, "mN"), (part.moment, "mN m")):
+            if any(value):
+                parts.append(f"{row(np.array(value) * TO_MILLI, '.6g')} {unit} at {part.at * TO_MM:.6g} mm")
     parts += ["a load along the arm"] if load.distributed is not None else []
     parts += [f"gravity {row(load.gravity, '.6g')} m/s^2"] if load.gravity is not None else []
     return "; ".join(parts) or "none"

@@ -13,8 +13,8 @@ t the tangent from the orientation that u gives. grad E = 0 are the collocated e
 bending moment m = dW/du / B, and the least eigenvalue of the Hessian is the margin. Without load the Hessian is that of
 `reduced` beside the identity.
 
-Moments at the tip and forces that turn with it have no such W: their equations are the same, with what the load does in
-a small motion in place of the derivatives of W, and a Jacobian that is not symmetric.
+Moments (`couples`) and forces that turn with the tip have no such W: their equations are the same, with what the load
+does in a small motion in place of the derivatives of W, and a Jacobian that is not symmetric.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
-from ...robots.load import Load
+from ...robots.load import FORCE, MOMENT, Load
 from ...typing import Array, Index
 from .buffered import section_function
+from .couples import Couples, couples_of
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
 from .reduced import ReducedProblem, softness, to_unknowns, torsional_hessian, whitened
@@ -46,6 +47,7 @@ class LoadedProblem:
         tip_tube: the tube that ends last.
         tip_row: (U,) its rotation at its end by z.   tip_rest: rotation there by a unit torque that z does not see.
         tip_lever: its whole compliance, rotation at its end by a unit torque there, rad/(N m).
+        couples: the moments, where the load has no energy.
     """
 
     torsion: ReducedProblem
@@ -57,6 +59,7 @@ class LoadedProblem:
     tip_tube: int
     tip_row: Array
     tip_lever: float
+    couples: Couples | None
 
     @property
     def tip_rest(self) -> float:
@@ -84,10 +87,11 @@ class LoadedState:
     """State of a loaded problem.
 
     x: (U + 2 N,) unknowns z and q.   factor: of the load.   theta (N, n) and curvature (N, 2) at the points.
-    energy: elastic energy, J.   work: int n.t ds, what the load does on the arm as it comes from the plate's point, J.
+    energy: elastic energy, J; under moments without the torsion that z does not see.
+    work: int n.t ds, what the load does on the arm as it comes from the plate's point, J.
     gradient, hessian: of energy less work, or the equations and their Jacobian for loads without an energy.
     pull: (U + 2 N,) derivative of the gradient by the factor.
-    torque: (N, n) torque per length on each tube, N.   tip_torque: on the tube that ends last, N m.
+    torque: (N, n) torque per length on each tube, N.   joint_torques: (J,) of the moments at joints, N m.
     base_moment: (2,) bending moment at the plate, N m.   turned: (2 N, U + 2 N) du/dx.
     """
 
@@ -101,7 +105,7 @@ class LoadedState:
     hessian: Array
     pull: Array
     torque: Array
-    tip_torque: float
+    joint_torques: Array
     base_moment: Array
     orientation: Orientation
     turned: Array
@@ -129,8 +133,10 @@ class Loading:
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
     """Set up a problem; `density` (n,) is the mass per length of the tubes, kg/m."""
     spread, soft, tip, row, lever = _unloaded(torsion)
-    force, base = _forces(torsion.mesh, load, torsion.assembly.present @ density)
-    return LoadedProblem(torsion, load, force, base, spread, soft, tip, row, lever)
+    along = _per_length(torsion.mesh, load, torsion.assembly.present @ density)
+    force, base = _forces(torsion.mesh, load, along[..., FORCE])
+    couples = None if load.has_energy else couples_of(torsion, load, along[..., MOMENT].reshape(-1, 3), spread)
+    return LoadedProblem(torsion, load, force, base, spread, soft, tip, row, lever, couples)
 
 
 @lru_cache(maxsize=64)
@@ -146,15 +152,21 @@ def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]
     return spread.reshape(count, n, -1), soft, tip, row, float(ends[-1, tip])
 
 
-def _forces(mesh: Mesh, load: Load, mass: Array) -> tuple[Array, Array]:
-    """Force (N, 3) on the cross-sections at the points, and (3,) at the plate, of loads in world axes; `mass` (m,) per
-    length of each section, kg/m."""
+def _per_length(mesh: Mesh, load: Load, mass: Array) -> Array:
+    """(P, K, 6) force, N/m, and moment, N, per length at the points, in world axes; `mass` (m,) per length of each
+    section, kg/m."""
+    along = load.per_length(mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes)
+    if load.gravity is not None:
+        along[..., FORCE] += mass[mesh.section][:, None, None] * np.array(load.gravity)
+    return along
+
+
+def _forces(mesh: Mesh, load: Load, along: Array) -> tuple[Array, Array]:
+    """Force (N, 3) on the cross-sections at the points, and (3,) at the plate, of loads in world axes; `along`
+    (P, K, 3) is what there is per length."""
     s = mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes
     out, base = np.zeros((*s.shape, 3)), np.zeros(3)
-    if load.distributed is not None or load.gravity is not None:
-        along = load.per_length(s)
-        if load.gravity is not None:
-            along += mass[mesh.section][:, None, None] * np.array(load.gravity)
+    if along.any():
         h, t = mesh.length[:, None, None], mesh.tableau
         whole = (h * along * t.weights[:, None]).sum(1)
         ahead = np.cumsum(whole[::-1], axis=0)[::-1]
@@ -189,34 +201,44 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     turned[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
     along = orient(mesh, curvature)
     push = _push(problem, along)
-    forms = 2 * weight[:, None, None] * np.tensordot(push.force, tangent_forms(), 1)
-    swept = adjoint(mesh, along, (forms @ along.stage[:, :, None])[:, :, 0], push.end)
+    forms, kicks, couples = (
+        2 * weight[:, None, None] * np.tensordot(push.force, tangent_forms(), 1),
+        None,
+        problem.couples,
+    )
+    if couples is not None:
+        at_joints, at_points = couples.forms(push.moment, (len(along.begin), count))
+        forms, kicks = forms + at_points, (at_joints @ along.begin[:, :, None])[:, :, 0]
+    swept = adjoint(mesh, along, (forms @ along.stage[:, :, None])[:, :, 0], kicks)
     felt = swept.gradient
     # Torque on the tubes per length: of the cross-section at its own curvature.
     torque = moment - factor * (felt[:, None, :] @ slope)[:, 0] / weight[:, None]
     work = second_derivative(along, swept, forms)
     softened = stiff.copy()
     softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
-    pull = -(felt.ravel() @ turned)
-    pull[:split] -= push.torque * problem.tip_row
+    pull, joint_torques = -(felt.ravel() @ turned), np.zeros(1)
+    if couples is not None:
+        joints, twisting = len(couples.joint), couples.torques(along, push.moment)
+        pull[:split] -= twisting @ couples.row
+        torque[couples.point, couples.tube[joints:]] -= factor * twisting[joints:] / weight[couples.point]
+        joint_torques = factor * twisting[:joints]
     gradient = x + factor * pull
     gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
     hessian = _hessian(problem, factor, turned[:, :split], softened, work)
-    if not problem.load.has_energy:
+    if couples is not None:
         hessian -= factor * _unsymmetric(problem, along, push, turned)
-    unseen = problem.tip_rest * (factor * push.torque) ** 2 / 2
     return LoadedState(
         x=x,
         factor=factor,
         theta=theta,
         curvature=curvature,
-        energy=float(x @ x) / 2 + float(weight @ bend[:, 0]) + unseen,
+        energy=float(x @ x) / 2 + float(weight @ bend[:, 0]),
         work=factor * float(weight @ (push.force * tangents(along.stage)).sum(1)),
         gradient=gradient,
         hessian=hessian,
         pull=pull,
         torque=torque,
-        tip_torque=factor * push.torque,
+        joint_torques=joint_torques,
         base_moment=factor * (world_turns() @ along.begin[0] @ swept.base)[:2] / 2,
         orientation=along,
         turned=turned,
@@ -233,7 +255,7 @@ def _hessian(problem: LoadedProblem, factor: float, by_tubes: Array, softened: A
     hessian.ravel()[: split * problem.size : problem.size + 1] -= 1.0
     # What bending turns is diagonal.
     hessian[split:, :split] = by_bending[:, None] * felt_by_tubes
-    hessian[:split, split:] = hessian[split:, :split].T
+    hessian[:split, split:] = (by_tubes.T @ work) * by_bending
     hessian[split:, split:] = by_bending[:, None] * work * np.repeat(problem.softness, 2)
     hessian.ravel()[:: problem.size + 1] += 1.0
     return hessian
@@ -241,42 +263,41 @@ def _hessian(problem: LoadedProblem, factor: float, by_tubes: Array, softened: A
 
 @dataclass(frozen=True, eq=False)
 class _Push:
-    """The whole load at an orientation of the tip: force (N, 3) on the cross-sections; force and moment at the tip that
-    depend on it, world axes; torque on the tip tube; derivative (4,) of the moment's work by the tip's quaternion."""
+    """The whole load at an orientation of the tip, in world axes: force (N, 3) on the cross-sections; the force (3,) at
+    the tip that turns with it; moments (C, 3)."""
 
     force: Array
-    tip_force: Array
-    tip_moment: Array
-    torque: float
-    end: Array
+    turning: Array
+    moment: Array
 
 
 def _push(problem: LoadedProblem, along: Orientation) -> _Push:
-    load, zero = problem.load, np.zeros(3)
-    if load.has_energy:
-        return _Push(problem.force, zero, zero, 0.0, np.zeros(4))
+    if problem.couples is None:
+        return _Push(problem.force, np.zeros(3), np.zeros((0, 3)))
+    moment = problem.couples.moment
+    if problem.load.frame == "world":
+        return _Push(problem.force, np.zeros(3), moment)
     frame = tip_frame(along)
-    force, moment, all_force = zero, np.array(load.moment), problem.force
-    if load.frame == "tip":
-        force, moment = frame @ load.force, frame @ moment
-        all_force = problem.force + force
-    end = 2 * np.tensordot(moment, world_turns(), 1) @ along.begin[-1]
-    return _Push(all_force, force, moment, float(moment @ frame[:, 2]), end)
+    force = frame @ problem.load.force
+    return _Push(problem.force + force, force, np.concatenate([(frame @ moment[0])[None], moment[1:]]))
 
 
 def _unsymmetric(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
-    """(U + 2 N, U + 2 N) what moments and following forces add to the derivative of what the load does."""
-    reach, turn = _tip(problem, along, turned)
-    tangent = tip_frame(along)[:, 2]
-    # A moment works on the turn of the tip, whose derivative is not symmetric.
-    at_end = along.end_slope @ turned
-    out = 2 * at_end.T @ np.tensordot(push.tip_moment, world_turns(), 1) @ at_end
-    twisting = np.zeros(3)
+    """(U + 2 N, U + 2 N) what moments and following forces add to the derivative of what the load does, beside what
+    `second_derivative` has of the points."""
+    couples = problem.couples
+    assert couples is not None
+    joints = len(couples.joint)
+    slopes = along.begin_slope[couples.joint] @ turned
+    turning = 2 * np.tensordot(push.moment[:joints], world_turns(), 1)
+    out = np.einsum("cri,crs,csj->ij", slopes, turning, slopes, optimize=True)
+    twisting = couples.torque_slopes(along, push.moment, turned)
     if problem.load.frame == "tip":
-        out -= reach.T @ _cross(push.tip_force) @ turn + turn.T @ _cross(push.tip_moment) @ turn
-    else:
-        twisting = np.cross(tangent, push.tip_moment)
-    out[: len(problem.tip_row)] += np.outer(problem.tip_row, twisting @ turn)
+        reach, turn = _tip(problem, along, turned)
+        out -= reach.T @ _cross(push.turning) @ turn + turn.T @ _cross(push.moment[0]) @ turn
+        # The tangent turns with the tip, and so does the moment there.
+        twisting[0] = 0.0
+    out[: len(problem.tip_row)] += couples.row.T @ twisting
     return np.asarray(out)
 
 
@@ -295,7 +316,7 @@ def _tip(problem: LoadedProblem, along: Orientation, turned: Array) -> tuple[Arr
     count = len(along.stage)
     moved = tangent_slopes(along.stage) @ along.stage_slope
     reach = (problem.torsion.weight @ moved.reshape(count, -1)).reshape(3, -1) @ turned
-    turn = 2 * (world_turns() @ along.begin[-1]) @ along.end_slope @ turned
+    turn = 2 * (world_turns() @ along.begin[-1]) @ along.begin_slope[-1] @ turned
     return reach, turn
 
 
@@ -318,11 +339,13 @@ def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     out = slopes @ answer
     # What z does not see of the twist by a torque at the tip: by the new moment, and by the old one as the tip turns.
     tangent = tip_frame(state.orientation)[:, 2]
-    torque = np.concatenate([np.zeros(3), tangent])
-    if problem.load.frame == "world":
-        turned = _tip(problem, state.orientation, state.turned)[1] @ answer
-        torque += state.factor * np.cross(tangent, problem.load.moment) @ turned
-    out[3:] += problem.tip_rest * np.outer(tangent, torque)
+    out[3:, 3:] += problem.tip_rest * np.outer(tangent, tangent)
+    if problem.couples is not None:
+        push = _push(problem, state.orientation)
+        twisting = problem.couples.torque_slopes(state.orientation, push.moment, state.turned)
+        if problem.load.frame == "tip":
+            twisting[0] = 0.0
+        out[3:] += state.factor * np.outer(tangent, problem.couples.unseen @ twisting @ answer)
     return np.asarray(out)
 
 
@@ -331,8 +354,8 @@ def base_wrench(problem: LoadedProblem, state: LoadedState) -> Array:
 
     The moment in bending is that which bends the arm at the plate, the moment in torsion that of all tubes there.
     """
-    force = state.factor * (problem.base_force + _push(problem, state.orientation).tip_force)
-    torque = state.tip_torque - float(problem.torsion.weight @ state.torque.sum(1))
+    force = state.factor * (problem.base_force + _push(problem, state.orientation).turning)
+    torque = float(state.joint_torques.sum() - problem.torsion.weight @ state.torque.sum(1))
     return np.concatenate([force, state.base_moment, [torque]])
 
 

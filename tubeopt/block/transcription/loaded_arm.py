@@ -15,18 +15,35 @@ from .reduced import softness, whitened
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
-    """theta_i(s) of all tubes; a torque at the tip twists the tube that ends last all along."""
-    torsion, tip = problem.torsion, problem.tip_tube
+    """theta_i(s) of all tubes; a torque at a joint twists its tube up to there."""
+    torsion, couples = problem.torsion, problem.couples
     profile = integrate(torsion, rotations, state.torque)
-    profile.rotation[:, tip] += state.tip_torque * softness(torsion)[1][:-1, tip]
-    if not torsion.assembly.general:
-        profile.twist[:, tip] += state.tip_torque / torsion.assembly.torsional_stiffness[tip]
+    if couples is None:
         return profile
-    assert profile.extra is not None
-    assert profile.compliance is not None
-    profile.twist[:, tip] += state.tip_torque
-    profile.extra[:, :, tip] += state.tip_torque * (torsion.here.rate[:, :, tip] - profile.compliance[:, None, tip])
+    ends, general = softness(torsion)[1], torsion.assembly.general
+    for e, j, torque in zip(couples.joint, couples.tube, state.joint_torques, strict=False):
+        profile.rotation[:, j] += torque * np.minimum(ends[:-1, j], ends[e, j])
+        profile.twist[:e, j] += torque if general else torque / torsion.assembly.torsional_stiffness[j]
+        if general:
+            assert profile.extra is not None
+            assert profile.compliance is not None
+            profile.extra[:e, :, j] += torque * (torsion.here.rate[:e, :, j] - profile.compliance[:e, None, j])
     return profile
+
+
+def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState) -> float:
+    """Of bending and torsion, J. Moments twist tubes as no z does: there torsion has half of int t^2 / kt."""
+    if problem.couples is None:
+        return state.energy
+    torsion, mesh = problem.torsion, problem.mesh
+    t, rate = mesh.tableau, torsion.here.rate
+    torque = profile.twist[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)
+    held = profile.twist[0]
+    if not torsion.assembly.general:
+        torque, held = torque / rate, held * torsion.assembly.torsional_stiffness
+    inside = np.einsum("p,k,pki->", mesh.length, t.weights, rate * torque**2)
+    z = state.x[: torsion.size]
+    return state.energy + float(inside + torsion.here.transmission @ held**2 - z @ z) / 2
 
 
 def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:

@@ -28,7 +28,7 @@ class Orientation:
     begin: (P + 1, 4) where the elements begin, and at the tip.  stage: (N, 4) at the points.
     rate: (N, 4, 4) matrix of Q -> Q o u.  inverse: (P, 4 K, 4 K) of the equations of an element.
     spread: (P, 4 K, 4) of the points by the beginning.  carried: (P, 4, 4) of the end by the beginning.
-    stage_slope: (N, 4, 2 N), end_slope: (4, 2 N) by the curvature (N, 2) at the points.
+    stage_slope: (N, 4, 2 N), begin_slope: (P + 1, 4, 2 N) by the curvature (N, 2) at the points.
     """
 
     begin: Array
@@ -38,7 +38,7 @@ class Orientation:
     spread: Array
     carried: Array
     stage_slope: Array
-    end_slope: Array
+    begin_slope: Array
 
 
 def orient(mesh: Mesh, curvature: Array) -> Orientation:
@@ -69,20 +69,21 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
     ending = half[:, None, None, None] * mesh.tableau.weights[:, None] * turned.reshape(pieces, k, 4, 2).swapaxes(1, 2)
     leaving = ending.reshape(pieces, 4, 2 * k) + gather @ own
     slope = np.zeros((pieces, 4 * k, 2 * pieces * k))
-    reach = np.zeros((4, 2 * pieces * k))
+    reach = np.zeros((pieces + 1, 4, 2 * pieces * k))
     for e in range(pieces):
         block = slice(2 * e * k, 2 * (e + 1) * k)
         before = slice(0, 2 * e * k)
-        slope[e, :, before] = spread[e] @ reach[:, before]
+        slope[e, :, before] = spread[e] @ reach[e, :, before]
         slope[e, :, block] = own[e]
-        reach[:, before] = carried[e] @ reach[:, before]
-        reach[:, block] = leaving[e]
+        reach[e + 1, :, before] = carried[e] @ reach[e, :, before]
+        reach[e + 1, :, block] = leaving[e]
     return Orientation(begin, stage, rate, inverse, spread, carried, slope.reshape(-1, 4, 2 * pieces * k), reach)
 
 
 @dataclass(frozen=True, eq=False)
 class Adjoint:
-    """Derivatives of W = sum_a w_a(Q_a) + w_end(Q_end): by the curvature, and by Q at the plate.
+    """Derivatives of W, a sum of functions of Q at the points and between the pieces: by the curvature, and by Q at the
+    plate.
 
     gradient: (N, 2).  mixed: (N, 2, 4) second derivatives by the curvature and by Q, both at the same point.
     base: (4,) dW/dQ at the plate.
@@ -93,16 +94,16 @@ class Adjoint:
     base: Array
 
 
-def adjoint(mesh: Mesh, of: Orientation, stage: Array, end: Array) -> Adjoint:
-    """One sweep from the tip to the plate; `stage` (N, 4) and `end` (4,) are the derivatives of W by Q."""
+def adjoint(mesh: Mesh, of: Orientation, stage: Array, begin: Array | None = None) -> Adjoint:
+    """One sweep from the tip to the plate; `stage` (N, 4) and `begin` (P + 1, 4), by default 0, are the derivatives of
+    W by Q at the points, and where pieces begin and at the tip."""
     pieces, k = len(mesh.length), mesh.tableau.degree
     half, weights = mesh.length / 2, mesh.tableau.weights
     local = stage.reshape(pieces, 4 * k)
     driven = (local[:, None, :] @ of.spread)[:, 0]
-    carried = np.empty((pieces + 1, 4))
-    carried[-1] = end
+    carried = np.zeros((pieces + 1, 4)) if begin is None else begin.copy()
     for e in reversed(range(pieces)):
-        carried[e] = driven[e] + carried[e + 1] @ of.carried[e]
+        carried[e] += driven[e] + carried[e + 1] @ of.carried[e]
     pulled = carried[1:, None, None, :] @ of.rate.reshape(pieces, k, 4, 4)
     right = local + (half[:, None, None] * weights[:, None] * pulled[:, :, 0]).reshape(pieces, 4 * k)
     multiplier = (right[:, None, :] @ of.inverse).reshape(pieces, k, 4)
@@ -114,7 +115,7 @@ def adjoint(mesh: Mesh, of: Orientation, stage: Array, end: Array) -> Adjoint:
 
 
 def second_derivative(of: Orientation, swept: Adjoint, forms: Array) -> Array:
-    """(2 N, 2 N) second derivative of W by the curvature; `forms` (N, 4, 4) are those of w_a by Q."""
+    """(2 N, 2 N) derivative of the gradient of W by the curvature; `forms` (N, 4, 4) are that by Q at the points."""
     count = len(of.stage)
     size = 2 * count
     bent = (forms @ of.stage_slope).reshape(4 * count, size)

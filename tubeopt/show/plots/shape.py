@@ -6,6 +6,7 @@ Tubes of an eccentric robot stand at their true places, in a translucent sheath.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,7 @@ SCENE_HEIGHT = 250.0
 UNSTABLE = "#A02020"
 
 FORCE = "#7A3E9D"
+MOMENT = "#9C5A00"
 FORCE_SHARE = 0.2
 """Length of the arrow of the largest force, as a share of the arm."""
 
@@ -123,7 +125,7 @@ def draw_scenes(
     everyone = [*equilibria, *(ghost for some in ghosts for ghost in some)]
     seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in everyone]))
     meshes = [_scene_mesh(equilibrium, some) for equilibrium, some in zip(equilibria, ghosts, strict=True)]
-    heads = [head for equilibrium in equilibria for _, head, _ in forces(equilibrium)]
+    heads = [arrow.end for equilibrium in equilibria for arrow in pushes(equilibrium)]
     box = Box.around(np.concatenate([*(mesh.corners.reshape(-1, 3) for mesh in meshes), np.reshape(heads, (-1, 3))]))
     last = equilibria[-1]
     ends = bundles(last) if close_ups else []
@@ -136,7 +138,7 @@ def draw_scenes(
         scene.add_collection(facets(mesh.in_sight(seen.towards_viewer), seen), autolim=False)
         if visible(equilibrium):
             _name_tubes(scene, equilibrium, seen)
-        _draw_forces(scene, equilibrium, seen)
+        _draw_pushes(scene, equilibrium, seen)
     for row, bundle in enumerate(reversed(ends)):
         close_up = figure.add_subplot(grid[row, -1])
         _draw_close_up(close_up, scenes[-1], last, bundle, seen)
@@ -145,30 +147,45 @@ def draw_scenes(
     return scenes, seen
 
 
-def forces(equilibrium: Equilibrium) -> list[tuple[Array, Array, float]]:
-    """Where each force on the arm acts, where its arrow ends (3,), m, and its size, N: at the tip, then along the arm.
+class Arrow(NamedTuple):
+    """A force or a moment in a picture: where it acts and where its arrow ends (3,), m; its size, N or N m."""
 
-    The largest arrow is FORCE_SHARE of the arm long, the others in proportion.
+    start: Array
+    end: Array
+    size: float
+    unit: str
+    colour: str
+
+
+def pushes(equilibrium: Equilibrium) -> list[Arrow]:
+    """Each force and each moment on the arm, at the tip, then along the arm; moments point along their axes.
+
+    The largest arrow of a kind is FORCE_SHARE of the arm long, the others in proportion.
     """
     load = equilibrium.load
     if load is None:
         return []
     turned = equilibrium.tip_rotation if load.frame == "tip" else np.eye(3)
-    acting = [(equilibrium.tip_position, turned @ load.force)]
     line = Centreline(equilibrium) if load.points else None
-    acting += [(line.position([part.at])[0], np.array(part.force)) for part in load.points if line is not None]
-    sizes = [float(np.linalg.norm(force)) for _, force in acting]
-    scale = FORCE_SHARE * float(equilibrium.arc_length[-1]) / (max(sizes) or 1.0)
-    return [(at, at + scale * force, size) for (at, force), size in zip(acting, sizes, strict=True) if size > 0]
+    places = [line.position([part.at])[0] for part in load.points if line is not None]
+    out = []
+    for kind, unit, colour in (("force", "mN", FORCE), ("moment", "mN m", MOMENT)):
+        acting = [turned @ getattr(load, kind), *(np.array(getattr(part, kind)) for part in load.points)]
+        sizes = [float(np.linalg.norm(each)) for each in acting]
+        scale = FORCE_SHARE * float(equilibrium.arc_length[-1]) / (max(sizes) or 1.0)
+        for at, push, size in zip((equilibrium.tip_position, *places), acting, sizes, strict=True):
+            if size > 0:
+                out.append(Arrow(at, at + scale * push, size, unit, colour))
+    return out
 
 
-def _draw_forces(scene: Axes, equilibrium: Equilibrium, view: View) -> None:
-    """An arrow from where each force acts, with its size."""
-    for at, head, size in forces(equilibrium):
-        draw_arrow(scene, view, at, head, FORCE)
-        tail, end = view.project(np.array([at, head]))[:, :2]
+def _draw_pushes(scene: Axes, equilibrium: Equilibrium, view: View) -> None:
+    """An arrow from where each force and moment acts, with its size."""
+    for arrow in pushes(equilibrium):
+        draw_arrow(scene, view, arrow.start, arrow.end, arrow.colour)
+        tail, end = view.project(np.array([arrow.start, arrow.end]))[:, :2]
         along = (end - tail) / max(float(np.linalg.norm(end - tail)), 1e-9)
-        note(scene, f"{size * TO_MILLI:.4g} mN", end, 4 * along, colour=FORCE)
+        note(scene, f"{arrow.size * TO_MILLI:.4g} {arrow.unit}", end, 4 * along, colour=arrow.colour)
 
 
 def robot_mesh(

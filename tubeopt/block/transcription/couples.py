@@ -1,0 +1,107 @@
+"""Dead moments on a loaded arm: their virtual work, which no energy has, and its derivatives.
+
+A moment m of fixed direction acts on tube j, where the arm has the quaternion Q and the tangent t. In a small motion
+the frame turns by dpsi = 2 (Z Q)' dQ about world axes, and the tube by dtheta about the tangent. The work is
+
+    m.dpsi + tau dtheta,        tau = m.t,
+
+so that the moment bends all tubes, and its part along the arm twists the tube on which it acts: at the tip that which
+ends last, elsewhere the outermost one. At a joint between pieces m is the moment itself; a moment per length acts at
+the collocation points, times their weights.
+
+The equations are linear in m: the adjoint sweep takes 2 (m.Z) Q from the quaternion, and the torsion takes tau. Since
+m.Z is antisymmetric, the Jacobian is not symmetric: the work depends on the path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...physics.shape import world_turns
+from ...robots.load import Load
+from ...typing import Array, Index
+from .orientation import Orientation, tangent_slopes, tangents
+from .reduced import ReducedProblem, softness, whitened
+
+END = 1e-12
+"""Distance (m) within which a moment acts where a tube ends: round-off of a length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Couples:
+    """C moments on the tubes of an arm: J at joints between pieces, the tip first, then those at collocation points."""
+
+    moment: Array
+    """(C, 3) world axes, N m; that at the tip in the axes of the load."""
+    joint: Index
+    """(J,) the piece that begins there; the number of pieces at the tip."""
+    point: Index
+    """(C - J,) collocation points."""
+    tube: Index
+    """(C,) on which each acts."""
+    row: Array
+    """(C, U) turn of the tube there by z."""
+    unseen: Array
+    """(C,) turn of the tip, by a unit torque there, that z does not see, rad/(N m)."""
+
+    def quaternions(self, along: Orientation) -> Array:
+        """(C, 4) where the moments act."""
+        return np.concatenate([along.begin[self.joint], along.stage[self.point]])
+
+    def torques(self, along: Orientation, moment: Array) -> Array:
+        """(C,) tau = m.t of moments (C, 3)."""
+        return np.asarray((moment * tangents(self.quaternions(along))).sum(1))
+
+    def forms(self, moment: Array, shape: tuple[int, int]) -> tuple[Array, Array]:
+        """(P + 1, 4, 4) and (N, 4, 4) matrices 2 m.Z at the joints and at the points of (P + 1, N)."""
+        turning = 2 * np.tensordot(moment, world_turns(), 1)
+        out = np.zeros((shape[0], 4, 4)), np.zeros((shape[1], 4, 4))
+        for each, place, part in zip(out, (self.joint, self.point), np.split(turning, [len(self.joint)]), strict=True):
+            np.add.at(each, place, part)
+        return out
+
+    def torque_slopes(self, along: Orientation, moment: Array, turned: Array) -> Array:
+        """(C, U + 2 N) derivative of the torques, with `turned` (2 N, U + 2 N) that of the curvature."""
+        slope = np.concatenate([along.begin_slope[self.joint], along.stage_slope[self.point]])
+        leaning = (moment[:, None] @ tangent_slopes(self.quaternions(along)))[:, 0]
+        return np.asarray((leaning[:, None] @ slope)[:, 0] @ turned)
+
+
+def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: Array) -> Couples:
+    """The moments of a load: at the tip, at its points, and `per_length` (N, 3) at the collocation points, N; `spread`
+    (N, n, U) is the turn of the tubes there by z."""
+    assembly, mesh = torsion.assembly, torsion.mesh
+    ahead, ends = softness(torsion)
+    tip = int(np.argmax(assembly.end))
+    at = [part for part in load.points if any(part.moment)]
+    joint = np.array([len(mesh.length), *(_joint(mesh.start, part.at) for part in at)])
+    on_joint = [tip, *(int(np.flatnonzero(assembly.end >= part.at - END)[-1]) for part in at)]
+    point = np.flatnonzero(per_length.any(1))
+    present = assembly.present[np.repeat(mesh.section, mesh.tableau.degree)[point]]
+    outermost = present.shape[1] - 1 - present[:, ::-1].argmax(1)
+    # A torque turns its tube up to where it acts, and no farther.
+    levers = [np.minimum(ahead[:, j], ends[e, j]) for e, j in zip(joint.tolist(), on_joint, strict=True)]
+    rows = [
+        whitened(torsion, np.where(torsion.tube == j, lever[torsion.point], 0.0))
+        for j, lever in zip(on_joint, levers, strict=True)
+    ]
+    tube = np.array([*on_joint, *outermost.tolist()], dtype=np.intp)
+    row = np.concatenate([np.array(rows), spread[point, outermost]])
+    turns = np.concatenate([ends[joint, tip], ahead[point, tip]])
+    return Couples(
+        moment=np.concatenate(
+            [np.array([load.moment, *(part.moment for part in at)]), per_length[point] * torsion.weight[point, None]]
+        ),
+        joint=joint,
+        point=point,
+        tube=tube,
+        row=row,
+        unseen=np.where(tube == tip, turns, 0.0) - row @ row[0],
+    )
+
+
+def _joint(start: Array, at: float) -> int:
+    """The piece that begins at an arc length, of those that begin at (P,); their number at the tip."""
+    return int(np.searchsorted(start, at - END))
