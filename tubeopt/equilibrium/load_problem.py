@@ -120,5 +120,5 @@ def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, floa
     weight = np.linalg.norm(load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
     points = sum(float(np.linalg.norm(part.force)) for part in load.points)
     force = np.linalg.norm(load.force) + points + weight + along * assembly.total_length
-    moment = sum(float(np.linalg.norm(part.moment)) for part in (load, *load.points))
+    moment = float(np.linalg.norm(load.moments, axis=1).sum())
     return float(force), moment + turning * assembly.total_length

@@ -92,7 +92,10 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     turns = np.concatenate([ends[joint, tip], ahead[point, tip]])
     return Couples(
         moment=np.concatenate(
-            [np.array([load.moment, *(part.moment for part in at)]), per_length[point] * torsion.weight[point, None]]
+            [
+                np.array([m for k, m in enumerate(load.moments) if not k or any(m)]),
+                per_length[point] * torsion.weight[point, None],
+            ]
         ),
         joint=joint,
         point=point,
