@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike
 
 import tubeopt
 from tests.examples import THESIS
-from tests.public_calls import CALLS, ONE, PAIR, home, wrong_values
+from tests.public_calls import CALLS, CONSTRUCTORS, ONE, PAIR, home, wrong_values
 from tubeopt import InputError, SolveError
 from tubeopt.arguments import typed
+from tubeopt.control.command import Command
+from tubeopt.control.servo import Servo
 from tubeopt.inverse.mirror import mirror_inverse
 from tubeopt.solvers.time_limit import LateError, within
 
@@ -50,6 +52,32 @@ def test_a_wrong_type_is_refused_in_a_sentence(name: str, monkeypatch: pytest.Mo
             except Exception as error:
                 raw.append(f"{parameter.name} as {label}: {type(error).__name__}: {error}")
     assert not raw, "\n".join(raw)
+
+
+@pytest.mark.parametrize("name", [name for names in CONSTRUCTORS.values() for name in names.split()])
+@pytest.mark.filterwarnings("ignore")
+def test_a_constructor_refuses_what_nothing_could_be_done_with(name: str) -> None:
+    function, given = CALLS[name]
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind is not parameter.VAR_KEYWORD:
+            with pytest.raises(InputError):
+                function(**{**given(), parameter.name: object()})
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: tubeopt.TipGoal("a"), "position of the goal is 'a'; it must be 3 numbers"),
+        (lambda: tubeopt.TipGoal([[0, 0, 0.1], [0, 0, float("nan")]]), "position of the goal .* finite x, y, z in m"),
+        (lambda: tubeopt.TipGoal([0, 0, 0.1], [0, 0, 0]), "direction of the goal is .0, 0, 0.; it must have"),
+        (lambda: tubeopt.Problem(3), "name is 3; it must be a str"),
+        (lambda: tubeopt.Discretisation("gaus"), "family is 'gaus'; it must be one of gauss, radau"),
+        (lambda: Command(joints="home"), "joints is 'home'; it must be a pair"),
+    ],
+)
+def test_nothing_is_refused_late_that_can_be_refused_at_once(call: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call()  # type: ignore[operator]
 
 
 def test_every_public_function_is_among_them() -> None:
@@ -135,6 +163,39 @@ def test_a_load_in_mN_is_warned_of() -> None:
     warned = pytest.warns(tubeopt.errors.ImplausibleWarning, match="is 500 N, .*: was 500 mN meant")
     with warned, suppress(SolveError):
         tubeopt.forward_kinematics(PAIR, [0, 0], load=tubeopt.Load((0, 0, -500.0)))
+
+
+FAR = [50.0, 30.0, 190.0]
+"""m; mm were meant."""
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: tubeopt.inverse_kinematics(PAIR, FAR), "position"),
+        (lambda: tubeopt.IkSession(PAIR).solve(FAR), "position"),
+        (lambda: tubeopt.plan_trajectory(PAIR, home(), FAR), "goal"),
+        (lambda: tubeopt.plan_trajectory(PAIR, home(), tubeopt.TipGoal([[0, 0, 0.1], FAR])), "goal in row 2"),
+        (lambda: tubeopt.plan_from_region(PAIR, home(), FAR, tubeopt.EntryRegion(1e-3)), "goal"),
+        (lambda: tubeopt.follow_the_leader(PAIR, FAR), "goal"),
+        (lambda: tubeopt.follow_tip_path(PAIR, [FAR, [50.0, 30.0, 190.01]]), "path in row 2"),
+        (lambda: tubeopt.evaluate_reach(PAIR, home(), [[0, 0, 0.1], FAR]), "targets in row 2"),
+        (lambda: tubeopt.estimate_force(PAIR, [0, 0], tip_position=FAR), "what is measured in row 1"),
+        (lambda: Servo(PAIR, ([0, 0], None)).step(Command(position=FAR), 1e-3), "position"),
+        (lambda: Servo(PAIR, ([0, 0], None)).step(Command(pivot=FAR), 1e-3), "pivot"),
+    ],
+)
+def test_a_place_in_mm_is_refused(call: Any, name: str) -> None:
+    words = (
+        f"{name} is 50, 30, 190.* m, 198.[78] m from the plate, and the longest tube is 0.11 m long; .* at most 1.1 m"
+    )
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+def test_a_place_out_of_reach_is_no_wrong_input() -> None:
+    with pytest.raises(SolveError, match="beyond the longest arm"):
+        tubeopt.inverse_kinematics(PAIR, [0.0, 0.0, 0.5])
 
 
 def test_what_cannot_be_is_refused() -> None:

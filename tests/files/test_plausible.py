@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,7 +60,7 @@ def test_a_number_in_another_unit(
     [
         ("58e9", "is 5.8E+10; that would be usual in Pa: was 58 meant?"),
         ("58000", "is 58000; that would be usual in MPa: was 58 meant?"),
-        ("1.5", "is 1.5; usual is 5 to 500"),
+        ("0.05", "is 0.05; usual is 0.1 to 500"),
     ],
 )
 def test_a_modulus_that_no_metal_has(
@@ -70,10 +71,26 @@ def test_a_modulus_that_no_metal_has(
 
 @pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("robots/*.yaml")), ids=lambda path: path.stem)
 def test_published_robots_are_usual(caplog: pytest.LogCaptureFixture, path: Path) -> None:
-    soft = path.stem == "braunschweig_pair"  # printed of a polymer, which is softer than any metal
-    said = warned(caplog, path)
-    assert len(said) == (2 if soft else 0)
-    assert all("youngs_modulus_GPa" in each for each in said)
+    assert not warned(caplog, path)
+
+
+@pytest.mark.parametrize(
+    ("material", "curvature", "words"),
+    [
+        (
+            "{name: nitinol of a maker, youngs_modulus_GPa: 1.5, poisson_ratio: 0.3}",
+            "10.7",
+            "youngs_modulus .* 1.5e.09 Pa",
+        ),
+        ("nitinol", "107", "curvature is 107 per m, which strains the tube by 11.4 % .*; nitinol .* at most 10 %"),
+    ],
+)
+def test_a_file_is_warned_of_what_its_material_does_not_do(
+    caplog: pytest.LogCaptureFixture, tmp_path: Path, material: str, curvature: str, words: str
+) -> None:
+    said = warned(caplog, written(tmp_path / "x.yaml", f"material: {material}", curvature_per_m=curvature))
+    assert len(said) == 1
+    assert re.search(words, said[0])
 
 
 def test_a_key_in_another_unit_is_told_with_the_factor(tmp_path: Path) -> None:

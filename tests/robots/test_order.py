@@ -85,3 +85,23 @@ def test_the_tip_is_the_tube_that_ends_farthest(
 def test_tubes_that_are_wholly_withdrawn_have_no_tip() -> None:
     assert tip_tube(np.array([-0.01, 0.0])) is None
     assert ends_inside(TWO_TUBE, np.array([-0.01, 0.0])) == ()
+
+
+def test_carriages_out_of_order_are_a_remark() -> None:
+    from tubeopt.show.equilibrium_report import EquilibriumReport
+    from tubeopt.show.snap_report import PathReport
+
+    e = tubeopt.forward_kinematics(THESIS, np.zeros(3), (0.0, -0.15, 0.0))
+    # Carriages are at -0.2 m and -0.3 m: the inner one is 0.1 m in front of the outer one.
+    (words,) = EquilibriumReport(e).record()["remarks"]
+    assert words.startswith("the carriage of tube 1 would be before that of tube 2, by 100 mm")
+    assert "remarks" not in EquilibriumReport(tubeopt.forward_kinematics(THESIS, np.zeros(3))).record()
+    with pytest.raises(tubeopt.InputError, match="the tubes leave their order by 100 mm"):
+        tubeopt.plan_trajectory(THESIS, (np.zeros(3), (0.0, -0.15, 0.0)), (np.zeros(3), None))
+
+    path = tubeopt.follow(THESIS, np.zeros((3, 3)), [(0, 0, 0), (0, -0.15, 0), (-0.2, 0, 0)])
+    assert PathReport(path).record()["remarks"] == [
+        "the carriage of tube 1 would be before that of tube 2, at waypoint 2",
+        "the tip is the end of tube 1, and tube 2 ends inside an outer tube, at waypoint 2",
+        "the tip is the end of tube 2, and tube 1 ends inside an outer tube, at waypoint 3",
+    ]

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, extra, positive, triple
+from ..errors import InputError, extra, instance, positive, triple
 from ..files.csv_file import read_csv
 from ..files.marks import POSITIVE, unit
 from ..files.units import MM
@@ -134,6 +134,7 @@ class MeshObstacle:
         object.__setattr__(self, "faces", tuple(map(tuple, faces.astype(int).tolist())))
         if not len(faces):
             raise InputError(f"{self.name} has no triangles; it must have at least one")
+        instance("name of the mesh", self.name, str)
         extra("trimesh", "planning", "meshes")
 
     @cached_property

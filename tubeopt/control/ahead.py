@@ -24,7 +24,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .command import Command, ServoOptions, ServoStep, Why, time_step
+from .command import Command, ServoOptions, ServoStep, Why, check_places, time_step
 from .horizon import DEFAULT_HORIZON, Aim, HorizonSolver, Knots, improvement
 from .servo import Servo
 
@@ -88,6 +88,7 @@ class PredictiveServo:
             InputError: a command without a position, or with more than position and direction.
         """
         dt = time_step(dt)
+        check_places(command, self._guard.space.robot)
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo that looks ahead is led to a position, and to a direction if there is one")
         aim = Aim(command.position, command.direction)

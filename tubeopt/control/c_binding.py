@@ -24,7 +24,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary, c_library
-from .command import MOST_NUMBER, Command, ServoOptions, ServoStep, Why, at_most, time_step
+from .command import MOST_NUMBER, Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
 from .servo import Servo
 
 LOGGER = logging.getLogger("tubeopt")
@@ -37,7 +37,7 @@ REFUSED = {
 }
 TOO_LARGE = (
     f"a number is too large: rotations may be {MOST_TURN:g} rad, every other number {MOST_NUMBER:g} in SI units, and a "
-    f"tube may be drawn back by {FAR:g} of its lengths"
+    f"tube may be drawn back by {FAR:g} of its lengths; places may be {FAR:g} lengths of the longest tube away"
 )
 
 """What the functions return when they do not answer; 2 is bad input."""
@@ -258,6 +258,7 @@ class CServo:
     def step(self, command: Command, dt: float) -> ServoStep[CPose]:
         """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
         dt = time_step(dt)
+        check_places(command, self.space.robot)
         if command.pivot is not None:
             raise InputError("the servo of a C library knows no pivot")
         here, o = self.equilibrium, self.options

@@ -10,7 +10,9 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, choice, finite, items, positive, vector
-from ..inverse.configurations import Configuration
+from ..inverse.configurations import Configuration, parts
+from ..robots.limits import check_target
+from ..robots.robot import Robot
 from ..typing import Array, Of
 
 TASKS = ("position", "velocity", "direction", "pivot", "joints")
@@ -64,12 +66,21 @@ class Command:
                 object.__setattr__(self, name, numbers if name == "direction" else at_most(numbers, name))
         if self.position is not None and self.velocity is not None:
             raise InputError("position and velocity are both given; a command has one of them")
+        if self.joints is not None:
+            parts("joints", self.joints)
         if self.direction is not None:
             largest = float(np.abs(self.direction).max())
             if not largest > 0:
                 raise InputError("direction has no length")
             ahead = self.direction / largest  # so that its square is a number
             object.__setattr__(self, "direction", ahead / np.linalg.norm(ahead))
+
+
+def check_places(command: Command, robot: Robot) -> None:
+    """Raise InputError for a place of a command that is in other units than m, by the tubes of a robot."""
+    for name in ("position", "pivot"):
+        if (place := getattr(command, name)) is not None:
+            check_target(robot.tubes, name, place)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from ..arguments import typed
-from ..errors import InputError, SolveError, finite, whole
+from ..errors import InputError, SolveError, finite, instance, whole
 from .crtk import CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
@@ -71,6 +71,7 @@ class ServerOptions:
         for name in ("period", "publish", "rate", "patience"):
             if not 0 < finite(name, getattr(self, name)) < 1e6:
                 raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0 and less than 1e6")
+        instance("token", self.token, str)
         for name in ("longest_message", "clients"):
             whole(name, getattr(self, name), 1)
         if not 0 <= whole("port", self.port) < 65536:

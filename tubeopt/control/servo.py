@@ -28,7 +28,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.quadratic import least_squares_of
 from ..solvers.parallel.blas import small
 from ..typing import Array, Index
-from .command import Command, ServoOptions, ServoStep, Why, at_most, time_step
+from .command import Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
 from .guard import Guard
 
 DAMPING = 1e-3
@@ -101,6 +101,7 @@ class Servo:
             InputError: `dt` or the joint values of the command make no sense.
         """
         dt = time_step(dt)
+        check_places(command, self.space.robot)
         here = self.guard.before = self.guard.here
         told = self.guard.left(command)
         groups = (self._task(group, command, here, dt) for group in self._groups)

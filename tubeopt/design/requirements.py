@@ -15,7 +15,7 @@ from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
-from ..errors import InputError, choice, finite, finite_array, items, numbers, positive, triple, vector, whole
+from ..errors import InputError, choice, finite, finite_array, instance, items, numbers, positive, triple, vector, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Usual, check_fields, key, unit
 from ..typing import Array
 from .drawn import ALONG, SHARES
@@ -129,6 +129,7 @@ class Strain:
         if not limits:
             raise InputError("limits of the strain is empty; it must be one, or one per tube")
         object.__setattr__(self, "limits", tuple(positive("strain limit", limit) for limit in limits))
+        check_fields(self, "the strain")
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,7 @@ class Length:
         choice("length", self.field, LENGTHS)
         whole("tube of a length", self.tube)
         positive("limit of a length", self.limit)
+        instance("least of a length", self.least, bool)
 
 
 @dataclass(frozen=True)
@@ -309,6 +311,7 @@ class Avoid:
         if not self.obstacles:
             raise InputError("obstacles is empty; there must be at least one to avoid")
         finite("clearance of the obstacles", self.clearance)
+        instance("deployed", self.deployed, bool)
 
     def signed_distance(self, points: Array) -> Array:
         """(m,) distance of points (m, 3) from the nearest obstacle, m, < 0 inside."""

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from ..arguments import typed
-from ..errors import InputError, SolveError, TimeLimitError, positive, whole
+from ..errors import InputError, SolveError, TimeLimitError, instance, positive, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, check_fields, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
@@ -46,6 +46,7 @@ class StockTube:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        instance("material", self.material, Material)
         if self.inner_diameter >= self.outer_diameter:
             raise InputError(f"stock tube {self.name!r} has no wall: its inner diameter must be less than its outer")
 

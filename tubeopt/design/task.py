@@ -82,6 +82,7 @@ class DesignTask(Displayed):
         if not self.objectives:
             raise InputError("objective is empty; a design needs at least one")
         instance("ordered", self.ordered, bool)
+        instance("name", self.name, str)
         instance("solver", self.solver, DesignSolver)
         _check_requirements(self)
         _check_objectives(self)

@@ -33,8 +33,9 @@ def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> Non
     _check(robot, load, translations)
 
 
-MOST_BEND = 50.0
-"""Force times length squared over bending stiffness: beyond, an arm is bent back on itself, as no needle is."""
+MOST_BEND = 20.0
+"""Force times length squared over bending stiffness: beyond, it deflects the tip of a straight arm by more than 0.86 of
+the length, as no needle is used."""
 
 
 def _warn_of_size(robot: Robot, load: Load, length: float) -> None:

@@ -15,9 +15,10 @@ from ..block.transcription.collocated import ENDS, STEPS
 from ..block.transcription.mesh import make_mesh, piece_counts
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, pull_rate, reduce, residual, to_unknowns
 from ..block.transcription.second_variation import margin, unstable_directions
+from ..block.transcription.tableau import FAMILIES
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
-from ..errors import SolveError
+from ..errors import SolveError, choice, whole
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
@@ -36,6 +37,11 @@ class Discretisation(Displayed):
     """Of its polynomials."""
     refinement: int = 0
     """How often the default pieces of the mesh are halved."""
+
+    def __post_init__(self) -> None:
+        choice("family", self.family, FAMILIES)
+        whole("degree", self.degree, 1)
+        whole("refinement", self.refinement)
 
 
 DEFAULT_DISCRETISATION = Discretisation()

@@ -176,8 +176,8 @@ def check_fields(what: Any, owner: str = "") -> None:
             _checked(label, value, field.first(Range) or Range())
         elif field.kind is bool:
             instance(label, value, bool)
-        elif words is not None and field.kind is str:
-            choice(label, value, words.words)
+        elif field.kind is str:
+            choice(label, value, words.words) if words is not None else instance(label, value, str)
         elif isinstance(field.kind, type) and dataclasses.is_dataclass(field.kind):
             instance(label, value, field.kind)
 

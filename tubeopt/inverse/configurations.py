@@ -16,16 +16,22 @@ Configuration = Any
 """A pair (rotations, translations), or anything with these attributes: an Equilibrium, an InverseSolution."""
 
 
-def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
-    """(m,) joint values of a configuration; raises InputError naming it where it is none."""
+def parts(name: str, value: Configuration) -> tuple[Any, Any]:
+    """Rotations and translations of a configuration as they are given; raises InputError naming it where it is none."""
     if hasattr(value, "rotations") and hasattr(value, "translations"):
-        value = (value.rotations, value.translations)
+        return value.rotations, value.translations
     try:
         rotations, translations = value
     except (TypeError, ValueError):
         raise InputError(
             f"{name} is {value!r}; it must be a pair (rotations, translations), an Equilibrium or an InverseSolution"
         ) from None
+    return rotations, translations
+
+
+def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
+    """(m,) joint values of a configuration; raises InputError naming it where it is none."""
+    rotations, translations = parts(name, value)
     n = space.robot.n_tubes
     alpha = vector(f"rotations of {name}", rotations, n)
     home = space.robot.home_translations if translations is None else translations

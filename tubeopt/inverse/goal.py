@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import Scene, scene_of
 from ..errors import InputError, finite, instance, vector
-from ..robots.limits import JointLimits
+from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot, check_robot
 from ..typing import Array, Index, Of
 from .clock import Clock
@@ -242,6 +242,7 @@ def pose_question(
     instance("limits", limits, JointLimits, optional=True)
     bodies = checked_obstacles(obstacles)
     target = vector("position", position, 3, "x, y, z in m")
+    check_target(robot.tubes, "position", target)
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, vector
-from ..robots.limits import JointLimits
+from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -128,6 +128,7 @@ class IkSession:
         An answer to which it leaps even so has the reason in `.leaps`. Raises as `solve` does.
         """
         target = vector("position", position, 3, "x, y, z in m")
+        check_target(self._goal.space.robot.tubes, "position", target)
         pointing = None if direction is None else unit_vector("direction", direction)
         goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._goal.options.time_limit))
         if self._here is None:

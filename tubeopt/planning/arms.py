@@ -58,6 +58,7 @@ class PlacedRobot(Displayed):
     def __post_init__(self) -> None:
         check_robot(self.robot)
         instance("base", self.base, Frame)
+        instance("name", self.name, str)
         vector("origin of the base", self.base.origin, 3, "x, y, z")
         axes = np.asarray(self.base.axes, dtype=float)
         if axes.shape != (3, 3) or not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0:

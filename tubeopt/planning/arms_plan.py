@@ -42,7 +42,7 @@ from .arms import (
     verify_arms,
 )
 from .effort import DEFAULT_EFFORT, ArmsSearch
-from .goals import goal_seen, start_equilibrium
+from .goals import check_goal, goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions
@@ -164,6 +164,9 @@ def plan_arms(
             first.append(start_equilibrium(space.holding(*shift_of(known[k].robot, start)), start))
     _check_starts(known, first, options.clearance, options.effort.arms.points)
     goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
+    for k, goal in enumerate(goals):
+        with of_arm(known, k):
+            check_goal(known[k].robot, goal)
 
     def planned(k: int, ends: Sequence[Equilibrium], limit: float, withdrawn: bool) -> Trajectory:
         arm = known[k]

@@ -25,7 +25,7 @@ from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array
 from .arms import Lines
-from .goals import TipGoal, checked_places, goal_seen, of_the_tip, start_equilibrium
+from .goals import TipGoal, check_goal, checked_places, goal_seen, of_the_tip, start_equilibrium
 from .motion import RateLimits
 from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
@@ -139,6 +139,7 @@ def plan_from_region(
         True
     """
     instance("region", region, EntryRegion)
+    check_goal(robot, goal)
     task = asked(robot, obstacles, options=options, places=(start, goal), **given)
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)

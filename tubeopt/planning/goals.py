@@ -21,11 +21,13 @@ from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..inverse.configurations import configuration
 from ..inverse.descent import reach
-from ..inverse.goal import pose_question
+from ..inverse.goal import pose_question, unit_vector
 from ..inverse.joints import JointSpace
 from ..inverse.outline import Outline
 from ..inverse.posture import posture_of, start_at
+from ..robots.limits import check_target
 from ..robots.load import Load
+from ..robots.robot import Robot
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .question import PlanTask
@@ -55,19 +57,35 @@ def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TipGoal(Displayed):
-    """A pose of the tip."""
+    """A pose of the tip.
+
+    Raises:
+        InputError: a position that is not three finite numbers, or a table of such rows; a direction without length.
+    """
 
     position: Array
     """(3,) m; of a region a table (N, 3), any of which meets the goal, those first that are tried first."""
     direction: Array | None = None
     """(3,) along which it points; None is free."""
 
+    def __post_init__(self) -> None:
+        try:
+            table = np.ndim(self.position) == 2
+        except ValueError:  # rows of several lengths
+            table = True
+        if table:
+            object.__setattr__(self, "position", checked_places(self.position, "position of the goal"))
+        else:
+            position = vector("position of the goal", self.position, 3, "x, y, z of the tip in m")
+            object.__setattr__(self, "position", position)
+        if self.direction is not None:
+            object.__setattr__(self, "direction", unit_vector("direction of the goal", self.direction))
+
     def places(self) -> list[TipGoal]:
         """Goals of one position each: of a region the first, and five as far apart as can be."""
-        position = np.asarray(self.position, dtype=float)
+        position = self.position
         if position.ndim != 2:
             return [self]
-        position = checked_places(position, "goal")
         chosen = [0]
         far = np.linalg.norm(position - position[0], axis=1)
         while len(chosen) < 6 and far.max() > 0:
@@ -132,6 +150,7 @@ def ends(
         SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
     """
     clock = clock or Clock(math.inf)
+    check_goal(task.chart.space.robot, goal)
     found, whole = _beside(task, goal, near, enough, clock), False
     if not found:
         found, whole = _equilibria(task, start, goal, clock)
@@ -197,6 +216,12 @@ def other_ends(
     return _nearest(task, start, found)
 
 
+def check_goal(robot: Robot, goal: Any) -> None:
+    """Raise InputError for a goal of the tip that is in other units than m."""
+    if (wanted := _tip_goal(goal)) is not None:
+        check_target(robot.tubes, "goal", wanted.position)
+
+
 def of_the_tip(goal: Any) -> bool:
     """Whether a goal is one of the tip, which several postures may meet."""
     return _tip_goal(goal) is not None
@@ -209,7 +234,7 @@ def goal_seen(goal: Any, frame: Frame) -> Any:
         return goal
     towards = known.direction
     if towards is not None:
-        towards = vector("direction of the goal", towards, 3, "x, y, z") @ frame.axes
+        towards = towards @ frame.axes
     return TipGoal(frame.seen(known.position), towards)
 
 
@@ -286,7 +311,7 @@ def _somewhere(task: PlanTask, start: Equilibrium, places: list[TipGoal], clock:
 
 def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
-    position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
+    position = goal.position
     check_place(task, position)
     miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
     if miss > 0:

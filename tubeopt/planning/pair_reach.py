@@ -13,7 +13,7 @@ import scipy
 
 from ..arguments import typed
 from ..bodies.frames import Frame
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..errors import InputError, SolveError, positive
@@ -24,7 +24,7 @@ from .arms import PlacedRobot
 from .arms_plan import plan_arms
 from .goals import checked_places
 from .question import DEFAULT_PLAN, PlanOptions
-from .reach_share import ReachShare, RegionReach, score
+from .reach_share import ReachShare, RegionReach, check_asked, score
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +90,8 @@ class PairReach(Displayed):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "targets", checked_places(self.targets))
+        object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
+        check_asked(self.tolerance, self.min_margin, self.options, self.count)
         if len(self.targets) < 2:
             raise InputError("targets are 1 place; two tips need two at least")
         for name in ("starts", "bases"):

@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..bodies.frames import Frame
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import SolveError, positive
+from ..errors import InputError, SolveError, finite, instance, items, positive, whole
 from ..inverse.clock import LateError
+from ..robots.limits import check_target
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability import find_equilibria
@@ -122,6 +123,7 @@ def evaluate_reach(
         0.5
     """
     places = checked_places(targets)
+    check_target(robot.tubes, "targets", places)
     positive("tolerance", tolerance)
     task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
     first = start_equilibrium(task.chart.space, start)
@@ -192,6 +194,15 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
     return miss, z
 
 
+def check_asked(tolerance: float, min_margin: float, options: PlanOptions, count: int) -> None:
+    """Raise InputError for what `evaluate_reach` does not take."""
+    positive("tolerance", tolerance)
+    if not 0 <= finite("min_margin", min_margin) < 1:
+        raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
+    instance("options", options, PlanOptions)
+    whole("count", count, 1)
+
+
 @dataclass(frozen=True, eq=False)
 class RegionReach(Displayed):
     """What `search_design` asks of a robot: to reach places of a region from where it starts, by ways that keep margin
@@ -227,7 +238,10 @@ class RegionReach(Displayed):
     """What its value is called."""
 
     def __post_init__(self) -> None:
+        items("start", self.start, object, "rotations and translations")
         object.__setattr__(self, "targets", checked_places(self.targets))
+        object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
+        check_asked(self.tolerance, self.min_margin, self.options, self.count)
         positive("shift of the plate", self.shift, zero=True)
         positive("tilt of the plate", self.tilt, zero=True)
 

@@ -17,7 +17,7 @@ from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, instance, positive
 from ..inverse import IkSession, inverse_kinematics
-from ..robots.limits import JointLimits
+from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -105,6 +105,7 @@ def follow_tip_path(  # noqa: PLR0913
     task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
     clock = task.clock
     curve = _curve(path, spline, solver.dense)
+    check_target(robot.tubes, "path", checked_places(path, "path"))
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
     longest = LONGEST * max(tube.length for tube in robot.tubes)
     if length > longest:

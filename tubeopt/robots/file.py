@@ -6,6 +6,7 @@ dataclasses themselves, whose messages are passed on with the file and the path 
 
 from __future__ import annotations
 
+import logging
 import warnings
 from dataclasses import replace
 from decimal import Decimal
@@ -31,7 +32,9 @@ from .limits import JointLimits
 from .materials import MATERIALS, NITINOL, Material
 from .piece_file import PieceEntry, check_stiffness, piece_to_dict
 from .robot import Robot
-from .tubes import OfCrossSection, Tube
+from .tubes import OfCrossSection, Tube, material_doubts
+
+LOGGER = logging.getLogger(__name__)
 
 STIFFNESSES = ("bending_stiffness", "torsional_stiffness")
 
@@ -280,6 +283,9 @@ def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ImplausibleWarning)  # the reader of the file says so, with its keys and units
         robot: AnyRobot = check_kind(ROBOT_KINDS, data, where).build()
+    # In SI units; what the reader says is of single keys, whatever the material is.
+    for words in dict.fromkeys(words for tube in robot.tubes for words in material_doubts(tube)):
+        LOGGER.warning(f"{where}: {words}" if str(where) else words)
     return robot
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -20,11 +21,11 @@ Ranges = tuple[tuple[float, float], ...]
 
 
 FAR = 10.0
-"""Lengths of itself by which nobody draws a tube back."""
+"""Lengths of itself by which nobody draws a tube back, and of the longest tube beyond which no target is one."""
 
-USUAL_TURN = 12 * np.pi
-"""Rotation (rad), six turns, beyond which it was probably meant in degrees: 45 deg are 7.2 turns if they are taken for
-radians. Shipped robots turn by two at most."""
+USUAL_TURN = 6 * np.pi
+"""Rotation (rad) of tubes against one another, three turns, beyond which degrees were probably meant: 20 deg taken for
+radians are 3.2 turns. The limits of shipped robots allow two turns."""
 
 MOST_TURN = 1e3
 """Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
@@ -103,3 +104,20 @@ def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
                 f"translation of tube {i + 1} is {shift:g} m, and the tube is {tube.length:g} m long; it must be at "
                 f"least {-FAR:g} times that: translations are in m"
             )
+
+
+def check_target(tubes: Sequence[Tube], name: str, places: Array) -> None:
+    """Raise InputError naming a place (3,) or one of places (N, 3), m, that is farther from the plate than FAR times
+    the longest tube: it was in mm."""
+    longest = max(tube.length for tube in tubes)
+    if places.ndim == 1 and math.hypot(*places.tolist()) <= FAR * longest:
+        return
+    away = np.linalg.norm(np.atleast_2d(places), axis=1)
+    k = int(away.argmax())
+    if away[k] > FAR * longest:
+        place = ", ".join(f"{x:.6g}" for x in np.atleast_2d(places)[k])
+        where = f"{name} in row {k + 1}" if places.ndim > 1 else name
+        raise InputError(
+            f"{where} is {place} m, {away[k]:.4g} m from the plate, and the longest tube is {longest:.4g} m "
+            f"long; it must be at most {FAR * longest:.4g} m away"
+        )

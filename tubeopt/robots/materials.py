@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
 from ..constants import ZERO_CELSIUS
 from ..display import Displayed
-from ..errors import InputError, implausible, instance
+from ..errors import InputError, instance
 from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, key, unit
 
 
@@ -100,8 +101,8 @@ class Material(Displayed):
     """
 
     name: Annotated[str, "what to call it"]
-    youngs_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(5e9, 5e11), "E"]
-    shear_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(2e9, 2e11), "G; or Poisson's ratio in its place"]
+    youngs_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(1e8, 5e11), "E"]
+    shear_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(3e7, 2e11), "G; or Poisson's ratio in its place"]
     working_strain: Annotated[
         float, unit("percent"), POSITIVE, "strain up to which a tube may be cycled without thought"
     ] = 0.01
@@ -153,11 +154,11 @@ MATERIALS = {NITINOL.name: NITINOL}
 """Materials that a file may name."""
 
 
-def warn_of_modulus(material: Material) -> None:
-    """Warn of a Young's modulus that no metal of the material's name has, or no solid."""
+def modulus_doubts(material: Material) -> Iterator[str]:
+    """A sentence on a Young's modulus that no metal of the material's name has, or no solid."""
     least, most = next((bounds for name, bounds in USUAL_MODULUS.items() if name in material.name.lower()), SOLID)
     modulus = material.youngs_modulus
     if not least <= modulus <= most:
         bounds = f"{least:g} to {most:g}" if most < math.inf else f"at least {least:g}"
         words = f": was {modulus:g} GPa meant?" if least <= 1e9 * modulus <= most else ""
-        implausible(f"youngs_modulus of material {material.name!r} is {modulus:g} Pa; usual is {bounds} Pa{words}")
+        yield (f"youngs_modulus of material {material.name!r} is {modulus:g} Pa; usual is {bounds} Pa{words}")

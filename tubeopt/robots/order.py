@@ -104,6 +104,16 @@ def demands(
     return found
 
 
+def out_of_order(robot: Nested, translations: Array) -> list[tuple[Demand, float]]:
+    """What translations (n,), m, break of the order of carriages and curves, and by how much, m."""
+    short = [
+        (each, float(each.least - translations[each.ahead] + translations[each.behind]))
+        for each in demands(robot)
+        if each.ends is None
+    ]
+    return [(each, missing) for each, missing in short if missing > SAME_END]
+
+
 def home_translations(robot: Nested) -> Array:
     """(n,) m: 0 wherever limits and the order of the tubes allow that; else, from the outermost tube inwards, each is
     moved from 0 as little as they allow.

@@ -37,6 +37,7 @@ class Slots(Displayed):
     one_sided: Annotated[bool, "cut from one side of the bend only, which shifts the neutral axis"] = False
 
     def __post_init__(self) -> None:
+        instance("one_sided of the slots", self.one_sided, bool)
         if positive("share of the slots", self.share) > 1:
             raise InputError(f"share of the slots is {self.share:g}; it must be at most 1, all of the piece's length")
 

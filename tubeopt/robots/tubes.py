@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -13,7 +13,7 @@ from ..display import Displayed
 from ..errors import InputError, finite, implausible, instance, items, positive
 from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, marked, unit
 from ..physics.strain import surface_strain
-from .materials import NITINOL, Material, warn_of_modulus
+from .materials import NITINOL, Material, modulus_doubts
 from .pieces import Piece
 from .series import Quantity, extremes
 
@@ -218,18 +218,17 @@ class Tube(Displayed):
 HARDEST = 1.3e12
 """Pa; a modulus above that of diamond is a model's."""
 
-MOST_STRAIN = 0.30
-"""Strain of a tube held straight beyond which it was surely meant otherwise: twice that at which nitinol breaks. What a
-material springs back from, and may be cycled to, is told of a robot by `robots.fit`."""
+MOST_STRAIN = 0.10
+"""Strain of a tube held straight beyond which it was probably meant otherwise, where the material does not state more:
+nitinol recovers 8 to 10 %, and published robots reach 3 %. `robots.fit` states what a robot's materials spring back
+from, and may be cycled to."""
 
 
 def warn_of_units(tube: Tube) -> None:
     """Warn of numbers that are larger than usual by what their fields say, as mm and 1/mm that are taken for m and 1/m,
-    and of a strain that no metal bears. Where stiffnesses are given, or the modulus is a model's, so may the rest be.
+    and of what `material_doubts` says. Where stiffnesses are given, or the modulus is a model's, so may the rest be.
     """
-    given = not isinstance(tube.bending_stiffness, OfCrossSection) or tube.material.youngs_modulus > HARDEST
-    if not given:
-        warn_of_modulus(tube.material)
+    given = _given(tube)
     for one in marked(Tube):
         usual, size = one.first(Usual), abs(getattr(tube, one.name) or 0.0)
         if usual is None or size <= usual.most or given:
@@ -237,11 +236,25 @@ def warn_of_units(tube: Tube) -> None:
         sign = "1/m" if one.name == "curvature" else "kg/m" if one.name == "mass_per_length" else "m"
         words = f": was {size:g} mm meant?" if sign == "m" and usual.least <= 1e-3 * size <= usual.most else ""
         implausible(f"{one.name} is {size:g} {sign}; usual is {usual.least:g} to {usual.most:g} {sign}{words}")
-    strain = 0.0 if given or tube.pieces else tube.straightened_strain
-    if strain > MOST_STRAIN:
-        implausible(
+    for words in material_doubts(tube):
+        implausible(words)
+
+
+def _given(tube: Tube) -> bool:
+    return not isinstance(tube.bending_stiffness, OfCrossSection) or tube.material.youngs_modulus > HARDEST
+
+
+def material_doubts(tube: Tube) -> Iterator[str]:
+    """Sentences on a modulus that the metal does not have, and a strain that the material does not recover."""
+    if _given(tube):
+        return
+    yield from modulus_doubts(tube.material)
+    strain = 0.0 if tube.pieces else tube.straightened_strain
+    most = max(MOST_STRAIN, tube.material.superelastic_strain)
+    if strain > most:
+        yield (
             f"curvature is {tube.curvature:g} per m, which strains the tube by {100 * strain:.3g} % when it is held "
-            f"straight; no metal bears more than {100 * MOST_STRAIN:g} %"
+            f"straight; {tube.material.name} springs back from at most {100 * most:g} %"
         )
 
 

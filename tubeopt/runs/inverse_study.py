@@ -15,6 +15,7 @@ from ..files.checked import NotNegative, Positive, Triple, in_file
 from ..files.fields import asking, values
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
+from ..robots.limits import check_target
 from ..robots.robot import Robot
 from ..stability import ASSUMING, follow
 from ..typing import Array, Progress
@@ -166,6 +167,7 @@ class InverseStudy(Surrounded, LoadedStudy):
         return Postures(self.robot, (found,))
 
     def _table(self, targets: Targets, progress: Progress | None) -> TargetTable:
+        check_target(self.robot.tubes, "targets", targets.position)
         rows: list[Row] = []
         session = IkSession(self.robot, **self._common()) if self.follow else None
         for k, position in enumerate(targets.position):

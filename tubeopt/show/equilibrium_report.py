@@ -15,7 +15,7 @@ from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
 from .report import Report
-from .words import counted, margin_in_words, millimetres, tip_in_words, tip_number
+from .words import counted, margin_in_words, millimetres, order_remarks, tip_in_words, tip_number
 
 NOTICED = 1e-3
 """Seconds of getting a kernel ready from which on they are told: in a process that has it, finding it takes less."""
@@ -39,6 +39,8 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("tip_tube", "which tube is the tip: the one that ends farthest from the plate, of several the innermost; "
              "null where all are withdrawn", lambda e: tip_number(e), label="the tip is",
              words=lambda e: tip_in_words(e.robot, e.tube_end) or None),
+    Quantity("remarks", "carriages that are out of order; absent where none is",
+             lambda e: order_remarks(e.robot, e.translations) or None, optional=True),
     Quantity("tip_by_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
              "before, to first order; absent without friction", lambda e: by_history(e), optional=True),
     line("friction holds it", lambda e: _held_within(e)),

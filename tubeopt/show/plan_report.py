@@ -29,7 +29,7 @@ from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
 from .readings import joints_in_words, readings
 from .report import Drawing, Report, drawing, two_columns
-from .words import at_least
+from .words import at_least, tip_in_words, tip_number
 
 BEYOND = "assuming no other load and no friction"
 
@@ -136,6 +136,9 @@ def _ends(k: int, name: str, about: str) -> Quantity[Trajectory]:
         Quantity("rotations_deg", "rotation of every tube", lambda t: t.rotations[k]),
         Quantity("translations_mm", "translation of every tube", lambda t: t.translations[k]),
         *readings(lambda t: t.arms[k]),
+        Quantity(
+            "tip_tube", "which tube is the tip, from 1; null where all are withdrawn", lambda t: tip_number(t.arms[k])
+        ),
     )
     return Quantity(name, about, lambda t: t, of=joints, words=lambda t: joints_in_words(t.arms[k]))
 
@@ -174,6 +177,7 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
     Quantity("duration_s", "duration", lambda t: t.time[-1], words="{duration_s:.2f} s, {samples} samples"),
     Quantity("samples", "instants at which joint values are given", lambda t: len(t.time)),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip, at the end", lambda t: t.end.tip_rotations),
+    line("the tip is", lambda t: tip_in_words(t.robot, t.arms[-1].tube_end) or None),
     Quantity("turns", "whole turns added",
              words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None),
     Quantity("status", "how the planning ended"),

@@ -100,7 +100,7 @@ class Report(Generic[A]):
     def below(self) -> Sequence[RenderableType]:
         """What stands below the rows; by default the remarks that are among the quantities."""
         said = (quantity.found(self.answer) for quantity in self.quantities if quantity.key == "remarks")
-        return remarks(itertools.chain.from_iterable(said), what="remark")
+        return remarks(itertools.chain.from_iterable(each or () for each in said), what="remark")
 
     def save(self, directory: Path) -> list[Path]:
         """Write everything but the pictures into `directory`; return the paths."""

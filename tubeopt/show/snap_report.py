@@ -16,6 +16,7 @@ from ..equilibrium.result import Equilibrium
 from ..files.csv_file import to_csv
 from ..files.files import save_arrays, write_text
 from ..files.units import TO_MILLI, TO_MM
+from ..robots.order import ends_inside, out_of_order
 from ..robots.path_file import joint_cells, joint_columns
 from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
@@ -23,7 +24,7 @@ from ..typing import Array
 from .quantities import Quantity, line, record, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, to_text, two_columns
-from .words import counted, degrees, in_a_word, margin_in_words, millimetres, row
+from .words import counted, degrees, in_a_word, margin_in_words, millimetres, row, tip_number
 
 JOINTS: tuple[Quantity[Any], ...] = (
     Quantity("rotations_deg", "rotation of every tube"),
@@ -96,9 +97,29 @@ PATH: tuple[Quantity[stability.Path], ...] = (
     line("friction", lambda m: _rubbed(m)),
     Quantity("waypoints", "the state at every waypoint", lambda m: list(m.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.equilibria[-1].tip_position, ".4f")),
+    Quantity("remarks", "where carriages are out of order, or an outer tube is the tip; absent where neither is",
+             lambda m: _remarks(m) or None, optional=True),
     Quantity("snaps", "the snaps on the way",
              of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
 )  # fmt: skip
+
+
+def _remarks(m: stability.Path) -> list[str]:
+    """Where carriages are out of order, or an outer tube is the tip, in words."""
+    found: dict[str, list[int]] = {}
+    for k, e in enumerate(m.equilibria, start=1):
+        said = [demand.broken for demand, _ in out_of_order(e.robot, e.translations)]
+        inside, tip = ends_inside(e.robot, e.tube_end), tip_number(e)
+        if inside and tip is not None:
+            within = ", ".join(str(one.tube + 1) for one in inside)
+            said.append(f"the tip is the end of tube {tip}, and tube {within} ends inside an outer tube")
+        for words in said:
+            found.setdefault(words, []).append(k)
+    return [f"{words}, {_waypoints(where)}" for words, where in found.items()]
+
+
+def _waypoints(where: Sequence[int]) -> str:
+    return f"at waypoint {where[0]}" + (f" and {counted(len(where) - 1, 'other')}" if len(where) > 1 else "")
 
 
 def _rubbed(m: stability.Path) -> str | None:
@@ -191,7 +212,7 @@ class PathReport(Report[stability.Path]):
             for snap in self.answer.snaps
         ]
         columns = ("waypoints", "at (%) >", "rotations (deg)", "translations (mm)", "tip jump (mm) >", "energy (mJ) >")
-        return [grid(columns, cells, title="snaps")] if cells else []
+        return [*([grid(columns, cells, title="snaps")] if cells else []), *super().below()]
 
     def save(self, directory: Path) -> list[Path]:
         """Write path.csv and snaps.json."""

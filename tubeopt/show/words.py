@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..equilibrium.result import Equilibrium
 from ..files.units import TO_MM
-from ..robots.order import EndInside, ends_inside, tip_tube
+from ..robots.order import EndInside, ends_inside, out_of_order, tip_tube
 from ..robots.robot import Robot
 from ..typing import Array
 
@@ -56,6 +56,14 @@ def tip_in_words(robot: Robot, end: Array) -> str:
     if tip is None:
         return "at the plate, since all tubes are withdrawn"
     return f"the end of tube {tip + 1}, since {ends_in_words(inside)}" if inside else ""
+
+
+def order_remarks(robot: Robot, translations: Array) -> list[str]:
+    """What translations (n,), m, break of the order of carriages, in words."""
+    return [
+        f"{demand.broken}, by {missing * TO_MM:.4g} mm: inverse kinematics and plans refuse such translations"
+        for demand, missing in out_of_order(robot, translations)
+    ]
 
 
 def row(values: ArrayLike, form: str) -> str:

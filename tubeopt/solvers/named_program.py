@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.violation import violations_of, worst
-from ..errors import InputError, nearest
+from ..errors import InputError, instance, nearest
 from ..typing import Array
 from .closing import Stacked, function_of, ipopt_function
 from .problem_solution import ProblemSolution, ProblemStatistics, ProblemStatus
@@ -49,6 +49,7 @@ class NamedProgram:
     """Variables, constraints and parameters of a nonlinear program, by name, and one solve of it."""
 
     def __init__(self, name: str = "problem") -> None:
+        instance("name", name, str)
         self.name = name
         self.blocks: list[Any] = []
         self.variables: dict[str, _Variable] = {}

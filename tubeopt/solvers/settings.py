@@ -138,6 +138,10 @@ NO_SENSITIVITIES = {"no_nlp_grad": True, "calc_lam_p": False}
 take as long to build as all others."""
 
 
+LINEAR_SOLVERS = ("mumps", "ma27", "ma57", "ma77", "ma86", "ma97", "pardiso", "pardisomkl", "spral", "wsmp")
+"""Those that IPOPT knows, where they are installed."""
+
+
 @typed
 @dataclass(frozen=True)
 class Ipopt(Displayed):
@@ -175,6 +179,7 @@ class Ipopt(Displayed):
         if self.time_limit != math.inf:
             positive("time_limit", self.time_limit)
         choice("hessian", self.hessian, HESSIANS)
+        choice("linear_solver", self.linear_solver, LINEAR_SOLVERS)
         whole("iterations", self.iterations, 1)
         if whole("print_level", self.print_level, 0) > 12:
             raise InputError(f"print_level is {self.print_level}; it must lie between 0 and 12")

@@ -18,6 +18,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, instance, positive, vector
+from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
@@ -305,6 +306,7 @@ def estimate_force(  # noqa: PLR0913
     first = base if guess is None or guess.load is None else replace(base, force=guess.load.force)
     start = forward_kinematics(robot, alpha, shift, load=first, guess=guess)
     measured = _measured(float(start.arc_length[-1]), tip_position, points, positive("noise", noise))
+    check_target(robot.tubes, "what is measured", measured.position)
     trial = _trial(start, base, np.subtract(first.force, base.force), measured)
     trial, iterations = _settled(trial, base, measured, solver)
     return _estimate(trial, base, measured, iterations, solver)

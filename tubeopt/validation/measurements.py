@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..errors import InputError, finite_array
+from ..errors import InputError, finite_array, items
 from ..typing import Array
 
 SAME_PLACE = 1e-6
@@ -108,6 +108,7 @@ class Measurements:
         for name, value in found.items():
             object.__setattr__(self, name, value)
         self._check_sensors()
+        object.__setattr__(self, "remarks", items("remarks", self.remarks, str, "sentences"))
         if self.log is not None and (self.time is None or self.log.rotations.shape[1] != n):
             raise InputError(f"a log of joint readings needs the time of every row, and {n} tubes as the rows have")
 

@@ -21,6 +21,7 @@ extern "C" {
 
 #define TUBEOPT_MOST_TURN {most_turn} /* rad, of a rotation to either side */
 #define TUBEOPT_MOST_BACK {most_back} /* lengths of itself by which a tube may be drawn back from home */
+#define TUBEOPT_MOST_AWAY {most_back} /* lengths of the longest tube by which a place for the tip may be away from the plate */
 #define TUBEOPT_MOST_NUMBER {most_number} /* of every other number, in SI units */
 
 typedef struct tubeopt_memory tubeopt_memory;

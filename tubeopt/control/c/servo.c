@@ -150,7 +150,12 @@ static tubeopt_status not_commanded(const tubeopt_command *c) {
     memcpy(all + 6, c->position, sizeof c->position);
     memcpy(all + 9, c->direction, sizeof c->direction);
     int possible = c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
-    return possible ? bounded(all, 12, TUBEOPT_MOST_NUMBER) : TUBEOPT_BAD_INPUT;
+    if (!possible) return TUBEOPT_BAD_INPUT;
+    double longest = 0;
+    for (int i = 0; i < N; i++) longest = fmax(longest, ROBOT.whole[i]);
+    tubeopt_status found = bounded(all, 12, TUBEOPT_MOST_NUMBER);
+    int away = sqrt(dot(c->position, c->position, 3)) > TUBEOPT_MOST_AWAY * longest;
+    return found == TUBEOPT_DONE && away ? TUBEOPT_TOO_LARGE : found;
 }
 
 static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, tubeopt_pose *pose,

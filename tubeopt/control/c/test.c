@@ -100,6 +100,8 @@ static void bad_input(tubeopt_memory *robot) {
     check(tubeopt_follow(robot, &joints, &pose) == TUBEOPT_TOO_LARGE, "to be followed as well");
     command = (tubeopt_command){.step = 1e-3, .speed = 1, .position = {1e308, 0, 0}};
     check(tubeopt_servo(robot, &command, &pose, &report) == TUBEOPT_TOO_LARGE, "so is a place 1e308 m away");
+    command.position[0] = 190;
+    check(tubeopt_servo(robot, &command, &pose, &report) == TUBEOPT_TOO_LARGE, "and one in mm");
     tubeopt_start(robot);
     joints = joints_of(CASES[0]);
     check(tubeopt_follow(robot, &joints, &pose) == TUBEOPT_NOT_STARTED, "nothing is followed before it is solved");

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
-from ...errors import InputError
+from ...errors import InputError, numbers
 from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
 from ...physics.heat import PROPERTIES
 from ...typing import Array
@@ -143,6 +143,10 @@ class Camera(Sensor):
     positions: Annotated[
         tuple[float, ...], unit("mm"), "places whose mean is read, from the middle of the curved part"
     ] = (-20e-3, 0.0, 20e-3)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "positions", numbers("positions of the camera", self.positions))
 
     def target(self, model: ThermalModel, state: State) -> Array:
         """(B,) mean temperature of the places that it sees."""
