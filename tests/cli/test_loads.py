@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_file_says_what_pushes(file: Path, tmp_path: Path) -> None:
+def test_a_file_says_what_pushes(file: Path) -> None:
     assert load_entry(file).build() == Load(
         (0.1, 0, 0),
         gravity=(0, 0, -9.81),

@@ -141,7 +141,7 @@ def test_the_arm_pivots_about_a_point_while_its_tip_moves(seed: Equilibrium) -> 
 
 
 @pytest.mark.parametrize("objective", ["margin", "centre", "compliance"])
-def test_what_the_tip_leaves_free_goes_to_an_objective(objective: str, seed: Equilibrium) -> None:
+def test_what_the_tip_leaves_free_goes_to_an_objective(objective: str) -> None:
     space = joint_space(THESIS)
     start = forward_kinematics(THESIS, *space.split(0.999 * space.sample(8)[0] + 0.001 * space.inside()))  # margin 0.48
     if objective == "compliance" and kernel_of(THESIS) is None:

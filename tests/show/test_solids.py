@@ -77,7 +77,7 @@ def test_mjcf_has_capsules_in_a_chain_and_the_tip(pose: tubeopt.Equilibrium, tmp
     assert Rotation.from_quat([*xyz, w]).as_matrix() == pytest.approx(pose.tip_rotation, abs=1e-7)
 
 
-def test_other_endings_are_refused(pose: tubeopt.Equilibrium, tmp_path: Path) -> None:
+def test_other_endings_are_refused(pose: tubeopt.Equilibrium) -> None:
     with pytest.raises(InputError, match=r"'arm.step'; it must end in .stl, .glb, .urdf, .xml"):
         tubeopt.save_solid(pose, "arm.step")
     with pytest.raises(InputError, match="cannot be written"):

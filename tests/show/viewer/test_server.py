@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -140,7 +139,7 @@ def test_help_has_an_example(run: Run) -> None:
     assert "Example: tubeopt view" in outcome.out
 
 
-def test_another_address_comes_with_a_warning(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_another_address_comes_with_a_warning(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, object] = {}
 
     def remember(view: View, **options: object) -> None:
