@@ -198,7 +198,9 @@ class Session:
             else:
                 found = self.first_failure(tests, compiled)
             self.copy.write(mutant.file, proper)
-            if "::" not in found or self.passes(found, compiled):
+            if found and "::" not in found:
+                return "" if self.first_failure(tests, compiled) else found
+            if not found or self.passes(found, compiled):
                 return found
             tests = [test for test in tests if test != found]  # it fails without the mutant too
         return ""
@@ -253,15 +255,17 @@ def exchange(path: str, proper: bytes, broken: bytes) -> None:
 
 
 def likely(mutant: Mutant, tests: Tests, seconds: float) -> list[str]:
-    """The tests that run the changed function, else its module: those of its own file first, then the quickest."""
+    """The tests that run the changed function, else its module: those named like it first, then the quickest."""
     file = next((module for folder, module in READ_BY.items() if mutant.file.startswith(folder)), mutant.file)
-    folder, stem = file.split("/")[0], Path(mutant.file).stem
+    folder, *inside = Path(mutant.file).parent.parts
+    stem, inner = Path(mutant.file).stem, set(inside)
     function = f"{file}::{mutant.function}"
     ranked = []
     for test, (cost, ran) in tests.items():
         runs = mutant.function and function in ran, any(name.startswith(f"{file}::") for name in ran)
         own = test.startswith(f"tests/{folder}/")
-        named = own and (f"_{stem}" in test.split("::")[0] or stem.replace("_", " ") in test)
+        name = test.split("::")[0].removesuffix(".py")
+        named = own and (f"_{stem}" in name or stem.replace("_", " ") in test or not inner.isdisjoint(name.split("_")))
         if cost and (any(runs) or named):
             ranked.append((not named, not runs[0], not own, cost, test))
     chosen, total = [], 0.0
