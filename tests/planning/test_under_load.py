@@ -26,8 +26,9 @@ from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.outline import Outline
 from tubeopt.planning.cross_sections import Constants
-from tubeopt.planning.loaded_branch import loaded_branch
+from tubeopt.planning.loaded_branch import _Bounds, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.sections import PARTS
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -68,6 +69,33 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
             points = inside.points(at, cuts[section] + x * (cuts[section + 1] - cuts[section]))
             off = np.linalg.norm(points - (ends[0] + ends[1]) / 2, axis=1).max()
             assert off <= found.off[k, section] + 3 * inside.shape_error.max()
+
+
+@pytest.mark.parametrize("moved", [0.0, 2e-3])
+@pytest.mark.parametrize("robot", [THESIS, TWO_TUBE], ids=lambda r: r.name)
+def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot, moved: float) -> None:
+    """Of rotations, torques and moments, against differences along both arms."""
+    n = robot.n_tubes
+    begin = np.linspace(0.4, -0.8, n), robot.home_translations - 0.01
+    end = begin[0] + 0.05 * np.linspace(0.7, -0.4, n), begin[1] + moved
+    arms = [forward_kinematics(robot, *joints, load=SIDEWAYS) for joints in (begin, end)]
+    intervals, _ = intervals_of(arms, SIDEWAYS)
+    bounds = _Bounds(intervals)
+    between = [2 * PARTS * each[0] for each in bounds._between(bounds.changes)]
+    x, sharp = np.linspace(0.0, 1.0, 401)[1:-1], 1 - 1e-3
+    for k in np.flatnonzero(intervals.length[0][0] > 1e-9):
+        rows = []
+        for e, equilibrium, cuts in zip((0, 1), arms, (intervals.begin[0], intervals.end[0]), strict=True):
+            s = cuts[k] + x * (cuts[k + 1] - cuts[k])
+            turned = np.column_stack([np.interp(s, equilibrium.arc_length, theta) for theta in equilibrium.rotation])
+            rows.append((turned, *intervals.arms.sampled(np.full(len(s), e), s)))
+        present = intervals.stretch[0, k] < intervals.arms.constants.ended
+        turn, torque, moment = (np.gradient(each[1] - each[0], x, axis=0)[2:-2] for each in zip(*rows, strict=True))
+        true = np.abs(turn).max(0)
+        assert (between[0][k] >= sharp * true)[present].all()
+        assert between[0][k].max() <= 2 * true.max() or true.max() < 1e-4
+        assert (between[1][k] >= sharp * np.abs(torque).max(0))[present].all()
+        assert between[2][k] >= sharp * np.linalg.norm(moment, axis=1).max()
 
 
 def test_two_branches_at_one_place_are_not_joined() -> None:
