@@ -13,7 +13,7 @@ GRID = Resolution(2, 3, 3, 4, shells=4)
 
 @pytest.mark.parametrize("span", [1e-2, 1.0, 1e2])
 def test_a_step_of_any_length_keeps_the_heat_of_an_insulated_rig(span: float) -> None:
-    """Every stage solves with a matrix whose columns sum up to the heat capacities: what leaves a cell enters the next."""
+    """The columns of its matrices sum up to the heat capacities: what leaves a cell enters another."""
     rng = np.random.default_rng(3)
     values = dict.fromkeys(PROPERTIES, 1.0) | {
         "heat_slope": 0.0, "conduction_slope": 0.0, "to_clamp": 0.0, "to_air": 0.0, "radiating": 0.0, "outer": 0.0,
