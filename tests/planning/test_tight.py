@@ -42,7 +42,8 @@ from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
 from tubeopt.planning import building
 from tubeopt.planning.effort import PlanEffort, Smoothing
-from tubeopt.planning.reach import way_around
+from tubeopt.planning.question import asked
+from tubeopt.planning.reach import step_constraints, way_around
 from tubeopt.robots.robot import Robot
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
@@ -360,3 +361,20 @@ def test_a_closed_pocket_is_told_from_an_open_place() -> None:
     small = Task(Chart(joint_space(THESIS, tiny)), (), 0.05, 0.0)
     assert pocket(small, z, Clock(60.0)) is not None
     assert pocket(Task(Chart(joint_space(THESIS)), (), 0.05, 0.0), z, Clock(60.0)) is None
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
+def test_steps_towards_a_place_are_those_that_end_within_ranges_and_order(robot: Robot) -> None:
+    """Against the joint space itself; rotations have no range in the chart."""
+    task, random = asked(robot, ()), np.random.default_rng(0)
+    space, n, longest = task.chart.space, robot.n_tubes, 0.3
+    seen = set()
+    for q in space.sample(8):
+        rows, bounds = step_constraints(task, q, longest)
+        for step in random.uniform(-1.1 * longest, 1.1 * longest, (60, len(q))) * random.uniform(0.01, 1, (60, 1)):
+            there = q + step * task.scale
+            within = (there[n:] >= space.lower[n:]).all() and (there[n:] <= space.upper[n:]).all()
+            allowed = within and (space.rows @ there >= space.least).all() and np.abs(step).max() <= longest
+            assert (rows @ step >= bounds).all() == allowed
+            seen.add(bool(allowed))
+    assert seen == {True, False}

@@ -105,6 +105,13 @@ def test_the_table_fulfils_the_inequality_at_random_states(delta: float) -> None
         assert np.linalg.eigvalsh(room)[0] > -1e-9 * np.linalg.norm(left)
 
 
+def test_no_segment_of_the_table_is_as_long_as_a_quarter_of_a_wave() -> None:
+    """Without offset x is phi, up to pi / 2; the root of the proof lies below it, for every offset."""
+    lengths = eccentric_bound.table()
+    assert np.pi / 2 - 1e-7 < lengths.max() < np.pi / 2
+    assert lengths[0] == pytest.approx(eccentric_bound.ANGLES, abs=6e-8)
+
+
 def test_all_moments_lie_in_the_polygon() -> None:
     random = np.random.default_rng(0)
     corners = eccentric_bound.corners()

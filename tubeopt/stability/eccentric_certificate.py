@@ -130,9 +130,7 @@ def proved_margin(segment: Segment) -> float:
         reach = lam + spread / 2 + spread**2 / 2 / room
         return x - longest(segment.delta, np.pi / 2 if reach <= 0 else np.arctan(1 / reach))
 
-    highest = np.pi / 2 / segment.length
-    if excess(highest) <= 0:
-        return 1 - 1 / highest**2
+    highest = np.pi / 2 / segment.length  # no segment of the table is that long: `longest` stays below pi / 2
     return 1 - 1 / float(scipy.optimize.brentq(excess, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13)) ** 2
 
 
