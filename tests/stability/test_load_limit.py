@@ -29,12 +29,12 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
-from tubeopt.equilibrium.load_continuation import Family, reach
+from tubeopt.equilibrium.continuation import Family, reach
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.newton import loaded_margin
+from tubeopt.stability.folds import slide
 from tubeopt.stability.loaded_certificate import Bundle, bundle_of
-from tubeopt.stability.loaded_events import slide
 from tubeopt.stability.stroke import stroke_slopes
 from tubeopt.typing import Array
 

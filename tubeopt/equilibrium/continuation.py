@@ -1,20 +1,23 @@
-"""Following a branch of equilibria along a straight path of joint values, up to the fold where it ends."""
+"""Following a branch of equilibria along a family of problems: joints move, a load grows, or both."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 
-from ..block.transcription import arm as arms
-from ..block.transcription.reduced import ReducedProblem, to_unknowns
 from ..robots.assembly import ROUND_OFF
+from ..robots.load import Load, between
 from ..robots.robot import Robot
-from ..solvers.newton import newton
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
+from .member import Loaded, Member, Place, Point, Unloaded
+from .solving import DEFAULT_DISCRETISATION, Discretisation
+
+P = TypeVar("P", bound=Place)
 
 SHORT_ARM = 0.1
 """Length of an arm, over that of the longest tube, up to which its tubes hardly couple."""
@@ -58,10 +61,6 @@ class JointPath:
         n = len(joint) // 2
         return joint[:n], joint[n:]
 
-    def problem(self, t: float) -> ReducedProblem:
-        """The reduced problem at fraction t."""
-        return reduced_problem(self.robot, tuple(self.at(t)[1].tolist()), self.discretisation)
-
     def largest_step(self) -> float:
         """Largest fraction of the path in one step."""
         turn, shift = self._changes()
@@ -93,62 +92,139 @@ class JointPath:
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
-    """A solved equilibrium at fraction t of a path."""
+class Family:
+    """Problems that depend on one number t: from t = 0 to 1 the joints move along a path while one load becomes
+    another; a load that grows from none may grow on."""
 
-    t: float
-    solution: Solution
+    path: JointPath
+    load: Load | None = None
+    """At t = 1; None where there is none at any t."""
+    before: Load | None = None
+    """At the start; None is no load."""
+
+    @staticmethod
+    def growing(member: Loaded) -> Family:
+        """The load of a problem grows from nothing where the joints are: t is the factor on it."""
+        here = np.concatenate([member.rotations, member.translations])
+        return Family(JointPath(member.robot, here, here, member.discretisation), member.problem.load)
+
+    def load_at(self, t: float) -> Load | None:
+        """The load at t."""
+        if self.load is None or t == 1 or self.before == self.load:
+            return self.load
+        return self.load.scaled(t) if self.before is None else between(self.before, self.load, t)
+
+    def _factored(self, t: float) -> tuple[Load | None, float]:
+        """The load at t as a load and a factor on it: of one that grows from none, only the factor changes."""
+        return (self.load, t) if self.before is None else (self.load_at(t), 1.0)
+
+    def member(self, t: float) -> Member[Any]:
+        """The problem at t."""
+        rotations, translations = self.path.at(t)
+        shift, (load, factor) = tuple(translations.tolist()), self._factored(t)
+        if load is None:
+            return Unloaded.of(self.path.robot, rotations, shift, self.path.discretisation)
+        return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)
+
+    def like(self, known: Member[Any], t: float) -> Member[Any] | None:
+        """The problem at t with the same unknowns as a known one; None where it has others."""
+        rotations, translations = self.path.at(t)
+        return known.beside(rotations, tuple(translations.tolist()), *self._factored(t))
+
+    def under_load(self, t: float) -> Loaded:
+        """The problem at t, where there is a load, under the whole of it."""
+        (rotations, translations), load = self.path.at(t), self.load_at(t)
+        assert load is not None
+        return Loaded.of(self.path.robot, rotations, tuple(translations.tolist()), load)
+
+    def span(self) -> float:
+        """How far the joints go: largest turn, rad, or shift over the longest tube; at least 1 where the load
+        changes."""
+        return max(self.path.span(), float(self.before != self.load))
 
 
-def solve_at(path: JointPath, t: float, near: Point, before: Point | None = None) -> Point | None:
-    """The equilibrium at fraction t on the branch of `near`, or None where Newton is not at ease.
+def step_to(family: Family, t: float, near: P, before: P | None = None) -> P | None:
+    """The equilibrium at t on the branch of `near`, stable or not; None where Newton's method is not at ease.
 
-    The guess is that the twist goes on changing as it did from `before` to `near`.
+    The guess is that it goes on changing along the tangent, or else as it did from `before` to `near`.
     """
-    problem = path.problem(t)
-    rotations = path.at(t)[0]
-    twist = _twist(near, problem.arc_length)
-    if before is not None and near.t > before.t:
-        rate = (twist - _twist(before, problem.arc_length)) * ((t - near.t) / (near.t - before.t))
-        twist = twist + np.clip(rate, -CONTINUATION.largest_twist, CONTINUATION.largest_twist)
-    guess = rotations + twist
-    result = newton(problem, rotations, to_unknowns(problem, rotations, guess), iterations=8)
+    there = family.member(t)
+    x = there.carried(near)
+    change = there.tangent(near)
+    if change is not None:
+        x = x + change
+    elif before is not None and near.t > before.t:
+        x = x + (x - there.carried(before)) * ((t - near.t) / (near.t - before.t))
+    result = there.solve(x, iterations=8)
     if not result.converged or result.contraction > CONTINUATION.largest_ratio:
         return None
-    # Only the coupled tubes: theta of the others is carried along, not solved for.
-    change = (result.state.theta - rotations - _twist(near, problem.arc_length)).ravel()[problem.flat]
-    if np.abs(change).max(initial=0.0) > largest_twist(near.solution.margin):
+    if there.moved(near, result.state) > largest_twist(1.0 if np.isnan(near.margin) else near.margin):
         return None
-    return Point(t, Solution.of(problem, rotations, result))
+    return Point.of(there, result, t)  # type: ignore[return-value]
 
 
-def _twist(point: Point, arc_length: Array) -> Array:
-    """theta - alpha (len(arc_length), n); at its own points, of the coupled tubes only."""
-    solution = point.solution
-    if arc_length is solution.problem.arc_length:
-        return np.asarray(solution.result.state.theta - solution.rotations)
-    if not len(solution.problem.mesh.length):  # nothing twists an arm of length zero
-        return np.zeros((len(arc_length), len(solution.rotations)))
-    return arms.interpolate(solution.problem, solution.arm, arc_length) - solution.rotations
+def follow(
+    family: Family,
+    start: P,
+    goal: float = 1.0,
+    *,
+    stable: bool = True,
+    shortest: float = CONTINUATION.shortest_step,
+) -> Iterator[P]:
+    """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable),
+    where steps of part `shortest` fail.
 
-
-def follow_to(path: JointPath, start: Point, goal: float, *, stable: bool = True) -> tuple[list[Point], bool]:
-    """Points of the branch from `start` up to fraction `goal`, or to just before it ends (if `stable`, turns unstable).
-
-    Returns the points after `start`, and whether the goal was reached.
+    Loads without an energy have no stability: there the branch is only followed.
     """
-    points: list[Point] = []
-    longest = path.largest_step()
-    here, before, step = start, None, longest
+    here, before = start, None
+    step = longest = min(family.path.largest_step(), goal - start.t)
+    least, ends, power = shortest * max(1.0, abs(goal)), False, 0
     while here.t < goal:
-        t = goal if here.t + step >= goal - 1e-12 else here.t + step
-        there = solve_at(path, t, here, before)
-        if there is None or (stable and there.solution.margin <= 0):
-            step /= 4 if there is None else 2
-            if step < CONTINUATION.shortest_step:
-                return points, False
+        t = goal if here.t + step >= goal - 1e-12 * max(1.0, abs(goal)) else here.t + step
+        there = step_to(family, t, here, before)
+        if there is None or (stable and there.margin <= 0):
+            # The first failure may be that of a long step; one of a step to before a bifurcation tells of a fold.
+            step, ends, power = step / 3, True, 2 if power else 0
+            if step < least:
+                return
             continue
-        points.append(there)
+        yield there
         here, before = there, here
         step = min(2 * step, longest)
-    return points, True
+        if ends:
+            power = max(power, 1)
+            step = min(step, max(CONTINUATION.towards_end * _left(here, before, power), step / 20, least))
+
+
+def _left(here: Place, before: Place, power: int) -> float:
+    """How far ahead the margin of two points vanishes, a power of which falls in proportion to t: the first towards a
+    bifurcation, the second towards a fold; infinity where it grows."""
+    if not 0 < here.margin < before.margin:
+        return np.inf
+    return (here.t - before.t) / ((before.margin / here.margin) ** power - 1)
+
+
+def reach(
+    family: Family,
+    start: P,
+    goal: float = 1.0,
+    *,
+    stable: bool = True,
+    shortest: float = CONTINUATION.shortest_step,
+) -> P:
+    """The last point of `follow`, which is `start` where the branch ends at once."""
+    return [start, *follow(family, start, goal, stable=stable, shortest=shortest)][-1]
+
+
+def bifurcates(family: Family, last: Place) -> bool:
+    """Whether what changes along a family does not push along the softest direction of a point close to the end of its
+    branch."""
+    by = 1e-6 * max(1.0, abs(last.t))
+    near = [there for t in (last.t - by, last.t + by, last.t) if (there := family.like(last.member, t)) is not None]
+    if len(near) < 2:
+        return False
+    one, other = (there.at(last.state.x).gradient for there in near[:2])
+    pull = other - one
+    # Of tubes off the centreline, whose matrix is not symmetric, the push that the softest direction does not resist.
+    soft = np.linalg.solve(last.state.hessian.T, last.softest)
+    return bool(abs(soft @ pull) <= CONTINUATION.symmetric * np.linalg.norm(soft) * np.linalg.norm(pull))

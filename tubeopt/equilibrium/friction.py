@@ -43,9 +43,9 @@ from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increme
 from ..solvers.settings import CONTINUATION, NEWTON
 from ..typing import Array, Index
 from .load_answer import from_answer
-from .load_continuation import Member, interpolate
 from .load_problem import check_load, loading_of
 from .loaded import at_points
+from .member import Loaded, interpolate
 from .result import Equilibrium, FrictionState, Status
 from .solving import Discretisation, Solution, lever, sample_rotation, to_equilibrium
 
@@ -299,7 +299,7 @@ def _under_load(robot: Robot, held: Held, state: LoadedState, start: str, error:
     )
     index = 0 if held.margin > 0 else int((np.linalg.eigvalsh(held.found.state.hessian) < 0).sum())
     shift = tuple(held.translations.tolist())
-    member = Member(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
+    member = Loaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
     plain = from_answer(member, found, (start, 0.0, index))
     return replace(plain, statistics=replace(plain.statistics, method="increment"))
 

@@ -31,10 +31,10 @@ from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
-from .continuation import JointPath, Point, follow_to, largest_twist, shortest_arm, small_motion
-from .load_continuation import LoadedPoint, Member
+from .continuation import Family, JointPath, largest_twist, reach, shortest_arm, small_motion
 from .load_problem import check_load
-from .loaded import loaded_kinematics, solved_by_ipopt, to_tolerance
+from .loaded import arrived, loaded_kinematics, solved_by_ipopt, to_tolerance
+from .member import Loaded, LoadedPoint, Point, plain_point, solution_of
 from .method import NAMED, Method, method_of, only_plain
 from .result import Equilibrium, Status
 from .solving import (
@@ -121,7 +121,7 @@ def forward_kinematics(  # noqa: PLR0913
         check_load(robot, load, shift)
         only_plain(by, load, verify, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        found = loaded_kinematics(first, Member.of(robot, alpha, shift, load), tolerance, began, by.newton)
+        found = loaded_kinematics(first, Loaded.of(robot, alpha, shift, load), tolerance, began, by.newton)
         return found if by.name == "newton" else solved_by_ipopt(found, by.name, by.ipopt, began)
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
@@ -359,13 +359,9 @@ def follow_branch(
         return near
     own = np.concatenate([guess.rotations, guess.translations])
     path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
-    points, reached = follow_to(path, Point(0.0, polish(guess, discretisation)), 1.0, stable=False)
-    if not reached:
-        at = points[-1].t if points else 0.0
-        raise SolveError(
-            f"{Status.BRANCH_ENDED}: it ends {100 * at:.2f} % of the way from the guess to the goal", guess
-        )
-    return points[-1].solution
+    start = plain_point(robot, polish(guess, discretisation), tuple(guess.translations.tolist()))
+    last = reach(Family(path), start, stable=False, shortest=CONTINUATION.sharpest_step)
+    return solution_of(arrived(last, guess))
 
 
 def equilibrium_at(
@@ -395,7 +391,7 @@ def _under_load(
 ) -> Equilibrium:
     """From rotations and curvatures along the arm, under a load."""
     check_load(robot, load, joints[1])
-    began, member = time.perf_counter(), Member.of(robot, *joints, load)
+    began, member = time.perf_counter(), Loaded.of(robot, *joints, load)
     theta, curvature = (each(member.problem.torsion.arc_length).T for each in along)
-    point = LoadedPoint.near(member, unknowns(member.problem, joints[0], theta, curvature), FOLD)
+    point: LoadedPoint = Point.near(member, unknowns(member.problem, joints[0], theta, curvature), FOLD)
     return to_tolerance(point, 1e-8, ("a program", began))

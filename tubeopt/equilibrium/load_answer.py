@@ -12,8 +12,8 @@ from ..block.transcription.loaded_arm import elastic_energy, loaded_arm, loaded_
 from ..solvers.compiled.loaded import LoadedAnswer
 from ..solvers.newton import loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
-from .load_continuation import LoadedPoint, Member, carry
 from .load_problem import EXTRA_POINTS
+from .member import Loaded, LoadedPoint
 from .result import Accuracy, Equilibrium, Statistics, Status
 from .solving import told_by_arm
 
@@ -46,7 +46,7 @@ def to_loaded(
     return from_answer(member, found, (*how, index))
 
 
-def from_answer(member: Member, found: LoadedAnswer, how: tuple[str, float, int]) -> Equilibrium:
+def from_answer(member: Loaded, found: LoadedAnswer, how: tuple[str, float, int]) -> Equilibrium:
     """The equilibrium of an answer; `how` is the start, when (s) begun, and the number of unstable directions."""
     problem, mesh, margin = member.problem, member.problem.mesh, found.margin
     start, began, index = how
@@ -84,7 +84,7 @@ def mesh_errors(point: LoadedPoint) -> tuple[float, float, float]:
     """Estimated errors of theta, rad, of the tip, m, and of the margin: what a Newton step on a finer rule changes."""
     member = point.member
     there = member.on(degree=member.discretisation.degree + EXTRA_POINTS)
-    problem, state = there.problem, there.at(carry(point, there))
+    problem, state = there.problem, there.at(there.carried(point))
     # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
     least = CONTINUATION.least_stiffness
     shift = least if abs(point.margin) < least else 0.0

@@ -71,12 +71,17 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
 
 @lru_cache(maxsize=64)
 def loaded_problem(
-    robot: Robot, translations: tuple[float, ...], load: Load, discretisation: Discretisation = LOADED_DISCRETISATION
+    robot: Robot,
+    translations: tuple[float, ...],
+    load: Load,
+    discretisation: Discretisation = LOADED_DISCRETISATION,
+    pieces: tuple[int, ...] | None = None,
 ) -> LoadedProblem:
-    """The problem of a robot at given translations under a load, built once for all rotations."""
+    """The problem of a robot at given translations under a load, built once for all rotations; `pieces` of each
+    section, by default those that the load needs."""
     _, loading = loading_of(robot, translations, load)
-    counts = loading.counts * 2**discretisation.refinement
-    torsion = _torsion(robot, translations, tuple(load.cuts().tolist()), tuple(counts.tolist()), discretisation)
+    counts = tuple((loading.counts * 2**discretisation.refinement).tolist()) if pieces is None else pieces
+    torsion = _torsion(robot, translations, tuple(load.cuts().tolist()), counts, discretisation)
     return load_problem(torsion, load, loading.density)
 
 

@@ -19,10 +19,10 @@ from ..solvers.ipopt import solve_loaded_ipopt
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
-from .continuation import JointPath, small_motion
+from .continuation import Family, JointPath, P, bifurcates, reach, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
-from .load_continuation import Family, LoadedPoint, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
+from .member import Loaded, LoadedPoint, Point, interpolate
 from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
 
@@ -34,26 +34,21 @@ def ramp(unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> L
         SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
     """
     start = unloaded_point(unloaded, load, discretisation)
-    point = reach(Family.growing(start.member), start, 1.0)
+    family = Family.growing(start.member)
+    point = reach(family, start)
     if point.t < 1.0:
         raise SolveError(
-            f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(point)} at {100 * point.t:.4g} % of the load",
+            f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(family, point)} at {100 * point.t:.4g} % of the load",
             to_loaded(point),
         )
     return point
 
 
-def ending(point: LoadedPoint) -> str:
+def ending(family: Family, point: LoadedPoint) -> str:
     """What happens to a branch just after its last stable point, in words."""
     if not point.member.problem.load.has_energy:
         return "there is no equilibrium close by"
-    return "it bifurcates" if bifurcates(point) else "it ends in a fold"
-
-
-def bifurcates(point: LoadedPoint) -> bool:
-    """Whether the load does not push along the softest direction of a point close to the end of its branch."""
-    pull = point.state.pull
-    return bool(abs(point.softest @ pull) <= CONTINUATION.symmetric * np.linalg.norm(pull))
+    return "it bifurcates" if bifurcates(family, point) else "it ends in a fold"
 
 
 def unloaded_point(
@@ -61,11 +56,11 @@ def unloaded_point(
 ) -> LoadedPoint:
     """An unloaded equilibrium as the beginning of a family in the factor of a load."""
     shift = tuple(unloaded.translations.tolist())
-    member = Member.of(unloaded.robot, unloaded.rotations, shift, load, discretisation, 0.0)
+    member = Loaded.of(unloaded.robot, unloaded.rotations, shift, load, discretisation, 0.0)
     problem = member.problem
     theta = sample_rotation(unloaded, problem.torsion.arc_length)
     failure = "the unloaded equilibrium is a fold (margin 0): no load can be put on it"
-    return LoadedPoint.near(member, unknowns(problem, unloaded.rotations, theta), failure)
+    return Point.near(member, unknowns(problem, unloaded.rotations, theta), failure)
 
 
 def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
@@ -76,14 +71,14 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
         check_load(equilibrium.robot, Load(), tuple(equilibrium.translations.tolist()))
         return unloaded_point(equilibrium, Load())
     failure = "the loaded equilibrium is a fold (margin 0): Newton does not stay there"
-    return LoadedPoint.near(*_unsolved(equilibrium), failure)
+    return Point.near(*_unsolved(equilibrium), failure)
 
 
-def _unsolved(equilibrium: Equilibrium) -> tuple[Member, Array]:
+def _unsolved(equilibrium: Equilibrium) -> tuple[Loaded, Array]:
     """The problem of a loaded equilibrium, and its unknowns as they were solved for."""
     assert equilibrium.load is not None
     rotations, shift = equilibrium.rotations, tuple(equilibrium.translations.tolist())
-    member = Member.of(equilibrium.robot, rotations, shift, equilibrium.load, discretisation_of(equilibrium))
+    member = Loaded.of(equilibrium.robot, rotations, shift, equilibrium.load, discretisation_of(equilibrium))
     theta = sample_rotation(equilibrium, equilibrium.point)
     return member, unknowns(member.problem, rotations, theta, equilibrium.point_curvature)
 
@@ -100,14 +95,14 @@ def to_tolerance(
             return to_loaded(point, how, errors)
         there = point.member.on(refinement=level + 1)
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
-        point = LoadedPoint.near(there, carry(point, there), failure)
+        point = Point.near(there, there.carried(point), failure)
     wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
     raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}", to_loaded(point, how))
 
 
 @small
 def loaded_kinematics(
-    start: Equilibrium, there: Member, tolerance: float, began: float, settings: Newton = NEWTON
+    start: Equilibrium, there: Loaded, tolerance: float, began: float, settings: Newton = NEWTON
 ) -> Equilibrium:
     """The equilibrium `there` on the branch of `start`, which has other joint values or another load; raises SolveError
     as `forward_kinematics`."""
@@ -131,11 +126,11 @@ def solved_by_ipopt(found: Equilibrium, method: str, settings: Ipopt | None, beg
     """A loaded equilibrium solved once more, by IPOPT; raises SolveError where that fails."""
     point = loaded_point(found)
     result = solve_loaded_ipopt(point.member.problem, found.rotations, point.state, settings)
-    again = to_loaded(LoadedPoint.of(point.member, result), ("newton", began))
+    again = to_loaded(Point.of(point.member, result, point.t), ("newton", began))
     return replace(again, statistics=replace(again.statistics, method=method))
 
 
-def compiled(start: Equilibrium, there: Member, tolerance: float, began: float, settings: Newton) -> Equilibrium | None:
+def compiled(start: Equilibrium, there: Loaded, tolerance: float, began: float, settings: Newton) -> Equilibrium | None:
     """The stable equilibrium under a dead load by the compiled kernel: grown from `start`, which bears none, or a small
     change of it, which bears one; None where the kernel declines, or no mesh is fine enough."""
     robot, rotations, shift, load = there.robot, there.rotations, there.translations, there.load
@@ -165,7 +160,7 @@ def compiled(start: Equilibrium, there: Member, tolerance: float, began: float, 
     if found is None:
         return None
     d = replace(LOADED_DISCRETISATION, refinement=refinement)
-    return from_answer(Member(robot, problem, rotations, shift, d), found, (word, began, 0))
+    return from_answer(Loaded(robot, problem, rotations, shift, d), found, (word, began, 0))
 
 
 def grow_many(
@@ -248,14 +243,19 @@ def _by_parts(
 def _along(family: Family, here: Equilibrium, t: float) -> LoadedPoint:
     """The end of a way in joint values and load, `here` being the equilibrium at t."""
     if here.load is None:
+        assert family.load is not None
         near = replace(unloaded_point(here, family.load, family.path.discretisation), t=t)
     else:
         member, x = _unsolved(here)
-        near = LoadedPoint(t, member, member.at(x), here.margin)
-    last = reach(family, near, 1.0, longest=family.path.largest_step(), stable=not near.margin <= 0)
+        near = Point(t, member, member.at(x), here.margin)
+    return arrived(reach(family, near, stable=not near.margin <= 0), here)
+
+
+def arrived(last: P, guess: Equilibrium) -> P:
+    """The last point of a branch from a guess; raises SolveError where that is not the goal."""
     if last.t < 1.0:
         raise SolveError(
-            f"{Status.BRANCH_ENDED}: it ends {100 * last.t:.2f} % of the way from the guess to the goal", here
+            f"{Status.BRANCH_ENDED}: it ends {100 * last.t:.2f} % of the way from the guess to the goal", guess
         )
     return last
 
@@ -281,10 +281,10 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     # Where a wrench acts the curvature jumps: elements end there.
     load = equilibrium.load or Load()
     cut = replace(load, points=(*load.points, PointLoad(min(arc_length, length))))
-    there = Member.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
+    there = Loaded.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
     failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
-    state = LoadedPoint.near(there, carry(point, there), failure).state
-    return compliance_along(there.problem, state, min(arc_length, length), chosen)
+    found: LoadedPoint = Point.near(there, there.carried(point), failure)
+    return compliance_along(there.problem, found.state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:

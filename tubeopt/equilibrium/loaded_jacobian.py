@@ -25,9 +25,9 @@ from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..typing import Array
 from .arm_change import check_wrt
-from .load_continuation import Member
 from .load_problem import LOADED_DISCRETISATION, loaded_problem
 from .loaded import loaded_kinematics, loaded_point
+from .member import Loaded
 from .result import Equilibrium, small_turn
 from .solving import discretisation_of, told_by_arm
 
@@ -145,7 +145,7 @@ def _to_one_side(e: Equilibrium, name: str, tube: int, side: int) -> tuple[Array
     places = [e]
     for k in (1, 2):
         robot, alpha, shift = _moved(e, name, tube, k * step)
-        places.append(loaded_kinematics(places[-1], Member.of(robot, alpha, shift, e.load), 1e-8, 0.0))
+        places.append(loaded_kinematics(places[-1], Loaded.of(robot, alpha, shift, e.load), 1e-8, 0.0))
 
     def slope(values: list[Array]) -> Array:
         return np.asarray((4 * values[1] - 3 * values[0] - values[2]) / (2 * step))

@@ -1,4 +1,4 @@
-"""Newton's method on a reduced problem, or on a loaded one, and energy descent on the former.
+"""Newton's method on any equations of equilibrium, and energy descent on those without a load.
 
 `newton` goes where the equations lead, to stable and unstable equilibria alike; `descend` only downhill in energy, so
 that it ends in a minimum, or in a saddle if symmetry holds it there.
@@ -13,7 +13,6 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import scipy
 
-from ..block.transcription import loaded
 from ..block.transcription.loaded import LoadedProblem, LoadedState
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 from ..block.transcription.second_variation import least
@@ -22,6 +21,9 @@ from .settings import NEWTON, Newton
 from .time_limit import check_time
 
 S = TypeVar("S")
+
+LONGEST = 1e3
+"""Turn (rad) of a step that leads nowhere: its matrix is all but singular."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +54,7 @@ def full_steps(
     for iteration in range(1, iterations + 1):
         change, singular = newton_step(state)
         size = np.inf if singular else turn(state, change)
-        if not np.isfinite(size) or (size > 2 * last and size > np.pi):
+        if not size <= LONGEST or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
         state = moved(state, change)
         close = settings.round_off
@@ -71,29 +73,10 @@ def newton(
     return full_steps(
         evaluate(problem, rotations, z),
         lambda state, change: evaluate(problem, rotations, state.z + change),
-        lambda _, change: _turn(problem, change),
+        lambda _, change: torsional_turn(problem, change),
         lambda state: residual(problem, state),
         settings,
         settings.iterations if iterations is None else iterations,
-    )
-
-
-def loaded_newton(
-    problem: LoadedProblem, rotations: Array, x: Array, factor: float = 1.0, *, iterations: int = 20
-) -> NewtonResult[LoadedState]:
-    """Full Newton steps from x (U + 2 N,)."""
-
-    def turn(state: LoadedState, change: Array) -> float:
-        size = turn_of(problem, state, change)
-        return size if size <= 1e3 else np.inf
-
-    return full_steps(
-        loaded.evaluate(problem, rotations, x, factor),
-        lambda state, change: loaded.evaluate(problem, rotations, state.x + change, factor),
-        turn,
-        lambda state: loaded_residual(problem, state),
-        NEWTON,
-        iterations,
     )
 
 
@@ -108,7 +91,7 @@ def descend(
     state = evaluate(problem, rotations, z)
     for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)
-        size = _turn(problem, step)
+        size = torsional_turn(problem, step)
         if size <= settings.last_step:
             # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
             last = newton(problem, rotations, state.z, iterations=4, settings=settings)
@@ -127,11 +110,11 @@ def descend(
 def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
     """Starting points (U,) on either side of an unstable equilibrium, along its most unstable direction."""
     direction = np.linalg.eigh(state.hessian)[1][:, 0]
-    direction *= 0.05 / _turn(problem, direction)
+    direction *= 0.05 / torsional_turn(problem, direction)
     return state.z + direction, state.z - direction
 
 
-def _turn(problem: ReducedProblem, step: Array) -> float:
+def torsional_turn(problem: ReducedProblem, step: Array) -> float:
     """Largest change of a rotation that a step in z makes, rad."""
     return float(abs(problem.factor @ step).max()) if len(step) else 0.0
 

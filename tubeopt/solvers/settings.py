@@ -66,10 +66,10 @@ class Continuation(Settings):
     home_turn: float = math.pi / 8
     """Largest turn (rad) of a tube per step of the way from home, by which a cold start goes that ended in no stable
     equilibrium."""
-    shortest_step: float = 1e-11
-    """Fraction of a way below which a step that fails means that the branch has ended."""
-    shortest_load_step: float = 1e-8
-    """The same of a way with a load."""
+    shortest_step: float = 1e-8
+    """Fraction of a path or a load below which a step that fails means that the branch has ended."""
+    sharpest_step: float = 1e-11
+    """The same where no fold and no bifurcation is found there: the branch may only bend sharply."""
     towards_end: float = 0.8
     """Part of the way to where the margin seems to vanish that is stepped at once."""
     symmetric: float = 1e-5

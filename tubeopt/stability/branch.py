@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.reduced import ReducedProblem, evaluate
 from ..display import Displayed
-from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.member import PlainPoint, Point, Unloaded, plain_point
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import Solution, polish, to_equilibrium
+from ..equilibrium.solving import polish
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.robot import Robot, shifts
-from ..solvers.newton import newton
+from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
-from .folds import Fold, polish_fold
+from .folds import fold
+from .motion import equilibrium_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,21 +83,16 @@ def trace_branch(
     if np.allclose(alpha, beta, rtol=0, atol=1e-12):
         raise InputError("start and end are the same rotations; a branch needs a way")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
-    path = JointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift]))
-    solution = polish(first)
-    problem = solution.problem
-    points, folds = _continue(path, problem, solution.result.state.z, positive("step", step))
-
-    def told(solution: Solution, how: str) -> Equilibrium:
-        return to_equilibrium(robot, solution, tuple(shift.tolist()), ("newton", how, 0.0))
-
-    equilibria = [told(Solution.at(problem, path.at(t)[0], z), "arclength") for t, z in points]
+    family = Family(JointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift])))
+    origin = plain_point(robot, polish(first), tuple(shift.tolist()))
+    points, folds = _continue(family, origin, positive("step", step))
+    equilibria = [equilibrium_at(point, "arclength") for point in points]
     return Branch(
-        fraction=np.array([t for t, _ in points]),
+        fraction=np.array([point.t for point in points]),
         rotations=np.array([e.rotations for e in equilibria]),
         tip_rotations=np.array([e.tip_rotations for e in equilibria]),
         margin=np.array([e.margin for e in equilibria]),
-        folds=tuple(told(fold.solution, "fold") for fold in folds),
+        folds=tuple(equilibrium_at(point, "fold") for point in folds),
     )
 
 
@@ -105,24 +101,29 @@ System = Callable[[Array], tuple[Array, Array]]
 most, so that both kinds of unknowns have one size."""
 
 
-def _continue(
-    path: JointPath, problem: ReducedProblem, z: Array, first: float
-) -> tuple[list[tuple[float, Array]], list[Fold]]:
-    """Points (t, z) and folds, from t = 0 until t leaves [0, 1]."""
-    n, scale = problem.assembly.n_tubes, float(np.abs(path.end - path.start).max())
-    way = (path.end - path.start)[:n]
+def _continue(family: Family, start: PlainPoint, first: float) -> tuple[list[PlainPoint], list[PlainPoint]]:
+    """Points, and those at folds, from t = 0 until t leaves [0, 1]."""
+    path, known = family.path, start.member
+    n, scale, factor = path.robot.n_tubes, float(np.abs(path.end - path.start).max()), known.problem.factor
+
+    def member(t: float) -> Unloaded:
+        return replace(known, rotations=path.start[:n] + t * (path.end - path.start)[:n])
+
+    def point(t: float, x: Array) -> PlainPoint:
+        there = member(t)
+        return Point.of(there, NewtonResult(there.at(x), True, 0, 0.0), t)
 
     def system(x: Array) -> tuple[Array, Array]:
         t = x[-1] / scale
-        here, ahead, behind = (evaluate(problem, path.start[:n] + at * way, x[:-1]) for at in (t, t + 1e-6, t - 1e-6))
+        here, ahead, behind = (member(at).at(x[:-1]) for at in (t, t + 1e-6, t - 1e-6))
         return here.gradient, np.column_stack([here.hessian, (ahead.gradient - behind.gradient) / (2e-6 * scale)])
 
-    t, x, step = 0.0, np.append(z, 0.0), first
-    tangent = _tangent(system(x)[1], np.append(np.zeros(len(z)), 1.0))
-    points, folds = [(t, z)], []
+    t, x, step = 0.0, np.append(start.state.x, 0.0), first
+    tangent = _tangent(system(x)[1], np.append(np.zeros(len(x) - 1), 1.0))
+    points, folds = [start], list[PlainPoint]()
     while len(points) < CONTINUATION.branch_points:
-        turn = max(float(np.abs(problem.factor @ tangent[:-1]).max(initial=0.0)), abs(float(tangent[-1])))
-        trial = _correct(system, problem.factor, x, tangent * (step / turn))
+        turn = max(float(np.abs(factor @ tangent[:-1]).max(initial=0.0)), abs(float(tangent[-1])))
+        trial = _correct(system, factor, x, tangent * (step / turn))
         if trial is None:
             step /= 2
             if step < 1e-8:
@@ -130,28 +131,28 @@ def _continue(
             continue
         ahead, easy = trial
         t_new, following = float(ahead[-1]) / scale, _tangent(system(ahead)[1], tangent)
+        there = point(t_new, ahead[:-1])
         if following[-1] * tangent[-1] < 0:
-            fold = polish_fold(path, Point(t_new, Solution.at(problem, path.at(t_new)[0], ahead[:-1])))
-            if fold is not None:
-                folds.append(fold)
-                points.append((fold.t, fold.solution.result.state.z))
+            turning = fold(family, there)
+            if turning is not None:
+                folds.append(turning.point)
+                points.append(turning.point)
         if not 0.0 <= t_new <= 1.0:
-            points.append(_last(path, problem, (t, x[:-1]), (t_new, ahead[:-1])))
+            points.append(_last(family, points[-1], there))
             break
         t, x, tangent = t_new, ahead, following
-        points.append((t, x[:-1]))
+        points.append(there)
         step = min(2 * first, step * (1.5 if easy else 1.0))
     return points, folds
 
 
-def _last(
-    path: JointPath, problem: ReducedProblem, inside: tuple[float, Array], outside: tuple[float, Array]
-) -> tuple[float, Array]:
+def _last(family: Family, inside: PlainPoint, outside: PlainPoint) -> PlainPoint:
     """The point of the branch where it crosses the end of the way, between two points of it."""
-    t = 0.0 if outside[0] < 0 else 1.0
-    share = (t - inside[0]) / (outside[0] - inside[0])
-    result = newton(problem, path.at(t)[0], inside[1] + share * (outside[1] - inside[1]))
-    return (t, result.state.z) if result.converged else inside
+    t = 0.0 if outside.t < 0 else 1.0
+    share = (t - inside.t) / (outside.t - inside.t)
+    there = replace(inside.member, rotations=family.path.at(t)[0])
+    result = there.solve(inside.state.x + share * (outside.state.x - inside.state.x))
+    return Point.of(there, result, t) if result.converged else inside
 
 
 def _tangent(jacobian: Array, like: Array) -> Array:

@@ -1,23 +1,23 @@
-"""Where a branch of equilibria ends, exactly, and where a robot lands that follows it: downhill in elastic energy."""
+"""Where a stable branch of equilibria ends, exactly, and where a robot lands that follows it: downhill in energy."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy
 
-from ..block.transcription.mesh import make_mesh
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
-from ..block.transcription.second_variation import margin, softest
-from ..equilibrium.continuation import JointPath, Point
-from ..equilibrium.solving import Solution
+from ..equilibrium.continuation import Family, bifurcates
+from ..equilibrium.member import Member, Place, Point
 from ..solvers.flow import downhill, flow
-from ..solvers.newton import NewtonResult, newton
+from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
-from ..typing import Array
+from ..typing import Array, Of
+
+NEUTRAL = 1e-9
+"""A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
 
 
 class Equations(Protocol):
@@ -90,96 +90,122 @@ def turning_point(
 
 
 @dataclass(frozen=True, eq=False)
-class Fold:
-    """A fold at fraction t: the equilibrium, and the direction (U,) in z in which it has no stiffness."""
+class Loss:
+    """Where a stable branch is lost: the equilibrium there, "fold" or "bifurcation", and the softest direction."""
 
-    t: float
-    solution: Solution
+    point: Place
+    kind: str
     direction: Array
 
+    t = Of[float]("point")
 
-def polish_fold(path: JointPath, near: Point) -> Fold | None:
-    """The fold of a branch near a point of it; None where it is not found."""
-    known, state = near.solution.problem, near.solution.result.state
 
-    def at(t: float) -> Callable[[Array], Evaluation] | None:
-        problem = _problem_like(path, t, known)
-        if problem is None or problem.size != known.size:
-            return None
-        return lambda z: evaluate(problem, path.at(t)[0], z)
+def branch_end(family: Family, last: Place, goal: float) -> Loss | None:
+    """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
+    far = min(goal, last.t + CONTINUATION.widest * max(1.0, abs(last.t)))
+    if bifurcates(family, last):
+        return bifurcation(family, last, goal) or fold_ahead(family, last, far)
+    return fold_ahead(family, last, far) or bifurcation(family, last, goal)
+
+
+def _equations(family: Family, known: Member[Any]) -> Callable[[float], Callable[[Array], Any] | None]:
+    """The equations at t with the unknowns of a known problem."""
+
+    def at(t: float) -> Callable[[Array], Any] | None:
+        there = family.like(known, t)
+        return None if there is None else there.at
+
+    return at
+
+
+def fold_ahead(family: Family, last: Place, far: float) -> Loss | None:
+    """The fold close ahead of a point of a stable branch, up to t = `far`; None where none is found."""
+    found = fold(family, last)
+    return found if found is not None and last.t - 1e-6 * max(1.0, abs(last.t)) <= found.t <= far else None
+
+
+def fold(family: Family, near: Place) -> Loss | None:
+    """The fold of a branch close to a point of it; None where it is not found."""
+    known = near.member
 
     def turn(step: Array) -> float:
-        return float(np.abs(known.factor @ step).max())
+        return float(known.turn(near.state, step))
 
-    found = turning_point(at, turn, near.t, state.z, softest(known, state))
-    problem = None if found is None else _problem_like(path, found.t, known)
-    if found is None or problem is None:
+    found = turning_point(_equations(family, known), turn, near.t, near.state.x, near.softest)
+    there = None if found is None else family.like(known, found.t)
+    if found is None or there is None:
         return None
-    return Fold(found.t, Solution.at(problem, path.at(found.t)[0], found.x), found.direction)
+    state = there.at(found.x)
+    return Loss(Point(found.t, there, state, there.margin(state), found.steps), "fold", found.direction)
 
 
-def _problem_like(path: JointPath, t: float, known: ReducedProblem) -> ReducedProblem | None:
-    """The problem at t on a mesh with the pieces of a known one of the path; None where the sections are others."""
-    n = path.robot.n_tubes
-    if (path.start[n:] == path.end[n:]).all():
-        return known
-    assembly, count = path.robot.assembly(path.at(t)[1]), known.assembly.n_sections
-    if assembly.n_sections != count:
+def bifurcation(family: Family, near: Place, goal: float) -> Loss | None:
+    """The root of the margin on the branch of `near`, which goes on beyond it; None where it does not."""
+
+    def at(t: float) -> Place | None:
+        there = family.member(t)
+        result = there.solve(there.carried(near))
+        return Point.of(there, result, t) if result.converged else None
+
+    ahead = 1e-7
+    while ahead < CONTINUATION.widest:
+        t = min(goal, near.t + ahead * max(1.0, abs(goal)))
+        beyond = at(t)
+        if beyond is None:
+            return None
+        if beyond.margin < 0:
+            found = _root(at, near.t, t)
+            return None if found is None else Loss(found, "bifurcation", found.softest)
+        if t == goal:
+            return None
+        ahead *= 10
+    return None
+
+
+def _root(at: Callable[[float], Place | None], low: float, high: float) -> Place | None:
+    def margin(t: float) -> float:
+        point = at(t)
+        return float("nan") if point is None else point.margin
+
+    if not margin(low) > 0:
+        return at(low)
+    try:
+        found = at(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
+    except ValueError:
         return None
-    return reduce(assembly, make_mesh(assembly, np.bincount(known.mesh.section, minlength=count)))
+    # Where the margin jumps, there are two branches, not a root on one.
+    return found if found is not None and abs(found.margin) <= CONTINUATION.least_stiffness else None
 
 
-def land(solution: Solution, direction: Array) -> Solution | None:
-    """The minimum to which the energy falls from a fold or an unstable equilibrium, at its joint values.
+def fall(lost: Place, direction: Array) -> Place | None:
+    """The minimum to which potential energy falls from a point after a push along `direction` (U,), at its joint values
+    and load: to the side that leads down, or to both if both do, of which the one that ends lower is taken. None where
+    that leads to no stable equilibrium.
 
-    The robot is pushed along `direction` (U,) in z to the sides that lead down: one at a fold, both at an unstable
-    equilibrium, of which the one that ends lower is taken. From there it takes the way of steepest descent in the norm
-    of the torsional energy. None where that leads to no stable equilibrium.
-
-    Of tubes off the centreline the torsional energy leaves out that they are stretched: it only chooses between sides.
+    Energy falls on the path of steepest descent in the norm of the torsional and bending energy. Of tubes off the
+    centreline that energy leaves out that they are stretched: it only chooses between sides.
     """
-    problem, rotations = solution.problem, solution.rotations
-    z = to_unknowns(problem, rotations, solution.result.state.theta)
-    push = CONTINUATION.nudge / float(np.abs(problem.factor @ direction).max()) * direction
-    starts = downhill(z, push, lambda x: evaluate(problem, rotations, x).gradient)
-    ends = [result for result in (slide(problem, rotations, start) for start in starts) if result.converged]
-    rests = [Solution(problem, rotations, end, margin(problem, end.state)) for end in ends]
-    return min((one for one in rests if one.margin > 0), key=lambda one: one.result.state.energy, default=None)
+    member, x = lost.member, lost.state.x
+    push = CONTINUATION.nudge / member.turn(lost.state, direction) * direction
+    ends = [slide(member, start) for start in downhill(x, push, lambda x: member.at(x).gradient)]
+    points = [Point.of(member, end, lost.t) for end in ends if end.converged]
+    rests = [point for point in points if point.margin > -NEUTRAL]
+    # Of two that are alike, as beside a bifurcation, the first.
+    lowest = min((rest.state.potential for rest in rests), default=0.0)
+    return next((rest for rest in rests if rest.state.potential <= lowest + 1e-12), None)
 
 
-def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult[Evaluation]:
-    """The gradient flow of the energy from z (U,) to the minimum where it ends.
+def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
+    """The gradient flow of the potential energy from x (U,) to the minimum where it ends."""
+    begin = member.at(x)
+    round_off = 1e-13 * member.round_off(begin)
 
-    Tubes off the centreline flow down what stands for the gradient, their residual: at their fold the same tubes on the
-    centreline may still have a minimum close by, in which a descent of that energy would be caught.
-    """
-    eccentric = problem.assembly.eccentric
+    def step(state: Any, time: float) -> tuple[Array, float, bool]:
+        change, not_convex = member.downhill(state, time)
+        return change, member.turn(state, change), not_convex
 
-    def step(state: Evaluation, time: float) -> tuple[Array, float, bool]:
-        change, not_convex = _step(problem, state, np.eye(len(z)) / time)
-        return change, float(np.abs(problem.factor @ change).max(initial=0.0)), not_convex
+    def moved(state: Any, change: Array) -> Any:
+        there = member.at(state.x + change)
+        return None if member.descends and there.potential > state.potential + round_off else there
 
-    def moved(state: Evaluation, change: Array) -> Evaluation | None:
-        there = evaluate(problem, rotations, state.z + change)
-        rises = there.energy > state.energy + 1e-13 * (problem.energy_parts + abs(state.energy))
-        return None if rises and not eccentric else there
-
-    return flow(
-        evaluate(problem, rotations, z), step, moved, lambda state: newton(problem, rotations, state.z, iterations=4)
-    )
-
-
-def _step(problem: ReducedProblem, state: Evaluation, shift: Array) -> tuple[Array, bool]:
-    """Step of the shifted Newton matrix, and whether that is not positive."""
-    matrix = state.hessian + shift
-    if problem.assembly.eccentric:
-        failed = scipy.linalg.lapack.dpotrf((matrix + matrix.T) / 2)[1]
-        step = scipy.linalg.lapack.dgesv(matrix, -state.gradient)[2]
-    else:
-        _, step, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
-    return np.asarray(step), failed != 0
-
-
-def distance(a: Solution, b: Solution) -> float:
-    """Largest difference (rad) of the rotations of two solutions of the same problem."""
-    return float(np.abs(a.result.state.theta - b.result.state.theta).max(initial=0.0))
+    return flow(begin, step, moved, lambda state: member.solve(state.x, iterations=4))

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.batch import joint_arrays
-from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_continuation import Family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.loaded import loaded_point
+from ..equilibrium.member import Place, plain_point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import polish
 from ..errors import InputError, SolveError, vector
@@ -29,7 +29,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, Sentence
-from .motion import Event, Place, Snap, Way, leg, steps_along, to_snap, told, way_between
+from .motion import Event, Snap, equilibrium_at, family_between, leg, motion, to_snap
 from .rubbing_following import rubbing_legs
 
 T = TypeVar("T")
@@ -175,9 +175,8 @@ def _legs(
         first, point = _loaded_start(robot, joints[0], load, start)
     yield first, []
     for k, (here, there) in enumerate(pairwise(joints)):
-        way = way_between(robot, here, there, load)
-        point, snaps = leg(way, point, k)
-        yield told(way, point, "the waypoint before"), snaps
+        point, snaps = leg(family_between(robot, here, there, load), point, k)
+        yield equilibrium_at(point, "the waypoint before"), snaps
 
 
 def _start(robot: Robot, joint: Array, start: Equilibrium | None) -> tuple[Equilibrium, Place]:
@@ -185,11 +184,11 @@ def _start(robot: Robot, joint: Array, start: Equilibrium | None) -> tuple[Equil
     first = start if start is not None else forward_kinematics(robot, *np.split(joint, 2))
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    point: Place = Point(1.0, polish(first))
-    way = JointPath(robot, np.concatenate([first.rotations, first.translations]), joint)
+    point: Place = plain_point(robot, polish(first), tuple(first.translations.tolist()))
     if not _at(first, joint):
-        point, _ = leg(way, point, 0)
-    return told(way, point, "start"), point
+        own = np.concatenate([first.rotations, first.translations])
+        point, _ = leg(Family(JointPath(robot, own, joint)), point, 0)
+    return equilibrium_at(point, "start"), point
 
 
 def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> tuple[Equilibrium, Place]:
@@ -261,22 +260,23 @@ def find_snap(
         >>> round(float(np.degrees(snap.rotations[0])), 3)
         214.222
     """
-    way = way_between(robot, _joint(robot, "start", start), _joint(robot, "end", end), load)
-    steps = steps_along(way, _first(robot, way, equilibrium))
-    return next((to_snap(way, step, 0) for step in steps if isinstance(step, Event)), None)
+    family = family_between(robot, _joint(robot, "start", start), _joint(robot, "end", end), load)
+    steps = motion(family, _first(robot, family, equilibrium))
+    return next((to_snap(step, 0) for step in steps if isinstance(step, Event)), None)
 
 
-def _first(robot: Robot, way: Way, equilibrium: Equilibrium | None) -> Place:
-    """The stable point at the start of a way, on the branch of an equilibrium if one is given."""
-    if isinstance(way, Family):
-        return _loaded_start(robot, way.path.start, way.load, equilibrium)[1]
-    first = equilibrium if equilibrium is not None else forward_kinematics(robot, *way.at(0.0))
+def _first(robot: Robot, family: Family, equilibrium: Equilibrium | None) -> Place:
+    """The stable point at the start of a family, on the branch of an equilibrium if one is given."""
+    start = family.path.start
+    if family.load is not None:
+        return _loaded_start(robot, start, family.load, equilibrium)[1]
+    first = equilibrium if equilibrium is not None else forward_kinematics(robot, *np.split(start, 2))
     if not first.stable:
         raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")
     own = np.concatenate([first.rotations, first.translations])
-    if np.abs(own - way.start).max() > 1e-9:
+    if np.abs(own - start).max() > 1e-9:
         raise InputError("equilibrium is at other joint values than start; they must be the same")
-    return Point(0.0, polish(first))
+    return plain_point(robot, polish(first), tuple(first.translations.tolist()))
 
 
 def _joint(robot: Robot, name: str, value: Configuration) -> Array:
@@ -316,4 +316,4 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         here = np.concatenate([alpha, shift])
     family = Family(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
     point, snaps = leg(family, loaded_point(equilibrium), 0)
-    return Path((equilibrium, told(family, point, "the load before")), tuple(snaps))
+    return Path((equilibrium, equilibrium_at(point, "the load before")), tuple(snaps))

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.loaded import tip_position
 from ..display import Displayed
+from ..equilibrium.continuation import Family, reach
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry, reach
 from ..equilibrium.load_problem import check_load
 from ..equilibrium.loaded import unloaded_point
+from ..equilibrium.member import Loaded, LoadedPoint, Place, Point
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
@@ -23,7 +24,7 @@ from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Sentence
-from .loaded_events import Loss, branch_end, fall
+from .folds import Loss, branch_end, fall
 
 
 class LoadLimitStatus(Sentence):
@@ -130,9 +131,9 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
         if point is None:
             point = unloaded_point(first, grown)
         else:
-            point = _restart(point, Member.of(robot, alpha, shift, grown, factor=reached / goal))
+            point = _restart(point, Loaded.of(robot, alpha, shift, grown, factor=reached / goal))
         family = Family.growing(point.member)
-        point = reach(family, point, 1.0)
+        point = reach(family, point)
         if point.t < 1.0:
             loss = branch_end(family, point, 1.0)
             if loss is not None:
@@ -145,10 +146,10 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
     return None
 
 
-def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
+def _restart(point: Place, there: Loaded) -> LoadedPoint:
     """The equilibrium of another problem close to a point."""
     failure = "the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost"
-    return LoadedPoint.near(there, carry(point, there), failure)
+    return Point.near(there, there.carried(point), failure, there.factor)
 
 
 def _described(loss: Loss, scale: float) -> LoadLimit:
@@ -156,7 +157,7 @@ def _described(loss: Loss, scale: float) -> LoadLimit:
     left = loss.point
     if loss.kind != "fold":
         left = _restart(left, replace(left.member, factor=loss.t * (1 + CONTINUATION.past)))
-    landed = fall(left.member, left.state.x, loss.direction)
+    landed = fall(left, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))
     after = to_loaded(landed)

@@ -16,18 +16,18 @@ from ..block.transcription.loaded import unknowns
 from ..block.transcription.reduced import Evaluation
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import LoadedPoint, Member
 from ..equilibrium.load_problem import check_load
+from ..equilibrium.member import Loaded, LoadedPoint, Point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import sample_rotation
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
-from ..solvers.newton import NewtonResult, turn_of
+from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .certificate import snap_free_certificate
-from .loaded_events import slide
+from .folds import slide
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 
 
@@ -47,7 +47,7 @@ def loaded_equilibria(
     """
     check_load(robot, load, translations)
     load.require_energy("equilibria cannot be counted")
-    member = Member.of(robot, rotations, translations, load)
+    member = Loaded.of(robot, rotations, translations, load)
     bounded, force = load.tip_force_only and not is_general(robot), float(np.linalg.norm(load.force))
     if bounded and snap_free_certificate(robot, translations, max_force=force) > search.certain:
         return [forward_kinematics(robot, rotations, translations, load=load)]
@@ -72,7 +72,7 @@ def loaded_equilibria(
     )
 
 
-def _starts(member: Member, samples: Array, twist: float) -> list[Array]:
+def _starts(member: Loaded, samples: Array, twist: float) -> list[Array]:
     """Unknowns of arms whose tubes are twisted and which are bent linearly in arc length."""
     problem, n = member.problem, len(member.rotations)
     torsion = problem.torsion
@@ -90,18 +90,18 @@ def _starts(member: Member, samples: Array, twist: float) -> list[Array]:
     return starts
 
 
-def _add(found: list[LoadedPoint], member: Member, x: Array, same: float) -> bool:
+def _add(found: list[LoadedPoint], member: Loaded, x: Array, same: float) -> bool:
     """Solve from x; whether that is an equilibrium which was not known."""
     result = member.solve(x, iterations=30)
     if not result.converged:
         return False
-    if any(turn_of(member.problem, result.state, result.state.x - known.state.x) < same for known in found):
+    if any(member.turn(result.state, result.state.x - known.state.x) < same for known in found):
         return False
-    found.append(LoadedPoint.of(member, result))
+    found.append(Point.of(member, result, 1.0))
     return True
 
 
-def _descend(found: list[LoadedPoint], member: Member, explored: set[int], same: float) -> int:
+def _descend(found: list[LoadedPoint], member: Loaded, explored: set[int], same: float) -> int:
     """Fall from unstable equilibria to both sides of their unstable directions; how many new ones that finds."""
     new = 0
     for k, point in enumerate(list(found)):
@@ -110,7 +110,7 @@ def _descend(found: list[LoadedPoint], member: Member, explored: set[int], same:
         explored.add(k)
         values, vectors = np.linalg.eigh(point.state.hessian)
         for direction in vectors.T[values < 0]:
-            push = CONTINUATION.nudge / turn_of(member.problem, point.state, direction) * direction
+            push = CONTINUATION.nudge / member.turn(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
                 new += landed.converged and _add(found, member, landed.state.x, same)

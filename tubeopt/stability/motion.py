@@ -1,35 +1,25 @@
-"""Quasi-static motion along a straight way of joint values, with or without a load: points of the branch that is
-followed, where the robot snaps, and where it lands."""
+"""Quasi-static motion along a family of problems, joints or load alike: where the robot snaps, and where it lands."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
 
 import numpy as np
 
-from ..block.transcription.second_variation import softest
 from ..display import Displayed
-from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.continuation import Family, JointPath, follow, step_to
 from ..equilibrium.load_answer import to_loaded
-from ..equilibrium.load_continuation import Family, LoadedPoint, carry, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
+from ..equilibrium.member import Loaded, Place, solution_of
 from ..equilibrium.result import Equilibrium, Statistics
-from ..equilibrium.solving import Solution, to_equilibrium
+from ..equilibrium.solving import to_equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Of, Sentence
-from .folds import Fold, distance, land, polish_fold
-from .loaded_events import Loss, branch_end, fall
-
-P = TypeVar("P", Point, LoadedPoint)
-
-Way = JointPath | Family
-
-Place = Point | LoadedPoint
+from .folds import Loss, branch_end, fall
 
 
 class SnapStatus(Sentence):
@@ -82,139 +72,84 @@ class Snap(Displayed):
 
 
 @dataclass(frozen=True, eq=False)
-class Event(Generic[P]):
-    """A snap on a way: the equilibrium that is lost, and the one in which the robot has landed."""
+class Event:
+    """A snap of a family: the equilibrium that is lost, and the one in which the robot has landed."""
 
-    lost: P
-    landed: P
+    lost: Place
+    landed: Place
 
 
-def way_between(robot: Robot, start: Array, end: Array, load: Load | None) -> Way:
-    """The straight way from joint values (2n,) to others, under a load that stays."""
+def family_between(robot: Robot, start: Array, end: Array, load: Load | None) -> Family:
+    """Joint values (2n,) that go straight to others, under a load that stays or none."""
     if load is None:
-        return JointPath(robot, start, end)
+        return Family(JointPath(robot, start, end))
     return Family(JointPath(robot, start, end, LOADED_DISCRETISATION), load, load)
 
 
-def steps_along(way: Way, start: Place) -> Iterator[Place | Event[Point] | Event[LoadedPoint]]:
-    """Points of the motion from a stable one at the start of a way, the last at its end; an event wherever the robot
-    snaps."""
-    if isinstance(way, JointPath):
-        assert isinstance(start, Point)
-        return motion_along(way, start.solution)
-    assert isinstance(start, LoadedPoint)
-    return loaded_motion_along(way, replace(start, t=0.0, iterations=0))
+def motion(family: Family, start: Place) -> Iterator[Place | Event]:
+    """Points of the motion from a stable one at t = 0, the last at t = 1; an event wherever the robot snaps.
+
+    Joints that move along a path and a load that turns into another one are followed alike.
+    """
+    here, shortest = replace(start, t=0.0), CONTINUATION.shortest_step
+    for goal in family.path.events():
+        while here.t < goal:
+            for point in follow(family, here, goal, shortest=shortest):
+                yield point
+                here = point
+            if here.t >= goal:
+                break
+            loss = branch_end(family, here, goal)
+            if loss is None and shortest > CONTINUATION.sharpest_step:
+                shortest = CONTINUATION.sharpest_step
+                continue
+            step, shortest = leave(family, here, loss, goal), CONTINUATION.shortest_step
+            yield step
+            here = step.landed if isinstance(step, Event) else step
+            if isinstance(step, Event):
+                yield here
 
 
-def leg(way: Way, start: Place, index: int) -> tuple[Place, list[Snap]]:
+def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place | Event:
+    """What happens after the last stable point, where the branch is lost: a snap, or a smooth change to a neighbouring
+    branch."""
+    lost, direction = (last, last.softest) if loss is None else (loss.point, loss.direction)
+    landed = fall(lost, direction)
+    turn = 0.0 if landed is None else landed.member.moved(lost, landed.state)
+    t = min(goal, lost.t + CONTINUATION.past)
+    beyond = step_to(family, t, last) if turn <= CONTINUATION.smooth_turn else None
+    # Without equilibria beyond a fold even a small turn is a snap.
+    if landed is not None and beyond is None and turn > CONTINUATION.least_turn:
+        return Event(lost, landed)
+    # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
+    side = None if beyond is None else fall(beyond, beyond.softest)
+    if beyond is None or side is None:
+        raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
+    if landed is None and side.member.moved(beyond, side.state) > CONTINUATION.smooth_turn:
+        return Event(replace(beyond, t=lost.t), side)
+    return side
+
+
+def leg(family: Family, start: Place, index: int) -> tuple[Place, list[Snap]]:
     """The end of a motion from a stable point, and the snaps on it, which lie behind the waypoint `index`."""
     point, snaps = start, list[Snap]()
-    for step in steps_along(way, start):
+    for step in motion(family, start):
         if isinstance(step, Event):
-            snaps.append(to_snap(way, step, index))
+            snaps.append(to_snap(step, index))
         else:
             point = step
     return point, snaps
 
 
-def to_snap(way: Way, event: Event[Point] | Event[LoadedPoint], index: int) -> Snap:
-    """An event on a way as a snap after the waypoint `index`."""
-    before, after = told(way, event.lost, "fold"), told(way, event.landed, "energy descent")
+def to_snap(event: Event, index: int) -> Snap:
+    """An event as a snap after the waypoint `index`."""
+    before, after = equilibrium_at(event.lost, "fold"), equilibrium_at(event.landed, "energy descent")
     return Snap(index, event.lost.t, before, after)
 
 
-def told(way: Way, place: Place, start: str) -> Equilibrium:
-    """The equilibrium at a point of a way; `start` is how it was reached."""
-    if isinstance(place, LoadedPoint):
-        return to_loaded(place, (start, 0.0))
-    assert isinstance(way, JointPath)
-    translations = tuple(way.at(place.t)[1].tolist())
-    return to_equilibrium(way.robot, place.solution, translations, ("newton", start, 0.0))
-
-
-def motion_along(path: JointPath, solution: Solution) -> Iterator[Point | Event[Point]]:
-    """Points of the motion from a stable solution at the start of a path; an event wherever the robot snaps.
-
-    The last point is at the end of the path.
-    """
-    here = Point(0.0, solution)
-    for goal in path.events():
-        while here.t < goal:
-            points, reached = follow_to(path, here, goal)
-            yield from points
-            here = points[-1] if points else here
-            if reached:
-                break
-            fold = fold_ahead(path, here, min(goal, here.t + 1e-2))
-            event = beyond(path, here, goal, fold or Fold(here.t, here.solution, _softest(here.solution)))
-            if isinstance(event, Event):
-                yield event
-                here = event.landed
-            else:
-                here = event
-            yield here
-
-
-def fold_ahead(path: JointPath, here: Point, far: float) -> Fold | None:
-    """The fold close ahead of a point of a stable branch, up to fraction `far`; None where none is found."""
-    fold = polish_fold(path, here)
-    return fold if fold is not None and here.t - 1e-6 <= fold.t <= far else None
-
-
-def beyond(path: JointPath, here: Point, goal: float, fold: Fold) -> Event[Point] | Point:
-    """What happens at a fold ahead of a point: a snap, or a smooth change to a neighbouring branch."""
-    landed = land(fold.solution, fold.direction)
-    turn = 0.0 if landed is None else distance(landed, fold.solution)
-    t = min(goal, fold.t + CONTINUATION.past)
-    unstable = solve_at(path, t, here) if turn <= CONTINUATION.smooth_turn else None
-    # Without equilibria beyond the fold even a small turn is a snap.
-    if landed is not None and unstable is None and turn > CONTINUATION.least_turn:
-        return Event(Point(fold.t, fold.solution), Point(fold.t, landed))
-    # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
-    landed = None if unstable is None else land(unstable.solution, _softest(unstable.solution))
-    if landed is None:
-        raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
-    return Point(t, landed)
-
-
-def _softest(solution: Solution) -> Array:
-    return softest(solution.problem, solution.result.state)
-
-
-def loaded_motion_along(family: Family, start: LoadedPoint) -> Iterator[LoadedPoint | Event[LoadedPoint]]:
-    """Points of the motion from a stable one at t = 0, the last at t = 1; an event wherever the robot snaps."""
-    here, longest = start, family.path.largest_step()
-    while here.t < 1.0:
-        for point in follow_family(family, here, 1.0, longest=longest):
-            yield point
-            here = point
-        if here.t >= 1.0:
-            return
-        step = _lost(family, here)
-        yield step
-        here = step.landed if isinstance(step, Event) else step
-        if isinstance(step, Event):
-            yield here
-
-
-def _lost(family: Family, last: LoadedPoint) -> LoadedPoint | Event[LoadedPoint]:
-    """What happens where the stable branch is lost: a snap, or a smooth change to a neighbouring branch."""
-    loss = branch_end(family, last, 1.0)
-    if loss is None:
-        # Close to where breakpoints meet the exact fold may not be told; the last stable point is next to it.
-        loss = Loss(last, "fold", last.softest)
-    left, t = loss.point, loss.t
-    if loss.kind == "bifurcation":
-        t = min(1.0, loss.t + CONTINUATION.past)
-        there = family.member(t)
-        result = there.solve(carry(loss.point, there))
-        left = LoadedPoint.of(there, result, t) if result.converged else loss.point
-    landed = fall(left.member, left.state.x, loss.direction)
-    if landed is None:
-        raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
-    landed = replace(landed, t=left.t)
-    turn = float(np.abs(landed.state.theta - left.state.theta).max(initial=0.0))
-    bend = 2 * float(np.linalg.norm(landed.state.orientation.stage - left.state.orientation.stage, axis=1).max())
-    if loss.kind == "bifurcation" and max(turn, bend) <= CONTINUATION.smooth_turn:
-        return landed
-    return Event(replace(left, t=loss.t), landed)
+def equilibrium_at(point: Place, start: str) -> Equilibrium:
+    """The equilibrium at a point; `start` is how it was reached."""
+    member = point.member
+    if isinstance(member, Loaded):
+        return to_loaded(point, (start, 0.0))
+    return to_equilibrium(member.robot, solution_of(point), member.translations, ("newton", start, 0.0))

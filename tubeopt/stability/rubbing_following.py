@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 
 from ..block.transcription.contact import evaluate_contact
-from ..equilibrium.continuation import JointPath, largest_twist
+from ..equilibrium.continuation import Family, JointPath, largest_twist
 from ..equilibrium.friction import Held, bent_at, carried, check_rubbing, rest, step, sweep, swept, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
-from ..robots.load import Load, between
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
 from ..solvers.settings import CONTINUATION
@@ -33,35 +33,15 @@ UNTOLD = 1e-9
 """Margin whose square is round-off, which tells of no fold."""
 
 
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """A straight path of joint values, on which one load turns evenly into another."""
-
-    path: JointPath
-    before: Load | None
-    after: Load | None
-
-    def at(self, t: float) -> tuple[Array, Array, Load | None]:
-        """Rotations, translations and load at fraction t."""
-        rotations, translations = self.path.at(t)
-        if self.after is None or t == 1.0 or self.before == self.after:
-            return rotations, translations, self.after
-        return rotations, translations, between(self.before or Load(frame=self.after.frame), self.after, t)
-
-    def span(self) -> float:
-        """How far the joints go: largest turn, rad, or shift over the longest tube; 1 where the load changes."""
-        return max(self.path.span(), float(self.before != self.after))
-
-
 class Stride:
     """The length `size` of the next step, a fraction of a path.
 
     Towards a fold at t_f the square of the margin goes to 0 as t_f - t does: two states tell where it is.
     """
 
-    def __init__(self, drive: Drive) -> None:
-        self.longest = drive.path.largest_step()
-        self.shortest = min(SHORTEST / max(drive.span(), SHORTEST), CONTINUATION.landed_step * self.longest)
+    def __init__(self, family: Family) -> None:
+        self.longest = family.path.largest_step()
+        self.shortest = min(SHORTEST / max(family.span(), SHORTEST), CONTINUATION.landed_step * self.longest)
         self.size, self._halted, self._wall = self.longest, False, 0.0
         self._before: tuple[float, Held] | None = None
 
@@ -154,19 +134,19 @@ def rubbing_leg(robot: Robot, held: Held, goal: Array, load: Load | None = None)
     """The state at other joint values (2n,) and under another load, on a straight path, and the snaps on it."""
     snaps: list[RubbingSnap] = []
     path = JointPath(robot, np.concatenate([held.rotations, held.translations]), goal)
-    for found in _along(Drive(path, held.contact.load, load), held):
+    for found in _along(Family(path, load, held.contact.load), held):
         held = found.after if isinstance(found, RubbingSnap) else found
         snaps += [found] if isinstance(found, RubbingSnap) else []
     return held, snaps
 
 
-def _along(drive: Drive, held: Held) -> Iterator[Held | RubbingSnap]:
+def _along(family: Family, held: Held) -> Iterator[Held | RubbingSnap]:
     """States along a straight path of joint values and load, and snaps; the last is at its end."""
-    t, far, stride = 0.0, -1.0, Stride(drive)
-    for goal in drive.path.events():
+    t, far, stride = 0.0, -1.0, Stride(family)
+    for goal in family.path.events():
         while t < goal:
             at = goal if t + stride.size >= goal - 1e-12 else t + stride.size
-            there = _near(drive, held, at)
+            there = _near(family, held, at)
             if there is not None:
                 yield there
                 stride.went(t, held, at, there)
@@ -176,14 +156,14 @@ def _along(drive: Drive, held: Held) -> Iterator[Held | RubbingSnap]:
             # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
             # goes far, a snap lies before it.
             if held.margin <= 0 and stride.size < CONTINUATION.hop * stride.longest and t >= far:
-                there = _flowed(drive, held, at, pushed=False)
+                there = _flowed(family, held, at, pushed=False)
                 if there is None or _distance(held, there) > CONTINUATION.smooth_turn:
                     there, far = None, at
             if there is None and shorter:
                 continue
             if there is None:
                 at, far = min(goal, t + CONTINUATION.rubbing_past * stride.shortest), -1.0
-                there = _flowed(drive, held, at, pushed=True)
+                there = _flowed(family, held, at, pushed=True)
                 if there is None:
                     raise SolveError(
                         f"the motion with friction is lost {100 * at:.3f} % of the way: no state was found in which "
@@ -196,9 +176,9 @@ def _along(drive: Drive, held: Held) -> Iterator[Held | RubbingSnap]:
     yield held
 
 
-def _near(drive: Drive, held: Held, t: float) -> Held | None:
+def _near(family: Family, held: Held, t: float) -> Held | None:
     """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
-    there = step(drive.path.robot, held, *drive.at(t))
+    there = step(family.path.robot, held, *family.path.at(t), family.load_at(t))
     if there is None or there.found.contraction > CONTINUATION.largest_ratio:
         return None
     far = _distance(held, there)
@@ -217,11 +197,11 @@ def _distance(a: Held, b: Held) -> float:
     return float(np.abs(change).max(initial=0.0))
 
 
-def _flowed(drive: Drive, held: Held, t: float, *, pushed: bool) -> Held | None:
+def _flowed(family: Family, held: Held, t: float, *, pushed: bool) -> Held | None:
     """Where the robot flows to by itself, or with a push from a state that is no equilibrium any more; None where that
     is not found."""
-    rotations, translations, load = drive.at(t)
-    contact, before, x = carried(drive.path.robot, held, rotations, translations, load)
+    (rotations, translations), load = family.path.at(t), family.load_at(t)
+    contact, before, x = carried(family.path.robot, held, rotations, translations, load)
     push = None
     if pushed and contact is held.contact:
         push = CONTINUATION.nudge * softest(contact, held.found.state, held.found.signs)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.member import Place, plain_point
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
-from .folds import land
+from .folds import fall
 from .following import find_snap
 from .motion import Event, Snap, to_snap
 from .pair import PairFold, farthest_fold, pair_fold, pair_of
@@ -242,17 +242,14 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
     """The snap built from the fold itself, which may be too shallow to be met on the way."""
     first = int(search.coupled[0])
     way = search.placed(way)
-    ends = [np.concatenate([rotations, search.translations]) for rotations in way]
-    path = JointPath(search.robot, ends[0], ends[1])
     relative = way[:, first] - way[:, int(search.coupled[1])]
     sign, t = np.sign(relative[1] - relative[0]), fold.turn / abs(relative[1] - relative[0])
-    rotations = path.at(t)[0]
+    rotations = way[0] + t * (way[1] - way[0])
 
-    def solution(z: Array) -> Solution:
-        return Solution.at(search.problem, rotations, z)
+    def point(z: Array) -> Place:
+        solution = Solution.at(search.problem, rotations, z)
+        return plain_point(search.robot, solution, tuple(search.translations.tolist()), t)
 
-    lost = solution(sign * fold.z)
-    after = land(lost, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
-    if after is None:
-        return None
-    return Found(way, to_snap(path, Event(Point(t, lost), Point(t, after)), 0), followed=False)
+    lost = point(sign * fold.z)
+    after = fall(lost, fold.direction) if fold.beyond is None else point(sign * fold.beyond)
+    return None if after is None else Found(way, to_snap(Event(lost, after), 0), followed=False)

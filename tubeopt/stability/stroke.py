@@ -20,9 +20,9 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
+from .folds import Loss
 from .load_limit import LoadLimit, find_load_limit, find_loss
 from .loaded_certificate import bundle_of
-from .loaded_events import Loss
 
 
 @typed

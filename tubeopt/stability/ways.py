@@ -7,18 +7,20 @@ follower takes over, until the branch has ended in a snap or is at ease again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.kinematics import nearby
+from ..equilibrium.member import plain_point
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import polish, to_equilibrium
+from ..equilibrium.solving import polish
 from ..solvers.compiled.binding import kernel_of
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .motion import Event, beyond, fold_ahead, motion_along
+from .folds import fold_ahead
+from .motion import Event, equilibrium_at, leave, motion
 
 STEP = (1 - 1e-9) * CONTINUATION.largest_turn
 """Turn (rad) of a step of the kernel: the most that it takes, less a round-off that would make it more; of those that
@@ -56,10 +58,10 @@ def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool =
         if not left:
             return End(here, snaps, first, before)
         begin, end = (np.concatenate([turned, here.translations]) for turned in (here.rotations, rotations))
-        path = JointPath(here.robot, begin, end)
-        here, folds = _taken_over(path, here, left)
+        family = Family(JointPath(here.robot, begin, end))
+        here, folds = _taken_over(family, here, left)
         if folds and first is None:
-            first = path.at(folds[0])[0]
+            first = family.path.at(folds[0])[0]
             if to_first_snap:
                 return End(here, 1, first, before)
         snaps += len(folds)
@@ -80,19 +82,17 @@ def _by_kernel(here: Equilibrium, goal: Array) -> list[Equilibrium]:
     return passed
 
 
-def _taken_over(path: JointPath, here: Equilibrium, left: float) -> tuple[Equilibrium, list[float]]:
+def _taken_over(family: Family, here: Equilibrium, left: float) -> tuple[Equilibrium, list[float]]:
     """What the general follower finds over the next fold, or through a turn of TAKEN_OVER of the `left` of a path; and
     the fractions at which it snapped."""
-    start, folds = Point(0.0, polish(here)), []
-    far, fold = 1.0, None
-    if kernel_of(path.robot) is not None:
-        far, fold = min(1.0, TAKEN_OVER / left), fold_ahead(path, start, min(1.0, CLOSE / left))
-    for step in motion_along(path, start.solution) if fold is None else (beyond(path, start, 1.0, fold),):
+    start, folds = plain_point(here.robot, polish(here), tuple(here.translations.tolist())), []
+    far, ahead = 1.0, None
+    if kernel_of(here.robot) is not None:
+        far, ahead = min(1.0, TAKEN_OVER / left), fold_ahead(family, start, min(1.0, CLOSE / left))
+    for step in motion(family, start) if ahead is None else (leave(family, start, ahead, 1.0),):
         if isinstance(step, Event):
             folds.append(step.lost.t)
         point = step.landed if isinstance(step, Event) else step
         if folds or point.t >= far:
             break
-    rotations, shift = path.at(point.t)
-    at = replace(point.solution, rotations=rotations)
-    return to_equilibrium(path.robot, at, tuple(shift.tolist()), ("newton", "the way", 0.0)), folds
+    return equilibrium_at(point, "the way"), folds

@@ -127,6 +127,11 @@ class Evaluation:
     extra_twist: Array | None
 
     @property
+    def x(self) -> Array:
+        """(U,) the unknowns, all of which are of torsion."""
+        return self.z
+
+    @property
     def potential(self) -> float:
         """Energy that an equilibrium makes least, J: without load the elastic one."""
         return self.energy
