@@ -8,7 +8,7 @@ from ...constants import ZERO_CELSIUS
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...solvers.parallel.blas import small
-from ..recipes import check_temperatures
+from ..recipes import check_temperatures, warn_of_limit
 from .cures import find_cures
 from .leading import lead_by
 from .plan import HeatingPlan
@@ -50,6 +50,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
         instance(name, value, wanted)
     check_temperatures(tube.material, "window_degC", *spec.window_degC)
+    warn_of_limit(tube.material, spec.limit_degC)
     thermal_data(tube)
     if rig.ambient - ZERO_CELSIUS >= spec.window_degC[0]:
         raise InputError(
