@@ -12,7 +12,6 @@ import pytest
 from tests.command_line import ROOT, THESIS, Run, answer
 from tubeopt import InputError, load_rig, load_robot
 from tubeopt.runs.inverse_study import InverseStudy
-from tubeopt.runs.study_file import load_study
 
 TUBE = {
     "outer_diameter_mm": "1.92",
