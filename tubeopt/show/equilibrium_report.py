@@ -25,6 +25,7 @@ VERIFICATION: tuple[Quantity[Verification], ...] = (
     Quantity("tip_rotation_rad", "angle between the frames of the tips", form=".6g"),
     Quantity("rotation_rad", "largest difference of a tube's rotation", form=".6g"),
     Quantity("end_torsion_rad_per_m", "largest torsion left at the end of a tube", form=".6g"),
+    Quantity("end_curvature_per_m", "curvature at the tip that no moment makes", form=".6g"),
     Quantity("base_rotation_rad", "largest difference to a rotation imposed at the base", form=".6g"),
 )
 
