@@ -61,7 +61,7 @@ def plan_heating(
     for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
         instance(name, value, wanted)
     check_temperatures(tube.material, "window_degC", *spec.window_degC)
-    warn_of_limit(tube.material, spec.limit_degC)
+    warn_of_limit(tube.material, spec.limit)
     thermal_data(tube)
     if rig.ambient - ZERO_CELSIUS >= spec.window_degC[0]:
         raise InputError(
