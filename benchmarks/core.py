@@ -93,6 +93,12 @@ def warm(translate: bool) -> Iterable[Call]:
     return [partial(step, a, d) for a, d in path_joints(one, 300, translate=translate)]
 
 
+def loaded(load: Load) -> Iterable[Call]:
+    """Random rotations of the thesis robot under a load."""
+    one = robot()
+    return [partial(forward_kinematics, one, a, load=load) for a, _ in random_joints(one, 60)]
+
+
 def many() -> Iterable[Call]:
     """10,000 configurations at once, three times."""
     one = robot()
@@ -146,6 +152,12 @@ QUESTIONS = {
     "eccentric": Question("the same of an eccentric robot", eccentric, lambda pose: pose.tip_position),
     "warm": Question("forward kinematics, warm", partial(warm, translate=True), of_pose),
     "held": Question("the same, translations held", partial(warm, translate=False), of_pose),
+    "force": Question("the same under a force on the tip", partial(loaded, Load((0.02, 0.01, 0.0))), of_pose),
+    "moment": Question(
+        "the same under a moment on the tip",
+        partial(loaded, Load(moment=(0.001, 0.002, 0.001))),
+        lambda pose: pose.tip_position,
+    ),
     "batch": Question(
         "one of a batch of 10,000", many, lambda b: np.column_stack([b.tip_position, b.margin])[:2].ravel(), 10_000
     ),
