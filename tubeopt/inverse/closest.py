@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..typing import Array, Index, Mask
+from ..solvers.quadratic import constrained_least_squares
+from ..typing import Array, Index
 from .descent import SLACK, Search, boxed
 from .goal import Goal
-from .least_squares import constrained_least_squares
 from .order import apart, breakpoint_order, crossings
 from .posture import Posture
 
@@ -191,10 +191,10 @@ class _Descent:
         return None
 
 
-def _forces(here: _Model, gradient: Array, active: Mask, scale: Array) -> Array:
+def _forces(here: _Model, gradient: Array, active: Index, scale: Array) -> Array:
     """(c,) of every row, 0 where it does not hold: `gradient` of the program in the step as their combination."""
     force = np.zeros(len(here.rows))
-    held = np.flatnonzero(active[: len(force)])
+    held = active[active < len(force)]
     if len(held):
         force[held] = scipy.optimize.nnls((here.rows[held] * scale).T, gradient)[0]
     return force

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..files.units import TO_MM
+from ..solvers.quadratic import LeastSquares, constrained_least_squares
 from ..typing import Array
 from .goal import Goal
-from .least_squares import LeastSquares, constrained_least_squares
 from .order import Order, breakpoint_order, crossings
 from .posture import Posture
 

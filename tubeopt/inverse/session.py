@@ -15,13 +15,13 @@ from ..errors import InputError, SolveError, vector
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .clock import Clock
 from .configurations import Configuration
 from .descent import boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, pose_question, unit_vector
-from .least_squares import constrained_least_squares
 from .order import Order, breakpoint_order, crossings
 from .posture import Posture, posture_of, same_place, seed_posture
 from .program import programmable, solve_program

@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 from tests.examples import THESIS
 from tubeopt import IkSession, Load, find_load_limit, forward_kinematics, judge, stability_map, worst_margin
 from tubeopt.inverse import session as sessions
-from tubeopt.inverse.least_squares import LeastSquares
 from tubeopt.solvers.parallel.blas import _libraries, small
+from tubeopt.solvers.quadratic import LeastSquares
 
 
 def counts() -> set[int]:
