@@ -141,7 +141,7 @@ class Descent(Generic[P]):
 
 def weighted_sums(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, Array]:
     """J'WJ (Q, Q) and J'Wr (Q,) of observations with weights (V,)."""
-    flat = jacobian.reshape(-1, jacobian.shape[2])
+    flat = jacobian.reshape(residuals.size, jacobian.shape[2])
     weighted = flat * np.repeat(w, jacobian.shape[1])[:, None]
     return weighted.T @ flat, weighted.T @ residuals.ravel()
 
