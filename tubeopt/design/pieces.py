@@ -195,6 +195,8 @@ def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:
         out.phase[0, ..., i] += wound + inside * (x * dy - y * dx) / solid**2
         out.rate[0, ..., i] += -(inside * dkt) / kt**2
         out.transmission[0, i] += _softer(here, (i, low, length), dkt, kt)
+        if unknown.field == "piece_twist":
+            out.wound[0, i] += length
     return out
 
 
