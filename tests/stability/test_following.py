@@ -10,9 +10,9 @@ import pytest
 from tests.examples import CRL, DEG, THESIS
 from tests.stability.reference import TURN, Creep, bundle, closed_form, settle_at
 from tests.stability.robots import snapping_way, unit_pair
-from tubeopt import ConcentricRobot, InputError, Tube, find_equilibria, follow, forward_kinematics
+from tubeopt import ConcentricRobot, InputError, Load, Tube, find_equilibria, follow, forward_kinematics
 from tubeopt.robots.robot import Robot
-from tubeopt.stability import Snap, find_snap, trace_branch
+from tubeopt.stability import Snap, find_snap, motion, trace_branch
 
 STEPS = 24
 """Steps of the brute force per straight line, halved wherever the robot moves much in one."""
@@ -47,6 +47,34 @@ def test_same_states_as_slow_descent(k: int) -> None:
         assert state.tips == pytest.approx(path.equilibria[leg + 1].tip_rotations, abs=1e-6)
         energy = state.elements.energy(state.rotations, state.theta)[0]
         assert energy == pytest.approx(path.equilibria[leg + 1].energy, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("k", [0, 2, 17, 18])
+def test_zero_load_moves_a_robot_as_none(k: int) -> None:
+    """Joint values and load are one search. On these ways breakpoints meet, so that unknowns begin and end."""
+    robot, rotations, translations = snapping_way(k)
+    plain, loaded = (follow(robot, rotations, translations, load=load) for load in (None, Load()))
+    assert [s.index for s in loaded.snaps] == [s.index for s in plain.snaps]
+    assert plain.snaps
+    for one, other in zip(plain.snaps, loaded.snaps, strict=True):
+        assert other.fraction == pytest.approx(one.fraction, abs=1e-11)
+        assert abs(other.before.margin) < 1e-12
+        assert other.energy_released == pytest.approx(one.energy_released, abs=1e-12)
+    assert loaded.value == pytest.approx(plain.value, abs=1e-9)
+
+
+@pytest.mark.parametrize("load", [None, Load((0.01, 0, 0))])
+def test_the_kernel_only_saves_time(load: Load | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = np.radians([[0, 0, 0], [250, 30, 0], [20, 60, 0]]), [[0, 0, 0], [-0.02, -0.01, 0], [0, 0, 0]]
+    fast = follow(THESIS, *ways, load=load)
+    monkeypatch.setattr(motion, "kernel_of", lambda _: None)
+    slow = follow(THESIS, *ways, load=load)
+    assert [s.index for s in fast.snaps] == [s.index for s in slow.snaps]
+    assert fast.snaps
+    for one, other in zip(fast.snaps, slow.snaps, strict=True):
+        assert one.fraction == pytest.approx(other.fraction, abs=1e-10)
+        assert one.after.tip_position == pytest.approx(other.after.tip_position, abs=1e-9)
+    assert fast.value == pytest.approx(slow.value, abs=1e-9)
 
 
 def check_snap(snap: Snap) -> None:
@@ -205,7 +233,6 @@ def test_one_waypoint_and_progress() -> None:
     assert seen == [1, 2]
 
 
-@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # five turns
 def test_tubes_without_coupling() -> None:
     single = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.05, 0.1, 10.0),))
     path = follow(single, [[0.0], [5 * TURN]], [[0.0], [0.02]])

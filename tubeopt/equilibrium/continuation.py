@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
@@ -15,6 +15,7 @@ from ..robots.robot import Robot
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .member import Loaded, Member, Place, Point, Unloaded
+from .result import Equilibrium
 from .solving import DEFAULT_DISCRETISATION, Discretisation
 
 P = TypeVar("P", bound=Place)
@@ -70,6 +71,12 @@ class JointPath:
         """How far the joints go: largest turn, rad, or shift over the longest tube."""
         return max(self._changes())
 
+    @property
+    def slides(self) -> bool:
+        """Whether translations change."""
+        n = len(self.start) // 2
+        return bool((self.start[n:] != self.end[n:]).any())
+
     def _changes(self) -> tuple[float, float]:
         """Largest turn, rad, and shift over the longest tube."""
         change, n = np.abs(self.end - self.start), len(self.start) // 2
@@ -78,10 +85,10 @@ class JointPath:
 
     def events(self) -> list[float]:
         """Fractions, 1 included, at which the order of breakpoints may change: two meet, or one meets the plate."""
+        if not self.slides:
+            return [1.0]
         n = len(self.start) // 2
         rates = self.end[n:] - self.start[n:]
-        if not rates.any():
-            return [1.0]
         assembly = self.robot.assembly(self.start[n:])
         points = np.array([*assembly.breakpoints, 0.0])
         speeds = np.append(rates[assembly.breakpoint_tubes], 0.0)
@@ -127,8 +134,11 @@ class Family:
         return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)
 
     def like(self, known: Member[Any], t: float) -> Member[Any] | None:
-        """The problem at t with the same unknowns as a known one; None where it has others."""
+        """The problem at t with the same unknowns as a known one; None where it has others, or where the arm is beyond
+        the ends of the path, where a tube may be out of its actuator."""
         rotations, translations = self.path.at(t)
+        if not 0.0 <= t <= 1.0 and self.path.slides:
+            return None
         return known.beside(rotations, tuple(translations.tolist()), *self._factored(t))
 
     def under_load(self, t: float) -> Loaded:
@@ -141,6 +151,36 @@ class Family:
         """How far the joints go: largest turn, rad, or shift over the longest tube; at least 1 where the load
         changes."""
         return max(self.path.span(), float(self.before != self.load))
+
+
+@dataclass(frozen=True, eq=False)
+class Milestone:
+    """An equilibrium at t of a family."""
+
+    t: float
+    pose: Equilibrium
+
+
+def by_kernel(
+    family: Family, start: Milestone, solve: Callable[[Equilibrium, float], Equilibrium | None]
+) -> Iterator[Milestone]:
+    """Equilibria after `start` as far as t = 1, or to where a compiled kernel declines even short steps.
+
+    `solve`: the equilibrium at t on the branch of one close by; None where the kernel declines.
+    """
+    # Less a round-off that would make a step longer than the kernel takes.
+    longest = (1 - 1e-9) * family.path.largest_step()
+    here, step = start, longest
+    while here.t < 1.0:
+        t = 1.0 if here.t + step >= 1 - 1e-12 else here.t + step
+        pose = solve(here.pose, t)
+        if pose is not None:
+            here, step = Milestone(t, pose), min(2 * step, longest)
+            yield here
+            continue
+        step /= 2
+        if step < longest * CONTINUATION.shortest_compiled:
+            return
 
 
 def step_to(family: Family, t: float, near: P, before: P | None = None) -> P | None:

@@ -33,7 +33,7 @@ from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array
 from .continuation import Family, JointPath, largest_twist, reach, shortest_arm, small_motion
 from .load_problem import check_load
-from .loaded import arrived, loaded_kinematics, solved_by_ipopt, to_tolerance
+from .loaded import arrived, compiled, loaded_kinematics, solved_by_ipopt, to_tolerance
 from .member import Loaded, LoadedPoint, Point, plain_point, solution_of
 from .method import NAMED, Method, method_of, only_plain
 from .result import Equilibrium, Status
@@ -95,7 +95,7 @@ def forward_kinematics(  # noqa: PLR0913
     Raises:
         InputError: no robot, wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube
             out of its actuator, translations that are not in m, unknown method; a load on an eccentric robot, with
-            a discretisation, or with IPOPT where it has no energy.
+            `verify` or a discretisation, or with IPOPT where it has no energy.
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
             or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
             out of reach; `.solution` holds the best equilibrium found, where there is one.
@@ -119,12 +119,10 @@ def forward_kinematics(  # noqa: PLR0913
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     if load is not None:
         check_load(robot, load, shift)
-        only_plain(by, load, discretisation)
+        only_plain(by, load, verify, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
         found = loaded_kinematics(first, Loaded.of(robot, alpha, shift, load), tolerance, began, by.newton)
-        if by.name != "newton":
-            found = solved_by_ipopt(found, by.name, by.ipopt, began)
-        return verify_equilibrium(found) if verify else found
+        return found if by.name == "newton" else solved_by_ipopt(found, by.name, by.ipopt, began)
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
@@ -216,11 +214,15 @@ def _compiled(
     return from_compiled(robot, rotations, shift, answer, (begin, *how))
 
 
-def nearby(guess: Equilibrium, rotations: Array) -> Equilibrium | None:
-    """The stable equilibrium of the branch of `guess` at rotations (n,), rad, a small motion away, by the compiled
-    kernel; None where that declines, as it does close to a fold."""
-    found = _compiled(guess.robot, rotations, tuple(guess.translations.tolist()), guess, (time.perf_counter(), 0))
-    return found if found is not None and _error(found) <= TOLERANCE else None
+def nearby(family: Family, guess: Equilibrium, t: float) -> Equilibrium | None:
+    """The stable equilibrium at t of a family on the branch of `guess`, a small change away, by the compiled kernel;
+    None where that declines, as it does close to a fold."""
+    began = time.perf_counter()
+    if family.load is not None:
+        return compiled(guess, family.under_load(t), TOLERANCE, began, NEWTON)
+    rotations, translations = family.path.at(t)
+    found = _compiled(family.path.robot, rotations, tuple(translations.tolist()), guess, (began, 0))
+    return found if found is not None and found.margin > 0 and _error(found) <= TOLERANCE else None
 
 
 @lru_cache(maxsize=64)

@@ -19,7 +19,7 @@ from ..solvers.ipopt import solve_loaded_ipopt
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
-from .continuation import Family, JointPath, P, bifurcates, reach, small_motion
+from .continuation import Family, JointPath, Milestone, P, bifurcates, by_kernel, reach, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
 from .member import Loaded, LoadedPoint, Point, interpolate
@@ -115,10 +115,10 @@ def loaded_kinematics(
     else:
         path, word = JointPath(there.robot, own, goal, there.discretisation), "guess"
         family = Family(path, there.load, start.load)
-        here, t = _by_parts(family, start, tolerance, began, settings)
-        if t == 1.0:
-            return here
-        point = _along(family, here, t)
+        here = _quickly(family, start, tolerance, began, settings)
+        if here.t == 1.0:
+            return here.pose
+        point = _along(family, here.pose, here.t)
     return to_tolerance(point, tolerance, (word, began), settings)
 
 
@@ -202,42 +202,29 @@ def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float, s
 def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
     """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
     problem."""
-    theta, n = sample_rotation(start, start.point), len(start.rotations)
     s = problem.torsion.arc_length
     if (
         len(s) == len(start.point)
         and np.abs(s - start.point).max() <= CONTINUATION.largest_shift * start.arc_length[-1]
     ):
-        return theta, start.point_curvature
+        return sample_rotation(start, start.point), start.point_curvature
     assert start.load is not None
     own = loaded_problem(start.robot, tuple(start.translations.tolist()), start.load, discretisation_of(start))
-    table = interpolate(own, np.concatenate([theta, start.point_curvature], axis=1), problem)
-    return table[:, :n], table[:, n:]
+    return sample_rotation(start, s), interpolate(own, start.point_curvature, problem)
 
 
-def _by_parts(
-    family: Family, start: Equilibrium, tolerance: float, began: float, settings: Newton
-) -> tuple[Equilibrium, float]:
-    """The last equilibrium on a way, and where, to which the compiled kernel comes in small parts of it."""
-    here = start
-    if start.load is None:
-        first = compiled(start, family.under_load(0.0), tolerance, began, settings)
-        if first is None:
-            return start, 0.0
-        here = first
-    elif not start.load.has_energy:
-        return start, 0.0
-    t, part = 0.0, family.path.largest_step()
-    while t < 1:
-        goal = 1.0 if t + part >= 1 - 1e-12 else t + part
-        then = compiled(here, family.under_load(goal), tolerance, began, settings)
-        if then is not None:
-            here, t, part = then, goal, min(2 * part, 1 - goal)
-            continue
-        part = (goal - t) / 3
-        if part < CONTINUATION.compiled_part:
-            break
-    return (here, t) if t > 0 else (start, 0.0)
+def _quickly(family: Family, start: Equilibrium, tolerance: float, began: float, settings: Newton) -> Milestone:
+    """The last equilibrium on the way of a family to which the compiled kernel comes."""
+
+    def solve(here: Equilibrium, t: float) -> Equilibrium | None:
+        return compiled(here, family.under_load(t), tolerance, began, settings)
+
+    first = start if start.load is not None else solve(start, 0.0)
+    if first is None:
+        return Milestone(0.0, start)
+    origin = Milestone(0.0, first)
+    last = [origin, *by_kernel(family, origin, solve)][-1]
+    return last if last.t > 0 else Milestone(0.0, start)
 
 
 def _along(family: Family, here: Equilibrium, t: float) -> LoadedPoint:

@@ -17,6 +17,7 @@ import scipy
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
 from ..block.transcription.loaded import LoadedProblem, LoadedState
+from ..block.transcription.loaded_arm import loaded_profile
 from ..block.transcription.mesh import Mesh, make_mesh
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce, residual, to_unknowns
 from ..block.transcription.second_variation import margin, softest
@@ -296,29 +297,39 @@ class Loaded(Member[LoadedState]):
         return there if problem.size == self.problem.size else None
 
     def carried(self, point: Place) -> Array:
-        """Twist and bending are interpolated by the polynomials of the pieces."""
+        """Bending is interpolated by the polynomials of the pieces."""
         known, state, there = point.member, point.state, self.problem
         if known.problem.torsion is there.torsion:
             return np.asarray(state.x)
-        twist = state.theta - known.rotations
         bent = known.problem.softness[:, None] * state.x[known.problem.torsion.size :].reshape(-1, 2)
-        table = np.concatenate([twist, bent], axis=1)
-        if len(table) != len(there.softness):
-            table = interpolate(known.problem, table, there)
-        n = twist.shape[1]
-        x = loaded.unknowns(there, self.rotations, self.rotations + table[:, :n])
-        x[there.torsion.size :] = (table[:, n:] / there.softness[:, None]).ravel()
+        if not self._alike(known.problem):
+            bent = interpolate(known.problem, bent, there)
+        x = loaded.unknowns(there, self.rotations, self.rotations + self._twist(point))
+        x[there.torsion.size :] = (bent / there.softness[:, None]).ravel()
         return x
+
+    def _alike(self, known: LoadedProblem) -> bool:
+        """Whether the points and unknowns of another problem stand for those here, one by one."""
+        own, other = self.problem.torsion, known.torsion
+        same_points = len(own.weight) == len(other.weight) and np.array_equal(own.mesh.section, other.mesh.section)
+        return same_points and np.array_equal(own.flat, other.flat)
+
+    def _twist(self, point: Place) -> Array:
+        """(N, n) twist of a point at the points here: where a tube was not unknown it has one all the same."""
+        known = point.member
+        if self._alike(known.problem):
+            return np.asarray(point.state.theta - known.rotations)
+        profile = loaded_profile(known.problem, known.rotations, point.state)
+        theta = arms.interpolate(known.problem.torsion, profile, self.problem.torsion.arc_length)
+        return np.asarray(theta - known.rotations)
 
     def moved(self, point: Place, state: LoadedState) -> float:
         """Of a twist at a point, and of the arm's frame there."""
-        before = point.state.theta - point.member.rotations
         frames = point.state.orientation.stage
-        if state.theta.shape != before.shape:
-            before = interpolate(point.member.problem, before, self.problem)
+        if not self._alike(point.member.problem):
             frames = interpolate(point.member.problem, frames, self.problem)
-        unknown = self.problem.torsion.flat
-        twist = np.abs((state.theta - self.rotations - before).ravel()[unknown]).max(initial=0.0)
+        turned = (state.theta - self.rotations - self._twist(point)).ravel()[self.problem.torsion.flat]
+        twist = np.abs(turned).max(initial=0.0)
         return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
 
     def tangent(self, near: Place) -> Array | None:

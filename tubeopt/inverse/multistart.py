@@ -13,8 +13,7 @@ from ..errors import SolveError
 from .answer import InverseSolution, InverseStatistics, InverseStatus
 from .clock import Clock
 from .closest import closest_of
-from .descent import correct, improve, millimetres, missed_by, reach
-from .gauss_newton import SLACK, Search
+from .descent import SLACK, Search, correct, improve, millimetres, missed_by, reach
 from .goal import Goal
 from .joints import JointSpace
 from .outline import Outline

@@ -76,8 +76,8 @@ class Continuation(Settings):
     """A growing load whose part along the softest direction is smaller than this meets a bifurcation there."""
     compiled_step: float = 1e-3
     """Fraction of a load below which the compiled kernel leaves a step that fails to the general solver."""
-    compiled_part: float = 1e-2
-    """The same of a way in joint values and load."""
+    shortest_compiled: float = 1 / 128
+    """Part of the longest step along a path below which the general solver takes over from the compiled kernel."""
     least_stiffness: float = 1e-6
     """Margin below which errors no longer grow in the estimate."""
     hardly_softened: float = 0.99

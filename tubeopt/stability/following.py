@@ -19,9 +19,7 @@ from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
 from ..equilibrium.loaded import loaded_point
-from ..equilibrium.member import Place, plain_point
-from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import polish
+from ..equilibrium.result import Equilibrium, refuse_load
 from ..errors import InputError, SolveError, vector
 from ..robots.friction import Friction
 from ..robots.load import Load
@@ -29,7 +27,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, Sentence
-from .motion import Event, Snap, equilibrium_at, family_between, leg, motion, to_snap
+from .motion import Event, Snap, family_between, leg, motion
 from .rubbing_following import rubbing_legs
 
 T = TypeVar("T")
@@ -169,29 +167,24 @@ def _legs(
     robot: Robot, joints: Array, load: Load | None, start: Equilibrium | None
 ) -> Iterator[tuple[Equilibrium, list[Snap]]]:
     """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it."""
-    if load is None:
-        first, point = _start(robot, joints[0], start)
-    else:
-        first, point = _loaded_start(robot, joints[0], load, start)
-    yield first, []
+    pose = _start(robot, joints[0], start) if load is None else _loaded_start(robot, joints[0], load, start)
+    yield pose, []
     for k, (here, there) in enumerate(pairwise(joints)):
-        point, snaps = leg(family_between(robot, here, there, load), point, k)
-        yield equilibrium_at(point, "the waypoint before"), snaps
+        pose, snaps = leg(family_between(robot, here, there, load), pose, k)
+        yield pose, snaps
 
 
-def _start(robot: Robot, joint: Array, start: Equilibrium | None) -> tuple[Equilibrium, Place]:
-    """The stable equilibrium at a waypoint, to which the robot is moved from `start`, and as a point of a way."""
+def _start(robot: Robot, joint: Array, start: Equilibrium | None) -> Equilibrium:
+    """The stable equilibrium at a waypoint, to which the robot is moved from `start`."""
     first = start if start is not None else forward_kinematics(robot, *np.split(joint, 2))
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    point: Place = plain_point(robot, polish(first), tuple(first.translations.tolist()))
-    if not _at(first, joint):
-        own = np.concatenate([first.rotations, first.translations])
-        point, _ = leg(Family(JointPath(robot, own, joint)), point, 0)
-    return equilibrium_at(point, "start"), point
+    refuse_load(first)
+    own = np.concatenate([first.rotations, first.translations])
+    return leg(Family(JointPath(robot, own, joint)), first, 0)[0]
 
 
-def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> tuple[Equilibrium, Place]:
+def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
     """The same under load: the equilibrium of forward kinematics, or on the branch of `start`."""
     load.require_energy("snaps are not told")
     first = start
@@ -200,7 +193,8 @@ def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | N
     assert first is not None
     if not first.stable:
         raise InputError(f"the start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    return first, loaded_point(first)
+    loaded_point(first)  # raises an error where the start is a fold, or has friction
+    return first
 
 
 def _at(equilibrium: Equilibrium, joint: Array) -> bool:
@@ -262,21 +256,22 @@ def find_snap(
     """
     family = family_between(robot, _joint(robot, "start", start), _joint(robot, "end", end), load)
     steps = motion(family, _first(robot, family, equilibrium))
-    return next((to_snap(step, 0) for step in steps if isinstance(step, Event)), None)
+    return next((step.snap(0) for step in steps if isinstance(step, Event)), None)
 
 
-def _first(robot: Robot, family: Family, equilibrium: Equilibrium | None) -> Place:
-    """The stable point at the start of a family, on the branch of an equilibrium if one is given."""
+def _first(robot: Robot, family: Family, equilibrium: Equilibrium | None) -> Equilibrium:
+    """The stable equilibrium at the start of a family, on the branch of an equilibrium if one is given."""
     start = family.path.start
     if family.load is not None:
-        return _loaded_start(robot, start, family.load, equilibrium)[1]
+        return _loaded_start(robot, start, family.load, equilibrium)
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, *np.split(start, 2))
     if not first.stable:
         raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")
     own = np.concatenate([first.rotations, first.translations])
     if np.abs(own - start).max() > 1e-9:
         raise InputError("equilibrium is at other joint values than start; they must be the same")
-    return plain_point(robot, polish(first), tuple(first.translations.tolist()))
+    refuse_load(first)
+    return first
 
 
 def _joint(robot: Robot, name: str, value: Configuration) -> Array:
@@ -315,5 +310,5 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
     except SolveError:
         here = np.concatenate([alpha, shift])
     family = Family(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
-    point, snaps = leg(family, loaded_point(equilibrium), 0)
-    return Path((equilibrium, equilibrium_at(point, "the load before")), tuple(snaps))
+    end, snaps = leg(family, equilibrium, 0)
+    return Path((equilibrium, end), tuple(snaps))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
+from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
@@ -19,7 +20,7 @@ from ..solvers.parallel.blas import small
 from ..solvers.parallel.executors import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Mask, Sentence
-from .ways import straight_way
+from .motion import Event, motion
 
 TURN = 2 * np.pi
 
@@ -183,6 +184,35 @@ def _done(job: tuple[Equilibrium, tuple[int, int], Array, bool]) -> Array:
         elif found.first is not None:
             row[:2], row[2:] = found.first[list(tubes)], _margins_ahead(found.before, found.first)
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where a way ends: in which equilibrium, after how many snaps, and the joint rotations (n,), rad, at the first of
+    them, None without; `before`: equilibria on the way to it, from the origin on."""
+
+    pose: Equilibrium
+    snaps: int
+    first: Array | None
+    before: Sequence[Equilibrium]
+
+
+def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> End:
+    """What a robot does that turns straight from a stable equilibrium to other rotations (n,), rad.
+    With `to_first_snap` the way ends where the robot lands from it.
+    """
+    start, goal = (np.concatenate([turned, origin.translations]) for turned in (origin.rotations, rotations))
+    family, here, snaps, first, before = Family(JointPath(origin.robot, start, goal)), origin, 0, None, [origin]
+    for step in motion(family, origin):
+        if isinstance(step, Event):
+            snaps, first = snaps + 1, family.path.at(step.lost.t)[0] if first is None else first
+            if to_first_snap:
+                return End(step.after, snaps, first, before)
+            continue
+        here = step.pose
+        if first is None:
+            before.append(here)
+    return End(here, snaps, first, before)
 
 
 def _margins_ahead(before: Sequence[Equilibrium], snap: Array) -> Array:

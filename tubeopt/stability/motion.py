@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from ..display import Displayed
-from ..equilibrium.continuation import Family, JointPath, follow, step_to
+from ..equilibrium.continuation import Family, JointPath, Milestone, by_kernel, follow, step_to
+from ..equilibrium.kinematics import nearby
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.member import Loaded, Place, solution_of
+from ..equilibrium.loaded import loaded_point
+from ..equilibrium.member import Loaded, Place, plain_point, solution_of
 from ..equilibrium.result import Equilibrium, Statistics
-from ..equilibrium.solving import to_equilibrium
+from ..equilibrium.solving import polish, to_equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.compiled.binding import kernel_of
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Of, Sentence
-from .folds import Loss, branch_end, fall
+from .folds import Loss, branch_end, fall, fold_ahead
 
 
 class SnapStatus(Sentence):
@@ -71,12 +75,31 @@ class Snap(Displayed):
         return self.before.statistics
 
 
+TAKEN_OVER, CLOSE = 0.1, 0.02
+"""How far (rad) the general follower goes before the kernel is asked again; and how close to where the kernel declines
+a fold lies that is the reason."""
+
+
 @dataclass(frozen=True, eq=False)
 class Event:
     """A snap of a family: the equilibrium that is lost, and the one in which the robot has landed."""
 
     lost: Place
     landed: Place
+
+    @cached_property
+    def before(self) -> Equilibrium:
+        """That is lost."""
+        return equilibrium_at(self.lost, "fold")
+
+    @cached_property
+    def after(self) -> Equilibrium:
+        """In which the robot lands."""
+        return equilibrium_at(self.landed, "energy descent")
+
+    def snap(self, index: int) -> Snap:
+        """That after the waypoint `index`."""
+        return Snap(index, self.lost.t, self.before, self.after)
 
 
 def family_between(robot: Robot, start: Array, end: Array, load: Load | None) -> Family:
@@ -86,28 +109,61 @@ def family_between(robot: Robot, start: Array, end: Array, load: Load | None) ->
     return Family(JointPath(robot, start, end, LOADED_DISCRETISATION), load, load)
 
 
-def motion(family: Family, start: Place) -> Iterator[Place | Event]:
-    """Points of the motion from a stable one at t = 0, the last at t = 1; an event wherever the robot snaps.
+def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
+    """Equilibria of the motion from a stable one at t = 0, the last at t = 1; an event wherever the robot snaps.
 
-    Joints that move along a path and a load that turns into another one are followed alike.
+    Joints that move along a path and a load that turns into another one are followed alike: by the compiled kernel
+    where it is at ease, else by the general follower, until the branch has ended in a snap or is at ease again.
     """
-    here, shortest = replace(start, t=0.0), CONTINUATION.shortest_step
-    for goal in family.path.events():
-        while here.t < goal:
-            for point in follow(family, here, goal, shortest=shortest):
-                yield point
-                here = point
-            if here.t >= goal:
-                break
-            loss = branch_end(family, here, goal)
-            if loss is None and shortest > CONTINUATION.sharpest_step:
-                shortest = CONTINUATION.sharpest_step
-                continue
-            step, shortest = leave(family, here, loss, goal), CONTINUATION.shortest_step
-            yield step
-            here = step.landed if isinstance(step, Event) else step
-            if isinstance(step, Event):
-                yield here
+    here, kernel, scale = Milestone(0.0, origin), kernel_of(family.path.robot), max(family.span(), CLOSE)
+    while here.t < 1.0:
+        if kernel is not None:
+            for step in by_kernel(family, here, partial(nearby, family)):
+                yield step
+                here = step
+            if here.t >= 1.0:
+                return
+        start, far, ahead = _point_of(family, here), 1.0, None
+        if kernel is not None:
+            far = min(1.0, here.t + TAKEN_OVER / scale)
+            ahead = fold_ahead(family, start, min(1.0, here.t + CLOSE / scale))
+        found = _slowly(family, start, far) if ahead is None else leave(family, start, ahead, 1.0)
+        if isinstance(found, Event):
+            yield found
+            here = Milestone(found.landed.t, found.after)
+        else:
+            here = Milestone(found.t, equilibrium_at(found, "the way"))
+        yield here
+
+
+def _point_of(family: Family, here: Milestone) -> Place:
+    """An equilibrium as a solved point of a family."""
+    pose = here.pose
+    if family.load is not None:
+        return replace(loaded_point(pose), t=here.t)
+    return plain_point(pose.robot, polish(pose), tuple(pose.translations.tolist()), here.t)
+
+
+def _slowly(family: Family, start: Place, far: float) -> Place | Event:
+    """Where the general follower comes from a stable point: to t = `far` or beyond, or to the next snap."""
+    here, shortest = start, CONTINUATION.shortest_step
+    while here.t < far:
+        goal = next(t for t in family.path.events() if t > here.t)
+        for point in follow(family, here, goal, shortest=shortest):
+            here = point
+            if here.t >= far:
+                return here
+        if here.t >= goal:
+            continue
+        loss = branch_end(family, here, goal)
+        if loss is None and shortest > CONTINUATION.sharpest_step:
+            shortest = CONTINUATION.sharpest_step
+            continue
+        found, shortest = leave(family, here, loss, goal), CONTINUATION.shortest_step
+        if isinstance(found, Event):
+            return found
+        here = found
+    return here
 
 
 def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place | Event:
@@ -130,21 +186,15 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
     return side
 
 
-def leg(family: Family, start: Place, index: int) -> tuple[Place, list[Snap]]:
-    """The end of a motion from a stable point, and the snaps on it, which lie behind the waypoint `index`."""
-    point, snaps = start, list[Snap]()
-    for step in motion(family, start):
+def leg(family: Family, origin: Equilibrium, index: int) -> tuple[Equilibrium, list[Snap]]:
+    """The end of a motion from a stable equilibrium, and the snaps on it, which lie behind the waypoint `index`."""
+    here, snaps = origin, list[Snap]()
+    for step in motion(family, origin):
         if isinstance(step, Event):
-            snaps.append(to_snap(step, index))
+            snaps.append(step.snap(index))
         else:
-            point = step
-    return point, snaps
-
-
-def to_snap(event: Event, index: int) -> Snap:
-    """An event as a snap after the waypoint `index`."""
-    before, after = equilibrium_at(event.lost, "fold"), equilibrium_at(event.landed, "energy descent")
-    return Snap(index, event.lost.t, before, after)
+            here = step.pose
+    return here, snaps
 
 
 def equilibrium_at(point: Place, start: str) -> Equilibrium:

@@ -16,7 +16,7 @@ from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 from .folds import fall
 from .following import find_snap
-from .motion import Event, Snap, to_snap
+from .motion import Event, Snap
 from .pair import PairFold, farthest_fold, pair_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
 from .sheet import TURN, folds, stable_sheet
@@ -252,4 +252,4 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
 
     lost = point(sign * fold.z)
     after = fall(lost, fold.direction) if fold.beyond is None else point(sign * fold.beyond)
-    return None if after is None else Found(way, to_snap(Event(lost, after), 0), followed=False)
+    return None if after is None else Found(way, Event(lost, after).snap(0), followed=False)

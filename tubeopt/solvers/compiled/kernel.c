@@ -18,6 +18,7 @@
 #endif
 #include "layout.c"
 #include "linear.c"
+#include "quadratic.c"
 #include "energy.c"
 #include "minimise.c"
 #include "arm.c"
