@@ -9,7 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tubeopt.files.units import DEG, GPA, MM, PER_M, PERCENT, decimal, in_unit, parse_number, shown, to_si
+from tubeopt.files import units
+from tubeopt.files.units import (
+    DEG,
+    GPA,
+    MM,
+    PER_M,
+    PERCENT,
+    decimal,
+    in_unit,
+    meant,
+    others,
+    parse_number,
+    shown,
+    to_si,
+)
 
 UNITS = [MM, GPA, PERCENT, DEG, PER_M]
 FINITE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e280, max_value=1e280)
@@ -59,3 +73,34 @@ def test_values_in_messages_are_short() -> None:
     assert len(shown("a" * 1000)) <= 60
     assert len(shown(Decimal(10) ** 20 + Decimal("1e-20"))) <= 60
     assert len(shown([[["deep"] * 100] * 100] * 100)) <= 60
+
+
+def in_si(name: str) -> float:
+    """A unit in SI, from its prefix, base and power."""
+    bases = dict.fromkeys(("m", "s", "rad", "N", "V", "A", "K", "degC", "J", "W", "kg", "ohm", "Hz", "Pa"), 1.0)
+    bases |= {"g": 1e-3, "deg": math.pi / 180, "percent": 1e-2, "rpm": 1 / 60}
+    bases |= {"inch": 0.0254, "min": 60.0, "h": 3600.0, "Ah": 3600.0}
+    prefixes = {"m": 1e-3, "c": 1e-2, "u": 1e-6, "k": 1e3, "M": 1e6, "G": 1e9}
+
+    def factor(part: str) -> float:
+        base, power = (part[:-1], int(part[-1])) if part[-1].isdigit() else (part, 1)
+        return float(bases[base] if base in bases else prefixes[base[0]] * bases[base[1:]]) ** power
+
+    above, *below = f"_{name}".split("_per_")
+    parts = [part for part in above.split("_") if part], [part for part in "_".join(below).split("_") if part]
+    return math.prod(map(factor, parts[0])) / math.prod(map(factor, parts[1]))
+
+
+def test_units_are_those_of_the_international_system() -> None:
+    assert {name: float(size) for name, size in units.UNITS.items()} == pytest.approx(
+        {x: in_si(x) for x in units.UNITS}, rel=1e-15
+    )
+    alike = {name: float(size) for unit in units.UNITS for name, size in others(unit)}
+    assert alike == pytest.approx({name: in_si(name) for name in alike}, rel=1e-15)
+    assert {"min", "inch", "kPa", "mAh", "per_cm"} <= set(alike)
+
+
+def test_a_key_in_another_unit_is_said_with_the_factor_to_its_own() -> None:
+    assert meant("hold_min", ["hold_s"]) == "; did you mean 'hold_s', 60 times the number?"
+    assert meant("width_inch", ["width_mm"]) == "; did you mean 'width_mm', 25.4 times the number?"
+    assert meant("turn_rad", ["turn_deg"]) == "; did you mean 'turn_deg', 57.2958 times the number?"
