@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import tempfile
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,17 @@ TICK = 0.1
 CORE = Path(__file__).parent / "arduino_core"
 
 
-def built(folder: Path, core: str = "") -> Path:
+@cache
+def sanitizers() -> tuple[str, ...]:
+    """Options of the compiler that end a program at a write beyond an array, or at what C++ leaves undefined."""
+    options = "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    with tempfile.TemporaryDirectory() as folder:
+        command = [str(COMPILER), *options, "-x", "c++", "-", "-o", f"{folder}/main"]
+        tried = subprocess.run(command, input="int main() {}", text=True, capture_output=True)
+    return options if tried.returncode == 0 else ()
+
+
+def built(folder: Path, core: str = "", options: tuple[str, ...] = ()) -> Path:
     """The heater of a sketch with host.cpp for a board; or with that of an Arduino core, as much as it takes."""
     out = folder / "host"
     board = [
@@ -36,6 +48,7 @@ def built(folder: Path, core: str = "") -> Path:
         "-Wextra",
         "-Werror",
         "-O1",
+        *options,
         "heater.cpp",
         *(board if core else ["host.cpp"]),
         "-o",
