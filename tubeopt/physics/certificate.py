@@ -156,19 +156,15 @@ def determinant_function(pattern: Pattern) -> Any:
 
 @lru_cache(maxsize=128)
 def certificate_function(pattern: Pattern) -> Any:
-    """(lambda, PARAMETERS...) -> (mu, gradient of mu with respect to each of PARAMETERS).
+    """(lambda, PARAMETERS...) -> derivative of mu with respect to each of PARAMETERS, (n,).
 
     `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
-    i, 2 i + 1 for its end), and which tubes are present and curved on it. lambda is the eigenvalue to about 1e-6: a
-    Newton step on D makes mu exact to round-off, and its derivatives those of the implicit function.
+    i, 2 i + 1 for its end), and which tubes are present and curved on it. lambda is the eigenvalue to about 1e-6. The
+    derivatives are those of the implicit function D = 0.
     """
     eigenvalue, symbols, determinant = _posed(pattern)
     inputs, n = [eigenvalue, *symbols.values()], len(pattern[1][0])
     ends = [0, *(1 + n * k for k in range(len(symbols) + 1))]
     rate, *slopes = ca.vertsplit(ca.gradient(determinant, ca.vertcat(*inputs)), ends)
-    margin = 1 - (eigenvalue - determinant / rate)
-    # The Newton step has the right derivatives only where D = 0; written out, they hold at any lambda close by.
     gradient = [slope / rate for slope in slopes]
-    return ca.Function(
-        "certificate", inputs, [margin, *gradient], ["lambda", *symbols], ["margin", *(f"d_{s}" for s in symbols)]
-    )
+    return ca.Function("certificate", inputs, gradient, ["lambda", *symbols], [f"d_{name}" for name in symbols])

@@ -277,4 +277,4 @@ def _gradient(robot: Robot, problem: ReducedProblem, margin: float) -> dict[str,
     shift = problem.assembly.transition
     values = [shift if name == "translation" else [getattr(tube, name) for tube in robot.tubes] for name in PARAMETERS]
     out = function(1 - margin, *values)
-    return {name: np.array(part).ravel() for name, part in zip(PARAMETERS, out[1:], strict=True)}
+    return {name: np.array(part).ravel() for name, part in zip(PARAMETERS, out, strict=True)}
