@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.examples import THESIS
+from tests.sanitizers import sanitizers
 from tubeopt import (
     ConcentricRobot,
     InputError,
@@ -391,6 +392,18 @@ def test_the_library_is_clean_c99_without_memory_of_its_own_and_passes_its_test(
         assert not [name for name, kind in kinds.items() if kind in "bBdDC"]  # nothing that can be written to
         assert not {"malloc", "calloc", "realloc", "free"} & set(kinds)
         assert all(name.startswith("pair_") for name, kind in kinds.items() if kind == "T")
+
+
+@pytest.mark.parametrize("robot", [TWO_TUBES, THESIS], ids=lambda robot: robot.name)
+def test_the_library_reads_and_writes_nothing_beyond_its_arrays(robot: ConcentricRobot, tmp_path: Path) -> None:
+    """Sanitizers would end its own test there."""
+    own = compiler()
+    assert own is not None
+    save_c_library(c_library(robot, prefix="arm", loads=True), tmp_path)
+    files = ["test.c", "arm_robot.c", "arm_load.c", "-lm", "-o", "test"]
+    subprocess.run([*own, "-std=c99", "-w", "-O1", *sanitizers(*own), *files], cwd=tmp_path, check=True, timeout=240)
+    done = subprocess.run([tmp_path / "test"], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def preprocessed(text: str, folder: Path) -> str:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import tempfile
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +21,6 @@ TICK = 0.1
 
 
 CORE = Path(__file__).parent / "arduino_core"
-
-
-@cache
-def sanitizers() -> tuple[str, ...]:
-    """Options of the compiler that end a program at a write beyond an array, or at what C++ leaves undefined."""
-    options = "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
-    with tempfile.TemporaryDirectory() as folder:
-        command = [str(COMPILER), *options, "-x", "c++", "-", "-o", f"{folder}/main"]
-        tried = subprocess.run(command, input="int main() {}", text=True, capture_output=True)
-    return options if tried.returncode == 0 else ()
 
 
 def built(folder: Path, core: str = "", options: tuple[str, ...] = ()) -> Path:

@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 
-from .firmware_host import COMPILER, built, sanitizers
+from tests.sanitizers import sanitizers
+
+from .firmware_host import COMPILER, built
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler")
 
@@ -592,7 +594,7 @@ def test_numbers_are_told_to_their_digits(heater: Path) -> None:
 
 def test_a_line_that_is_too_long_harms_nothing(tmp_path: Path) -> None:
     """Not a byte beyond its buffer, which sanitizers would see."""
-    heater = compiled(tmp_path, sanitizers())
+    heater = compiled(tmp_path, sanitizers(str(COMPILER)))
     for length in (62, 63, 64, 65, 150):
         rows = changed(heated(12), 6, line="x" * length)
         assert [line["event"] for line in run(heater, rows)[7][1]].count("error") == 1
