@@ -45,7 +45,7 @@ def test_the_bend_from_the_own_curvature_is_the_length_of_their_difference() -> 
 
 
 def test_a_straight_tube_around_a_drum_is_strained_by_its_radius_over_that_of_the_drum() -> None:
-    """Unbent again, a tube that is curved by nature is strained by r kappa / (1 - r kappa): its inside is the shorter."""
+    """A curved tube that is made straight is strained by r kappa / (1 - r kappa): its inside is the shorter."""
     radius, curvature = 1e-3, 50.0
     assert surface_strain(radius, curvature, 0.0) == pytest.approx(radius * curvature)
     inside = 1 / curvature - radius  # of the drum that its inner side lies on
