@@ -53,6 +53,19 @@ def test_every_way_to_say_a_precurvature(tmp_path: Path) -> None:
     assert tube.curved_length == pytest.approx(0.082)
 
 
+@pytest.mark.parametrize("name", ["bending", "torsional"])
+def test_a_stiffness_of_a_piece_lies_between_bounds_of_that_of_the_section(tmp_path: Path, name: str) -> None:
+    tube = load(tmp_path, "{length_mm: 10, radius_mm: 80}")
+    own = 1e6 * float(getattr(tube, f"{name}_stiffness"))
+    for share, refused in ((0.999e-4, True), (1.001e-4, False), (9.99, False), (10.01, True)):
+        piece = f"{{length_mm: 10, radius_mm: 80, {name}_stiffness_N_mm2: {share * own:.9f}}}"
+        if refused:
+            with pytest.raises(InputError, match=rf"{name}_stiffness_N_mm2 is .*0.0001 to 10 times that"):
+                load(tmp_path, piece)
+        else:
+            assert getattr(load(tmp_path, piece).pieces[0], f"{name}_stiffness") == pytest.approx(1e-6 * share * own)
+
+
 def test_stiffnesses_and_patterns(tmp_path: Path) -> None:
     tube = load(
         tmp_path,
