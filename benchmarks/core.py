@@ -3,15 +3,16 @@
     python -m benchmarks.core [--only QUESTION ...] [--json] [--against DIRECTORY]
 
 Times are processor times of one thread, after an untimed first round that loads and compiles. With `--against` the
-package of another checkout is asked the same questions, by turns with this one, each in processes of its own: times
-stand side by side, and beside them by how much answers differ, relative to the largest of each kind. What a package
-cannot be asked is left out. Both find their compiled kernels in TUBEOPT_CACHE.
+package of another checkout is asked the same questions in a process of its own. Both answer call by call in turn, since
+a shared machine changes its speed within seconds; what counts is the median of the ratios of such pairs. Beside it
+stands by how much answers differ, relative to the largest of each kind. What a package cannot be asked is left out.
+Both find their compiled kernels in TUBEOPT_CACHE.
 """
 
 from __future__ import annotations
 
 import argparse
-import subprocess
+import json
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,13 +22,25 @@ from typing import Any
 
 import numpy as np
 
-from tubeopt import DesignTask, Equilibrium, IkSession, find_equilibria, forward_kinematics, load_robot, optimize_design
+from tubeopt import (
+    DesignTask,
+    Equilibrium,
+    IkSession,
+    Load,
+    RateLimits,
+    find_equilibria,
+    forward_kinematics,
+    load_robot,
+    optimize_design,
+    plan_trajectory,
+    verify_trajectory,
+)
 from tubeopt import forward_kinematics_batch as batch
 from tubeopt.design import Free, Objective, SnapFree, Strain
 
 from .joints import circle, ordered_joints, path_joints, random_joints
 from .shooting import Array
-from .timing import ROOT, clock, dump, milliseconds, show, summarise, table, with_package
+from .timing import ROOT, ask_line, clock, dump, milliseconds, running, show, summarise, table
 
 Call = Callable[[], Any]
 
@@ -80,6 +93,12 @@ def warm(translate: bool) -> Iterable[Call]:
     return [partial(step, a, d) for a, d in path_joints(one, 300, translate=translate)]
 
 
+def loaded(load: Load) -> Iterable[Call]:
+    """Random rotations of the thesis robot under a load."""
+    one = robot()
+    return [partial(forward_kinematics, one, a, load=load) for a, _ in random_joints(one, 60)]
+
+
 def many() -> Iterable[Call]:
     """10,000 configurations at once, three times."""
     one = robot()
@@ -106,6 +125,21 @@ def every(name: str, times: int) -> Iterable[Call]:
     return [partial(find_equilibria, one, first + 0.1 * k) for k in range(times)]
 
 
+def verifications(load: Load | None = None) -> Iterable[Call]:
+    """A motion of the thesis robot that is verified, with a limit of the speed of the tip."""
+    rotations = np.radians([[0, 0, 0], [60, 20, 0], [100, -40, 30]])
+    shift = [[0.0, 0, 0], [-0.01, -0.015, -0.02], [0.0, -0.02, -0.03]]
+    rates = RateLimits(tip=0.5)
+    return [partial(verify_trajectory, robot(), [0.0, 4.0, 10.0], rotations, shift, rate_limits=rates, load=load)] * 4
+
+
+def plans() -> Iterable[Call]:
+    """Plans between joint values."""
+    one = robot()
+    goals = np.radians([[100, 20, 0], [60, -50, 30], [150, 0, 60]])
+    return [partial(plan_trajectory, one, [np.zeros(3)] * 2, (goal, np.zeros(3))) for goal in goals]
+
+
 def designs(name: str, most: float, aim: str, *more: Any) -> Iterable[Call]:
     """The curvatures of a robot that cannot snap at home."""
     free = (Free("curvature", (0, 1, 2), 0.5, most),)
@@ -118,6 +152,12 @@ QUESTIONS = {
     "eccentric": Question("the same of an eccentric robot", eccentric, lambda pose: pose.tip_position),
     "warm": Question("forward kinematics, warm", partial(warm, translate=True), of_pose),
     "held": Question("the same, translations held", partial(warm, translate=False), of_pose),
+    "force": Question("the same under a force on the tip", partial(loaded, Load((0.02, 0.01, 0.0))), of_pose),
+    "moment": Question(
+        "the same under a moment on the tip",
+        partial(loaded, Load(moment=(0.001, 0.002, 0.001))),
+        lambda pose: pose.tip_position,
+    ),
     "batch": Question(
         "one of a batch of 10,000", many, lambda b: np.column_stack([b.tip_position, b.margin])[:2].ravel(), 10_000
     ),
@@ -128,6 +168,13 @@ QUESTIONS = {
         lambda: slopes(wrt=("rotations", "translations", *DIMENSIONS)),
         lambda j: np.append(j.position[:, :6:2], j.margin[0]),
     ),
+    "verify": Question("verify a trajectory", verifications, lambda proof: np.array([proof.least_margin])),
+    "verify-loaded": Question(
+        "verify a trajectory under a force",
+        partial(verifications, Load((0.02, 0.01, 0.0))),
+        lambda proof: np.array([proof.least_margin]),
+    ),
+    "plan": Question("plan to joint values", plans, lambda plan: plan.time[-1:]),
     "equilibria": Question(
         "all equilibria of the thesis robot",
         partial(every, "thesis_ctr", 6),
@@ -162,23 +209,43 @@ def ask(question: Question) -> dict[str, Any]:
     }
 
 
+ROUNDS = 2
+"""How often all calls of a question are asked of both packages."""
+
+
+def answer_in_turn() -> None:
+    """Answer questions whose names come by stdin: by the number of calls, then by one line for each empty line."""
+    for line in sys.stdin:
+        question = QUESTIONS[line.strip()]
+        for call in list(question.calls())[:3]:
+            call()
+        calls = [call for _ in range(ROUNDS) for call in question.calls()]
+        print(json.dumps(len(calls)), flush=True)
+        for call, _ in zip(calls, sys.stdin, strict=False):
+            seconds, answer = clock(call)
+            print(json.dumps([seconds / question.share, question.numbers(answer).tolist()]), flush=True)
+
+
 def beside(checkout: Path, name: str) -> tuple[str, ...]:
-    """A question with the package of another checkout and with this one, each twice by turns, as a row: of both medians
-    the shorter one, since others on the machine only make them longer."""
-    question, runs = QUESTIONS[name], []
-    for folder in (checkout, ROOT, ROOT, checkout):
-        try:
-            runs.append(with_package(folder, "benchmarks.core", ["--only", name])[name])
-        except subprocess.CalledProcessError as error:
-            if folder == ROOT:
-                raise
-            why = error.stderr.strip().splitlines()[-1]
-            return (question.words, "none", "", "", why, "")
-    before, here = (min(summarise(runs[k]["seconds"]).median for k in pair) for pair in ((0, 3), (1, 2)))
-    one, other = (np.array(runs[k]["answers"], dtype=float) for k in (0, 1))
-    apart = np.abs(one - other).max() / np.abs(one).max()
-    calls = str(2 * len(runs[0]["seconds"]) * question.share)
-    return (question.words, milliseconds(before), milliseconds(here), f"{here / before:.2f}", f"{apart:.0e}", calls)
+    """A question to the package of another checkout and to this one, call by call in turn, as a row."""
+    words = QUESTIONS[name].words
+    with (
+        running(checkout, "benchmarks.core", ["--in-turn"]) as there,
+        running(ROOT, "benchmarks.core", ["--in-turn"]) as here,
+    ):
+        both = there, here
+        counts = [ask_line(one, name) for one in both]
+        if None in counts:
+            return (words, "none", "", "", "", "")
+        seconds, apart = np.empty((counts[0], 2)), 0.0
+        for k in range(counts[0]):
+            answers = {j: ask_line(both[j], "") for j in ((0, 1) if k % 2 else (1, 0))}
+            seconds[k] = answers[0][0], answers[1][0]
+            one, other = (np.array(answers[j][1], dtype=float) for j in (0, 1))
+            apart = max(apart, float(np.abs(one - other).max() / np.abs(one).max()))
+    ratio = float(np.median(seconds[:, 1] / seconds[:, 0]))
+    times = map(milliseconds, np.median(seconds, axis=0).tolist())
+    return (words, *times, f"{ratio:.2f}", f"{apart:.0e}", str(counts[0] * QUESTIONS[name].share))
 
 
 def main() -> None:
@@ -186,8 +253,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.core", description=__doc__.split("\n")[0])
     parser.add_argument("--only", nargs="+", choices=QUESTIONS, default=list(QUESTIONS), help="questions; default: all")
     parser.add_argument("--json", action="store_true", help="seconds of every call, and answers, as JSON")
+    parser.add_argument("--in-turn", action="store_true", help="answer by lines, as the other side of --against")
     parser.add_argument("--against", type=Path, metavar="DIRECTORY", help="another checkout, measured in turn")
     asked = parser.parse_args()
+    if asked.in_turn:
+        answer_in_turn()
+        return
     if asked.against:
         columns = "", "ms there", "ms here", "here / there", "answers apart", "calls of each"
         rows = []

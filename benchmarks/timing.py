@@ -8,7 +8,8 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,35 @@ def fresh_process(script: str, repeats: int) -> Timing:
 def with_package(checkout: Path, module: str, arguments: Sequence[str]) -> Any:
     """What a benchmark of this checkout prints by `--json`, run in a process of its own with the package of another
     checkout: the questions stay the same, whatever that one asks."""
+    done = subprocess.run(
+        **_with_package(checkout, module, ["--json", *arguments]), capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
+
+
+@contextmanager
+def running(checkout: Path, module: str, arguments: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
+    """A process of `with_package` that is asked by lines and answers each by a line of JSON."""
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(**_with_package(checkout, module, arguments), **pipes)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def ask_line(process: subprocess.Popen[str], line: str) -> Any:
+    """What a `running` process answers to a line; None where it has ended."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    print(line, file=process.stdin, flush=True)
+    answer = process.stdout.readline()
+    return json.loads(answer) if answer else None
+
+
+def _with_package(checkout: Path, module: str, arguments: Sequence[str]) -> dict[str, Any]:
+    """Command, folder and environment of a benchmark of this checkout with the package of another one."""
     script = (
         "import runpy, sys\n"
         "package, benchmarks, module = sys.argv[1:4]\n"
@@ -92,10 +122,9 @@ def with_package(checkout: Path, module: str, arguments: Sequence[str]) -> Any:
         "sys.path[0], sys.argv = benchmarks, [module, *sys.argv[4:]]\n"
         "runpy.run_module(module, run_name='__main__')"
     )
-    command = [sys.executable, "-P", "-c", script, str(checkout), str(ROOT), module, "--json", *arguments]
+    command = [sys.executable, "-P", "-c", script, str(checkout), str(ROOT), module, *arguments]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+    return {"args": command, "cwd": ROOT, "env": environment}
 
 
 def machine() -> dict[str, str]:

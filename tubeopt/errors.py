@@ -157,7 +157,7 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
         shape = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
         got = f"has {shape}" if array.ndim else f"is {value!r}"
         raise InputError(f"{name} {got}; it must be {size} numbers ({what})")
-    if not np.isfinite(array).all():
+    if not all(map(math.isfinite, array.tolist())):  # of so few numbers faster than NumPy
         raise InputError(f"{name} is {array.tolist()}; every number must be finite")
     return array
 

@@ -107,10 +107,16 @@ def test_an_open_surface_has_no_inside_to_stay_in(tmp_path: Path, caplog: pytest
     trimesh.Trimesh(vertices * 1e3, faces[:-2]).export(tmp_path / "cup.stl")
     load_mesh(tmp_path / "cup.stl")
     assert "its surface is open, so the arm keeps clear of its triangles" in caplog.text
+    caplog.clear()
     inside = {"meshes": [{"file": "cup.stl", "axes": "RAS", "keep": "in"}]}
     (tmp_path / "a.yaml").write_text(yaml.safe_dump({"anatomy": inside}))
     with pytest.raises(InputError, match=r"surface is open, so there is no inside to stay in; close .* keep: out"):
         load_anatomy(tmp_path / "a.yaml")
+    assert not caplog.records  # nothing that the refusal contradicts
+    inside["meshes"][0]["keep"] = "out"
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump({"anatomy": inside}))
+    load_anatomy(tmp_path / "a.yaml")
+    assert "its surface is open, so the arm keeps clear of its triangles" in caplog.text
     assert "an open surface: it has no inside" in load_bodies(tmp_path / "cup.stl")[1]
     for nothing in ((), ((0, 1, 999),)):
         with pytest.raises(InputError, match=r"triangles|faces of the mesh"):

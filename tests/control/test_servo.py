@@ -23,9 +23,9 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.least_squares import constrained_least_squares
 from tubeopt.inverse.outline import Outline
 from tubeopt.solvers.compiled.binding import kernel_of
+from tubeopt.solvers.quadratic import constrained_least_squares
 
 SEED = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 DT = 1e-3

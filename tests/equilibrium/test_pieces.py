@@ -16,6 +16,7 @@ from tubeopt import (
     ConcentricRobot,
     Equilibrium,
     InputError,
+    Load,
     Piece,
     Tube,
     energy_map,
@@ -28,7 +29,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium.general_motion import GeneralMotion
 from tubeopt.inverse.settings import InverseOptions
-from tubeopt.robots.series import times
+from tubeopt.robots.series import Series, times
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
 
@@ -212,7 +213,10 @@ def test_all_equilibria_are_found_and_the_certificate_bounds_their_margins() -> 
     assert certificate <= least
 
 
-NAMES = ("rotations", "translations", "curvature", "straight_length", "bending_stiffness", "torsional_stiffness")
+NAMES = (
+    "rotations", "translations", "curvature", "straight_length", "curved_length", "bending_stiffness",
+    "torsional_stiffness",
+)  # fmt: skip
 
 
 def with_stiffness(tube: Tube, *, bending: float = 1.0, torsional: float = 1.0) -> Tube:
@@ -239,6 +243,10 @@ def moved(robot: ConcentricRobot, name: str, tube: int, by: float) -> tuple[Conc
             joints[tube + 2 * (name == "translations")] = by
         case "curvature" | "straight_length":
             tubes[tube] = replace(one, **{name: getattr(one, name) + by})  # type: ignore[arg-type]
+        case "curved_length":
+            longer = 1 + by / one.curved_length
+            pieces = tuple(piece.stretched(longer) for piece in one.chain)
+            tubes[tube] = replace(one, curved_length=longer * one.curved_length, pieces=pieces if one.pieces else ())
         case "bending_stiffness":
             tubes[tube] = with_stiffness(one, bending=1 + by / one.bending_stiffness)
         case _:
@@ -246,35 +254,70 @@ def moved(robot: ConcentricRobot, name: str, tube: int, by: float) -> tuple[Conc
     return replace(robot, tubes=tuple(tubes)), joints
 
 
-def test_derivatives_are_those_of_central_differences() -> None:
-    inner = Tube.of_pieces(
-        1e-3,
-        0.8e-3,
-        [Piece(0.04, lambda x: (15 * math.cos(20 * x), 9.0, 10 * x)), Piece.helix(0.05, 0.03, 0.1)],
-        straight_length=0.1,
-    )
-    outer = Tube.of_pieces(
-        1.5e-3,
-        1.2e-3,
-        [Piece(0.03, 10.0), Piece(0.03, (-4.0, 8.0, 5.0), torsional_stiffness=lambda x: 0.02 + x)],
-        straight_length=0.06,
-    )
-    robot = ConcentricRobot((inner, outer))
-    alpha, shift = np.array([0.3, 2.0]), np.array([-0.02, -0.013])
-    jacobian = forward_kinematics(robot, alpha, shift, tolerance=1e-10).jacobian(wrt=NAMES)
+VARIED = Tube.of_pieces(
+    1e-3,
+    0.8e-3,
+    [Piece(0.04, lambda x: (15 * math.cos(20 * x), 9.0, 10 * x)), Piece.helix(0.05, 0.03, 0.1)],
+    straight_length=0.1,
+)
+AROUND = Tube.of_pieces(
+    1.5e-3,
+    1.2e-3,
+    [Piece(0.03, 10.0), Piece(0.03, (-4.0, 8.0, 5.0), torsional_stiffness=lambda x: 0.02 + x)],
+    straight_length=0.06,
+)
+
+
+@pytest.mark.parametrize("load", [None, Load((0.03, 0.02, -0.01))], ids=["no load", "force"])
+@pytest.mark.parametrize(
+    ("outer", "shift"),
+    [(AROUND, (-0.02, -0.013)), (Tube(1.5e-3, 1.2e-3, 0.06, 0.06, 10.0), (-0.045, -0.013))],
+    ids=["pieces", "one drawn back, one plain"],
+)
+def test_derivatives_are_those_of_central_differences(outer: Tube, shift: tuple[float, ...], load: Load | None) -> None:
+    robot = ConcentricRobot((VARIED, outer))
+    alpha, at = np.array([0.3, 2.0]), np.array(shift)
+    jacobian = forward_kinematics(robot, alpha, at, load=load, tolerance=1e-10).jacobian(wrt=NAMES)
     table = np.concatenate([jacobian.position, jacobian.tip_rotations, jacobian.margin[None], jacobian.energy[None]])
-    steps = {"rotations": 1e-4, "translations": 1e-5, "curvature": 1e-3, "straight_length": 1e-5}
+    steps = {"rotations": 1e-4, "translations": 1e-5, "curvature": 1e-3, "straight_length": 1e-5, "curved_length": 1e-5}
     for k, (name, tube) in enumerate((name, tube) for name in NAMES for tube in range(2)):
         step = steps.get(name, 0.0) or 1e-4 * getattr(robot.tubes[tube], name)
         sides = []
         for by in (step, -step):
             other, joints = moved(robot, name, tube, by)
-            e = forward_kinematics(other, alpha + joints[:2], shift + joints[2:], tolerance=1e-10)
+            e = forward_kinematics(other, alpha + joints[:2], at + joints[2:], load=load, tolerance=1e-10)
             sides.append(np.array([*e.tip_position, *e.tip_rotations, e.margin, e.energy]))
         difference = (sides[0] - sides[1]) / (2 * step)
         scale = np.array([np.abs(difference[:3]).max()] * 3 + [max(1e-3, np.abs(difference[3:5]).max())] * 2)
         scale = np.append(scale, [max(abs(difference[5]), 1e-4 / step), max(abs(difference[6]), 1e-6 / step)])
         assert np.abs((table[:, k] - difference) / scale).max() < 1e-5, (name, tube)
+
+
+def test_a_longer_curved_part_where_breakpoints_meet() -> None:
+    """Where a piece ends at the plate, its stretching moves it out or in: the derivatives differ to either side."""
+    robot, alpha = ConcentricRobot((VARIED, AROUND)), np.array([0.3, 2.0])
+    shift = np.array([-0.02, -0.03])
+    here, step = forward_kinematics(robot, alpha, shift, tolerance=1e-10), 1e-5
+    for side in (1, -1):
+        other = moved(robot, "curved_length", 1, side * step)[0]
+        there = forward_kinematics(other, alpha, shift, tolerance=1e-10)
+        found = here.jacobian(wrt=("curved_length",), side=side)
+        expected = side * (there.tip_position - here.tip_position) / step
+        assert np.abs(found.position[:, 1] - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_a_resized_tube_keeps_its_proportions() -> None:
+    longer = AROUND.resized("curved_length", 0.09)
+    assert longer.curved_length == pytest.approx(0.09)
+    assert [piece.length for piece in longer.pieces] == pytest.approx([0.045, 0.045])
+    assert longer.pieces[1].precurvature == AROUND.pieces[1].precurvature
+    softer = AROUND.resized("torsional_stiffness", AROUND.torsional_stiffness / 2)
+    one, other = (tube.pieces[1].torsional_stiffness for tube in (AROUND, softer))
+    assert isinstance(one, Series)
+    assert isinstance(other, Series)
+    assert np.allclose(other([0.0, 0.01]), 0.5 * one([0.0, 0.01]))
+    assert softer.bending_stiffness == AROUND.bending_stiffness
+    assert softer.pieces[0].torsional_stiffness is None
 
 
 @pytest.mark.parametrize("method", ["ipopt", "energy"])

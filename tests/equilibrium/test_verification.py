@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.shooting import shoot
 from tests.examples import CRL, MM, THESIS, configurations, eccentric_robot, nested
-from tubeopt import ConcentricRobot, Discretisation, Equilibrium, Piece, Tube, Verification, forward_kinematics
+from tubeopt import ConcentricRobot, Discretisation, Equilibrium, Load, Piece, Tube, Verification, forward_kinematics
 from tubeopt.equilibrium.verification import verify_equilibrium
 
 
@@ -111,3 +111,55 @@ def test_the_same_tubes_in_pieces_miss_by_the_same(solved: Equilibrium) -> None:
     assert one.end_torsion > 1e-4
     assert other.end_torsion == pytest.approx(one.end_torsion, rel=1e-6)
     assert other.tip_position == pytest.approx(one.tip_position, rel=1e-6)
+
+
+LOADS = {
+    "force": Load((0.05, -0.03, 0.02)),
+    "weight": Load(gravity=(0.0, -9.81, 0.0)),
+    "points": Load(points=((0.06, (0.05, 0.0, 0.02)), (0.11, (0.0, -0.03, 0.0), (0.002, 0.001, -0.003)))),
+    "at the plate and the tip": Load(points=((0.0, (0.1, 0.0, 0.0), (0.0, 0.0, 0.004)), (0.195, (0.0, 0.01, 0.0)))),
+    "along the arm": Load(distributed=((0.02, 0.1, (0.2, 0.0, 0.1), (0.02, -0.03, 0.04)),)),
+    "moment": Load((0.02, 0.0, 0.0), (0.004, -0.003, 0.006)),
+    "turning with the tip": Load((0.02, 0.0, 0.03), (0.004, -0.003, 0.006), frame="tip"),
+}
+
+
+@pytest.mark.parametrize("load", LOADS.values(), ids=LOADS)
+def test_loads_are_confirmed(load: Load) -> None:
+    shift = np.array([-5.0, -10.0, -20.0]) * MM
+    solved = forward_kinematics(THESIS, (0.0, 1.0, 2.0), shift, load=load, verify=True)
+    check = solved.verification
+    assert check is not None
+    assert check.tip_position < 1e-10
+    assert check.tip_rotation < 1e-9
+    assert check.rotation < 1e-9
+    assert check.end_torsion < 1e-7
+    assert check.end_curvature < 1e-7
+    assert check.base_rotation < 1e-12
+    without = forward_kinematics(THESIS, (0.0, 1.0, 2.0), shift)
+    assert np.linalg.norm(without.tip_position - solved.tip_position) > 1e-4
+
+
+def test_what_the_load_is_not_shows() -> None:
+    """An equilibrium under one load is none under another: moments are left at the tip, and tubes end with torsion."""
+    solved = forward_kinematics(THESIS, (0.0, 1.0, 2.0), load=LOADS["moment"])
+    more = replace(LOADS["moment"], moment=(0.005, -0.003, 0.006))
+    wrong = replace(solved, load=more)
+    vars(wrong)["base_wrench"] = solved.base_wrench
+    check, tip = checked(wrong), solved.tip_rotation
+    own = tip.T @ (0.001, 0.0, 0.0)
+    stiffness = THESIS.tubes[0].bending_stiffness
+    assert check.end_curvature == pytest.approx(np.abs(own[:2]).max() / stiffness, rel=1e-6)
+    assert check.end_torsion == pytest.approx(abs(own[2]) / THESIS.tubes[0].torsional_stiffness, rel=1e-6)
+
+
+def test_tubes_of_pieces_under_a_load_are_confirmed() -> None:
+    pieces = (Piece(0.03, 8.0), Piece(0.05, 14.0, bending_stiffness=THESIS.tubes[0].bending_stiffness / 2))
+    inner = Tube.of_pieces(1e-3, 0.7e-3, pieces, straight_length=0.1)
+    robot = ConcentricRobot((inner, Tube(1.6e-3, 1.1e-3, 0.05, 0.05, 9.0)))
+    for load in (LOADS["force"], LOADS["moment"], Load(points=((0.03, (0.05, 0.0, 0.0), (0.001, 0.002, 0.003)),))):
+        check = forward_kinematics(robot, (0.3, 1.4), load=load, verify=True).verification
+        assert check is not None
+        assert check.tip_position < 1e-10
+        assert check.end_torsion < 1e-7
+        assert check.end_curvature < 1e-7

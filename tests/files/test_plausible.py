@@ -12,7 +12,6 @@ import pytest
 from tests.command_line import ROOT, THESIS, Run, answer
 from tubeopt import InputError, load_rig, load_robot
 from tubeopt.runs.inverse_study import InverseStudy
-from tubeopt.runs.study_file import load_study
 
 TUBE = {
     "outer_diameter_mm": "1.92",
@@ -123,12 +122,11 @@ def told(caplog: pytest.LogCaptureFixture, path: Path, text: str, load: Callable
     return [record.getMessage().removeprefix(f"{path}: ") for record in caplog.records]
 
 
-def test_a_window_in_kelvin(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
-    study = f"kind: heating\nrig: {RIG}\nwindow_degC: [773.15, 823.15]\nlimit_degC: 823.15\n"
-    assert told(caplog, tmp_path / "x.yaml", study, load_study) == [
-        "window_degC is [773.15, 823.15]; that would be usual in K: was 500, 550 meant?",
-        "limit_degC is 823.15; that would be usual in K: was 550 meant?",
-    ]
+def test_a_window_in_kelvin_is_refused_in_one_sentence(run: Run) -> None:
+    for window, hint in (("773.15,823.15", "; if these are K, give 500 to 550 degC"), ("500,850", "")):
+        data = answer(run("heat", "plan", str(RIG), "--window-degC", window, "--json"), 2)
+        assert "warnings" not in data or not data["warnings"]
+        assert data["error"]["messages"][0].endswith(f"nitinol: it is annealed there and springs back no more{hint}")
 
 
 def test_a_battery_in_milliampere_hours(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import inspect
 import math
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 
 import tubeopt
 from tests.examples import THESIS
-from tubeopt import InputError, SolveError, design, validation, workspaces
+from tubeopt import InputError, SolveError, design, shaping, validation, workspaces
 from tubeopt.errors import TimeLimitError
 from tubeopt.solvers.parallel import each
 from tubeopt.solvers.time_limit import LateError, check_time, limited, time_left, within
@@ -40,6 +41,9 @@ QUESTIONS: dict[str, Callable[[float], Any]] = {
     "snapping_loss": lambda t: tubeopt.snapping_loss(THESIS, 64, time_limit=t),
     "estimate_force": lambda t: tubeopt.estimate_force(THESIS, HOME, tip_position=(0, -0.1, 0.1), time_limit=t),
     "where_to_measure": lambda t: validation.where_to_measure(THESIS, ["curvature"], 8, time_limit=t),
+    "forward_kinematics_batch": lambda t: tubeopt.forward_kinematics_batch(THESIS, [HOME], time_limit=t),
+    "plan_heating": lambda t: tubeopt.plan_heating(RIG.tube, RIG, time_limit=t),
+    "rank_mold_materials": lambda t: shaping.rank_mold_materials(RIG.tube, rig=RIG, time_limit=t),
     "optimize_design": lambda t: tubeopt.optimize_design(_task(), time_limit=t),
     "pareto_front": lambda t: design.pareto_front(_task(), [0.05], time_limit=t),
     "tolerance_analysis": lambda t: design.tolerance_analysis(
@@ -49,6 +53,9 @@ QUESTIONS: dict[str, Callable[[float], Any]] = {
         time_limit=t,  # type: ignore[arg-type]
     ),
 }
+
+
+RIG: Any = tubeopt.load_rig("configs/rigs/thesis_calcium_silicate.yaml")
 
 
 def _task() -> tubeopt.DesignTask:
@@ -102,6 +109,20 @@ def test_the_nearest_limit_counts_and_ends_who_set_it() -> None:
     with within(TINY), pytest.raises(LateError):
         inner(time_limit=50.0)
     assert time_left() == math.inf
+
+
+def _slow(point: Any) -> dict[str, float]:
+    time.sleep(0.05)
+    return {"y": point["x"]}
+
+
+def test_a_sweep_keeps_what_was_done_by_its_limit(tmp_path: Path) -> None:
+    points = [{"x": float(k)} for k in range(20)]
+    with pytest.raises(TimeLimitError, match=r"sweep reached its time limit of 0.12 s with \d of 20 points; the same"):
+        tubeopt.sweep(_slow, points, tmp_path, fingerprint="slow", workers=1, time_limit=0.12)
+    found = tubeopt.sweep(_slow, points, tmp_path, fingerprint="slow", workers=1)
+    assert found.computed < 20
+    assert len(found.unkept().rows or ()) == 20
 
 
 def test_workers_keep_the_limit() -> None:

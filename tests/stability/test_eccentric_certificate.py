@@ -152,6 +152,7 @@ def test_a_bent_back_robot_is_as_free_of_snaps() -> None:
     assert snap_free_certificate(back) == pytest.approx(snap_free_certificate(robot), abs=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # tubes bent beyond what metals bear
 @pytest.mark.parametrize("tightness", [0.01, 0.1, 0.22])
 @pytest.mark.parametrize("transmission", [0.0, 0.7])
 def test_the_closed_form_is_the_margin_of_an_equilibrium(tightness: float, transmission: float) -> None:

@@ -233,6 +233,7 @@ def test_one_waypoint_and_progress() -> None:
     assert seen == [1, 2]
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # five turns
 def test_tubes_without_coupling() -> None:
     single = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.05, 0.1, 10.0),))
     path = follow(single, [[0.0], [5 * TURN]], [[0.0], [0.02]])

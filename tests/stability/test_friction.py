@@ -20,6 +20,7 @@ from tubeopt import (
     EccentricRobot,
     Friction,
     InputError,
+    Load,
     Tube,
     follow,
     forward_kinematics,
@@ -342,7 +343,34 @@ def test_band_holds_every_history() -> None:
     # Tight to first order, for there are ways that make everything slip; and a proof is above all.
     assert np.abs(off).max(0) == pytest.approx(band.tip_half_widths, rel=0.02)
     assert np.linalg.norm(off, axis=1).max() < band.tip_radius < 10 * np.linalg.norm(band.tip_half_widths)
-    assert band.guaranteed[0] == band.first_order[0].max() == 0
+    assert band.guaranteed[0] == 0
+    assert band.first_order[0].max() < 1e-20
+
+
+@pytest.mark.parametrize(
+    "load", [Load((0.01, 0.004, 0.0)), Load((0.0, 0.05, 0.02), gravity=(0.0, -9.80665, 0.0))], ids=["force", "weight"]
+)
+def test_band_under_a_load_holds_every_history(load: Load) -> None:
+    robot, at = certified(), [0.3, 1.9]
+    rub = Friction(1e-3, ends=2e-5)
+    still = forward_kinematics(robot, at, load=load)
+    band = friction_band(still, rub)
+    ways = np.random.default_rng(1).normal(0, 2.0, (15, 2)) + at
+    states = follow(robot, [point for way in ways for point in (way, at)], friction=rub, load=load).equilibria[1::2]
+    off = np.array([state.tip_position for state in states]) - still.tip_position
+    assert np.abs(off).max(0) == pytest.approx(band.tip_half_widths, rel=0.03)
+    if load.tip_force_only:
+        assert 0 < band.certificate < friction_band(forward_kinematics(robot, at), rub).certificate
+        assert np.linalg.norm(off, axis=1).max() < band.tip_radius < 30 * np.linalg.norm(band.tip_half_widths)
+    else:
+        assert np.isinf(band.tip_radius)
+
+
+def test_no_load_is_the_zero_of_a_load_for_a_band() -> None:
+    robot, at, rub = certified(), [0.3, 1.9], Friction(1e-3, ends=2e-5)
+    one, other = (friction_band(forward_kinematics(robot, at, load=load), rub) for load in (None, Load((1e-9, 0, 0))))
+    assert np.allclose(one.tip_half_widths, other.tip_half_widths, rtol=1e-6)
+    assert one.certificate == pytest.approx(other.certificate, abs=1e-6)
 
 
 def test_band_is_infinite_without_a_certificate() -> None:

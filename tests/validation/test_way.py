@@ -98,6 +98,7 @@ def test_the_calibrated_robot_predicts_by_itself() -> None:
     assert found.before.parity.history > 1.5 * found.after.parity.history
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # turns of the recording
 def test_gains_do_not_depend_on_the_turn_that_a_recording_counts_from() -> None:
     m = driven(count=150)
     found = fit(robot(), m, ["rotation_2", "rotation_gain_all"], FitOptions(folds=0))

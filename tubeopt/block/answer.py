@@ -67,12 +67,10 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
 
 
 def _solved_again(block: ComposedBlock[N], at: tuple[Robot, Array, Array], model: Model) -> N:
-    """On a mesh of its own; without load verified by re-integration."""
-    if block.load is None:
-        return block.near.at(*at, lambda s: sample(model, s)[0]).verified()
-    return block.near.at(
-        *at, lambda s: sample(model, s)[0], load=block.load, curvature_at=lambda s: sample(model, s)[2]
-    )
+    """On a mesh of its own, verified by re-integration."""
+    curvature_at = None if block.load is None else lambda s: sample(model, s)[2]
+    near = block.near.at(*at, lambda s: sample(model, s)[0], load=block.load, curvature_at=curvature_at)
+    return near.verified()
 
 
 def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:

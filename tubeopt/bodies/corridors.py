@@ -228,6 +228,13 @@ def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | Non
         InputError: no such file, one without triangles, or of a size that no body has, axes that contradict the file's;
             trimesh is not installed.
     """
+    body = read_mesh(path, scale=scale, axes=axes)
+    warn_of_open(path, body)
+    return body
+
+
+def read_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
+    """As `load_mesh`, without its warning: for what may refuse an open surface."""
     mesh = _loaded(path, "mesh")
     vertices = ras(_lengths(path, mesh.vertices, scale), agreed(path, axes) or "RAS")
     if not len(mesh.faces):
@@ -235,13 +242,16 @@ def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | Non
             f"{path}: it has no triangles; give a file with faces, or the points under the key points of an anatomy, "
             "each as a ball"
         )
-    body = _surface(path, vertices, mesh.faces)
+    return _surface(path, vertices, mesh.faces)
+
+
+def warn_of_open(path: str | PathLike[str], body: MeshObstacle) -> None:
+    """Warn of an open surface, which has no inside."""
     if not body.closed:
         LOGGER.warning(
             f"{path}: its surface is open, so the arm keeps clear of its triangles and nothing is known of an inside; "
             "close the surface to bar its inside"
         )
-    return body
 
 
 def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> Array | MeshObstacle:

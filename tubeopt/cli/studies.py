@@ -10,7 +10,7 @@ import typer
 
 from ..runs.study_file import load_study
 from ..runs.sweep_file import load_sweep
-from ..runs.sweeping import Sweep
+from ..runs.sweeping import SWEEP_LIMIT, Sweep
 from ..runs.sweeping import sweep as run_sweep
 from ..show.progress import working
 from ..show.reports import report, to_dict
@@ -39,6 +39,9 @@ def sweep(
         typer.Option(metavar="ADDRESS", help="A Dask cluster in their place, as tcp://host:8786.", show_default=False),
     ] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Compute failed points again.")] = False,
+    time_limit_s: Annotated[
+        float, typer.Option("--time-limit-s", metavar="S", help="On the clock, for all points that are left.")
+    ] = SWEEP_LIMIT,
 ) -> None:
     """Run a study over a grid or a sample of its parameters: with --out, the same command goes on with a stopped run.
 
@@ -58,6 +61,7 @@ def sweep(
                 scheduler=scheduler,
                 retry_failed=retry_failed,
                 progress=progress,
+                time_limit=time_limit_s,
             )
 
     if output.out is not None:

@@ -27,7 +27,7 @@ from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import FAR, MOST_TURN
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.library import MOST_TUBES, ROOM, Room, kernel_text
-from ..solvers.compiled.text import c_tables, numbers, with_included
+from ..solvers.compiled.text import HERE, c_tables, numbers, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .c_loads import SPARE, loaded_cases, loads_source
@@ -126,6 +126,7 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel_text(robot.n_tubes, home.eccentric, home.general, _room(space)),
         _data(robot, space),
+        with_included(HERE / "quadratic.c"),
         *(with_included(C_FOLDER / file) for file in ("robot.c", slopes, "servo.c")),
     ]
     return "".join(parts)

@@ -20,13 +20,12 @@ from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..inverse.configurations import Configuration, configuration
-from ..inverse.least_squares import constrained_least_squares
 from ..inverse.posture import Posture
 from ..inverse.settings import DEFAULT_SOLVER
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..solvers.compiled.quadratic import least_squares_of
 from ..solvers.parallel.blas import small
+from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array, Index
 from .command import Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
 from .guard import Guard
@@ -77,7 +76,6 @@ class Servo:
         self.options = options or ServoOptions()
         self.guard = Guard(robot, seed, limits, obstacles, self.options)
         self.space = self.guard.space
-        self._least_squares = least_squares_of(robot)
         groups = [tuple(group.split("+")) for group in self.options.priorities]
         self._groups = groups if self.options.objective is None else [*groups, ()]
         """Names of what is asked at each priority; at the last of them nothing, for the objective."""
@@ -193,10 +191,8 @@ class Servo:
             n = matrix.shape[1]
             matrix = np.concatenate([matrix, self._damping[:n, :n]])
             right = np.concatenate([right, np.zeros(n)])
-        if self._least_squares is not None:
-            return self._least_squares(matrix, right, rows, bounds)
         found = constrained_least_squares(matrix, right, rows, bounds)
-        return None if found is None else (found.x, found.active.nonzero()[0])
+        return None if found is None else (found.x, found.active)
 
     def _bodies(self, at: Posture, rate: Array) -> tuple[Array, Array]:
         """Rows (c, m), over the joints' scales, and bounds (c,), m, of the distances from bodies that a step within

@@ -176,7 +176,8 @@ def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:
     """What an unknown changes along a solved arm."""
     shape, n = here.shape, here.n
     none, zero = np.zeros((1, n)), np.zeros((1, *shape))
-    out = Change(none, none.copy(), np.zeros((1, shape[0])), *(zero.copy() for _ in range(4)))
+    rate, stiffness, moment, phase = (zero.copy() for _ in range(4))
+    out = Change(none, none.copy(), np.zeros((1, shape[0])), rate, stiffness, moment, phase, none.copy())
     for i, j in unknown.pieces:
         tube = here.robot.tubes[i]
         low = tube.straight_length + sum(piece.length for piece in tube.pieces[:j])
@@ -194,6 +195,8 @@ def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:
         out.phase[0, ..., i] += wound + inside * (x * dy - y * dx) / solid**2
         out.rate[0, ..., i] += -(inside * dkt) / kt**2
         out.transmission[0, i] += _softer(here, (i, low, length), dkt, kt)
+        if unknown.field == "piece_twist":
+            out.wound[0, i] += length
     return out
 
 

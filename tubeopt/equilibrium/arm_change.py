@@ -93,13 +93,13 @@ PARAMETERS = ("rotations", "translations", *DIMENSIONS)
 """What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
 
 
-def check_wrt(wrt: Sequence[str], side: int, known: Sequence[str] = PARAMETERS, of: str = "it") -> None:
-    """Raise InputError for a name that is not `known`, or a side that is neither 1 nor -1."""
+def check_wrt(wrt: Sequence[str], side: int) -> None:
+    """Raise InputError for a name that is not among PARAMETERS, or a side that is neither 1 nor -1."""
     if side not in (1, -1):
         raise InputError(f"side is {side!r}; it must be 1 (forward) or -1 (backward)")
     for name in wrt:
-        if name not in known:
-            raise InputError(f"wrt names {name!r}; {of} may name {', '.join(known)}")
+        if name not in PARAMETERS:
+            raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
 
 
 class ArmChange:

@@ -18,6 +18,7 @@ from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
+from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, Sentence
 from .kinematics import forward_kinematics, measure
 from .loaded import grow_many
@@ -102,7 +103,8 @@ class EquilibriumBatch(Displayed):
 
 
 @typed
-def forward_kinematics_batch(
+@limited
+def forward_kinematics_batch(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
@@ -112,6 +114,7 @@ def forward_kinematics_batch(
     workers: int = 1,
     on_failure: str = "return",
     progress: Callable[[int], object] | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> EquilibriumBatch:
     """Equilibria of N configurations, each the one that `forward_kinematics` finds without a guess.
 
@@ -127,10 +130,12 @@ def forward_kinematics_batch(
         workers: threads of the kernel; 0 is one per core.
         on_failure: "return" marks what has no stable equilibrium; "raise" raises SolveError for the first.
         progress: called with the number of configurations done, now and then.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: arrays of wrong shape, a value that is not finite, a tube out of its actuator (the row is named).
         SolveError: with on_failure="raise", a configuration without a stable equilibrium that could be found.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt
@@ -168,6 +173,7 @@ def forward_kinematics_batch(
 
     done = 0
     for count in _shared_out(run, len(alpha), workers or os.cpu_count() or 1):
+        check_time()
         done += count
         if progress is not None:
             progress(done)

@@ -12,7 +12,7 @@ quotient, at its mode.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -35,8 +35,8 @@ from .solving import Solution
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What Q parameters change: alpha (Q, n), int ds / kt up to the plate (Q, n), lengths of the pieces (Q, P), and at
-    all their points (Q, P, K, n) 1 / kt, kb, m and phase."""
+    """What Q parameters change: alpha (Q, n), int ds / kt up to the plate (Q, n), lengths of the pieces (Q, P), at all
+    their points (Q, P, K, n) 1 / kt, kb, m and phase, and the natural turn (Q, n) up to the ends of the tubes."""
 
     base: Array
     transmission: Array
@@ -45,6 +45,7 @@ class Change:
     stiffness: Array
     moment: Array
     phase: Array
+    wound: Array
 
     @property
     def columns(self) -> Array:
@@ -151,7 +152,7 @@ class Linearised:
         """What a parameter of a tube changes."""
         one, zero = (np.arange(self.n) == tube).astype(float)[None], np.zeros((1, *self.shape))
         none = np.zeros((1, self.n))
-        nothing = Change(none, none, np.zeros((1, len(self.length))), zero, zero, zero, zero)
+        nothing = Change(none, none, np.zeros((1, len(self.length))), zero, zero, zero, zero, none)
         own, kt = self.robot.tubes[tube], (self.here.rate * one)[None]
         kb, m = (
             (part.reshape(self.shape) * one)[None] for part in (self.here.sections.stiffness, self.here.sections.moment)
@@ -167,7 +168,7 @@ class Linearised:
         if name == "torsional_stiffness":
             softer = -1.0 / own.torsional_stiffness
             return replace(nothing, rate=kt * softer, transmission=one * self.here.transmission * softer)
-        return self._moved(tube, one)
+        return self._stretched(tube, one) if name == "curved_length" else self._moved(tube, one)
 
     def held(self, longer: Array) -> Change:
         """What straight parts change that are longer by so much (n,), at the same translations."""
@@ -184,18 +185,48 @@ class Linearised:
 
     def _moved(self, tube: int, one: Array) -> Change:
         """A tube moves forward: its breakpoints and all that it is at fixed places."""
+        held = 1 / self.table.values(self.problem.assembly.transmission[None])[1][0]
+        return self._passing(tube, np.ones_like(self.place) * one, -one * held)
+
+    def _stretched(self, tube: int, one: Array) -> Change:
+        """The curved part of a tube becomes longer: all its pieces in proportion, and what varies along them.
+
+        A place x of the tube moves by v = (x - l) / L behind the straight part, l, for each unit of length, L. So does
+        the natural turn grow up to there, and int ds / kt up to the plate where the curved part begins behind it.
+        """
+        own, held = self.robot.tubes[tube], self.problem.assembly.transmission
+        straight = np.full(self.n, own.straight_length)
+        curve = self.table.values(straight[None])[5][0]
+
+        def moved(place: Array) -> Array:
+            return np.maximum(place - own.straight_length, 0.0) / own.curved_length
+
+        rate = 1 / self.table.values(held[None])[1][0]
+        grown = np.maximum(self.table.compliant(held) - self.table.compliant(straight), 0.0) / own.curved_length
+        change = self._passing(tube, moved(self.place) * one, one * (grown - moved(held) * rate), moved)
+        ends = self.table.values(np.array([[t.length for t in self.robot.tubes]]))[5][0]
+        turned = np.where(moved(self.place) > 0, self.values[5] - curve, 0.0) / own.curved_length
+        wound = one * (ends - curve) / own.curved_length
+        return replace(change, phase=change.phase + (turned * one)[None], wound=wound)
+
+    def _passing(
+        self, tube: int, moves: Array, transmission: Array, by: Callable[[Array], Array] = np.ones_like
+    ) -> Change:
+        """A tube whose matter moves by `moves` (P, K, n) at the points, and its breakpoints by a function of where they
+        are on it, m; `transmission` (1, n) is the change of int ds / kt up to the plate."""
         assembly, mesh = self.problem.assembly, self.problem.mesh
         cuts = np.append(assembly.start, assembly.total_length)
         own = np.array([s for s in of_pieces(assembly)[tube] if s > COINCIDE])
-        moved = np.array([bool((np.abs(own - s) <= 1e-11).any()) for s in cuts]).astype(float)
+        mine = np.array([bool((np.abs(own - s) <= 1e-11).any()) for s in cuts])
+        moved = np.where(mine, by(cuts + assembly.transmission[tube]), 0.0)
         counts = np.bincount(mesh.section, minlength=assembly.n_sections)
         length = (np.diff(moved) / counts)[mesh.section]
         rank = np.arange(len(length)) - (np.cumsum(counts) - counts)[mesh.section]
         start = moved[mesh.section] + rank * length
-        place = (start[:, None] + length[:, None] * self.t.nodes)[..., None] - one
+        place = (start[:, None] + length[:, None] * self.t.nodes)[..., None] - moves
         kb, m, phase, rate = (part * place for part in self.passing)
-        held = 1 / self.table.values(assembly.transmission[None])[1][0]
-        return Change(np.zeros((1, self.n)), -one * held, length[None], rate[None], kb[None], m[None], phase[None])
+        none = np.zeros((1, self.n))
+        return Change(none, transmission, length[None], rate[None], kb[None], m[None], phase[None], none)
 
     def _wound(self, moments: Array) -> Wound:
         """Moments (P, K, n) with the torque that they make."""
@@ -241,7 +272,7 @@ class Linearised:
         position = np.cross(turn, self.tip - self.position).sum((1, 2)) + stretch
         cuts = np.append(problem.mesh.start, problem.assembly.total_length)
         index = np.abs(cuts - np.clip(problem.assembly.end, 0.0, cuts[-1])[:, None]).argmin(1)
-        tips = answer.between[:, index, np.arange(n)]
+        tips = answer.between[:, index, np.arange(n)] + change.wound
         last = np.column_stack([self._margin(answer.whole), self._energy(change)])
         return np.concatenate([position, turn.sum((1, 2)), tips, last], axis=1)
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..block.transcription.collocated import STEPS
 from ..block.transcription.linear import cumulate
-from ..robots.breakpoints import DIMENSIONS, coincides
+from ..robots.breakpoints import coincides
+from ..robots.robot import resized
 from ..typing import Array
 from .arm_change import check_wrt
 from .general_derivatives import Answer, Change, Linearised, together
@@ -19,20 +20,21 @@ from .kinematics import forward_kinematics
 from .result import Equilibrium
 from .solving import discretisation_of, polish
 
-WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "curved_length"))
-
-
 NUDGE = 1e-7
 """Motion (m) by which it is seen what lies to a side."""
 
 
-def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
-    """The equilibrium with a tube moved a little: where breakpoints coincide its derivatives stand for those to that
-    side, and are off by about the motion times the second ones. A tube that is wholly advanced moves back only."""
-    shift = equilibrium.translations.copy()
-    advanced = shift[tube] + NUDGE > equilibrium.robot.tubes[tube].straight_length
-    shift[tube] += -NUDGE if advanced else side * NUDGE
-    moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
+def nudged(equilibrium: Equilibrium, name: str, tube: int, side: int) -> Linearised:
+    """The equilibrium with a tube moved or stretched a little: where breakpoints coincide its derivatives stand for
+    those to that side, and are off by about the motion times the second ones. A tube that is wholly advanced moves back
+    only."""
+    robot, shift = equilibrium.robot, equilibrium.translations.copy()
+    if name == "translations":
+        advanced = shift[tube] + NUDGE > robot.tubes[tube].straight_length
+        shift[tube] += -NUDGE if advanced else side * NUDGE
+    else:
+        robot = resized(robot, tube, name, robot.tubes[tube].curved_length + side * NUDGE)
+    moved = forward_kinematics(robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
     return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
 
 
@@ -41,7 +43,7 @@ class GeneralMotion:
     what `more` says that changes.
 
     Raises:
-        InputError: a name that is not among WRT, or a side that is neither 1 nor -1.
+        InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
     """
 
     def __init__(
@@ -51,7 +53,7 @@ class GeneralMotion:
         side: int = 1,
         more: Callable[[Linearised], Sequence[Change]] | None = None,
     ) -> None:
-        check_wrt(wrt, side, WRT, "with tubes made of pieces it")
+        check_wrt(wrt, side)
         self.equilibrium, self.wrt, self.side, self._more = equilibrium, tuple(wrt), side, more
         self.here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
         self.arm, self.cuts = equilibrium.arm, equilibrium.arc_length[::STEPS]
@@ -63,8 +65,9 @@ class GeneralMotion:
         out = []
         for name in self.wrt:
             for tube in range(self.here.n):
-                aside = name == "translations" and coincides(self.here.problem.assembly, tube)
-                at = nudged(self.equilibrium, tube, self.side) if aside else self.here
+                moves = name in ("translations", "curved_length")
+                aside = moves and coincides(self.here.problem.assembly, tube)
+                at = nudged(self.equilibrium, name, tube, self.side) if aside else self.here
                 out.append((at, at.change(name, tube)))
         own = () if self._more is None else self._more(self.here)
         return [*out, *((self.here, change) for change in own)]

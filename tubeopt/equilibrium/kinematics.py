@@ -95,7 +95,7 @@ def forward_kinematics(  # noqa: PLR0913
     Raises:
         InputError: no robot, wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube
             out of its actuator, translations that are not in m, unknown method; a load on an eccentric robot, with
-            `verify` or a discretisation, or with IPOPT where it has no energy.
+            a discretisation, or with IPOPT where it has no energy.
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
             or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
             out of reach; `.solution` holds the best equilibrium found, where there is one.
@@ -119,10 +119,12 @@ def forward_kinematics(  # noqa: PLR0913
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     if load is not None:
         check_load(robot, load, shift)
-        only_plain(by, load, verify, discretisation)
+        only_plain(by, load, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
         found = loaded_kinematics(first, Loaded.of(robot, alpha, shift, load), tolerance, began, by.newton)
-        return found if by.name == "newton" else solved_by_ipopt(found, by.name, by.ipopt, began)
+        if by.name != "newton":
+            found = solved_by_ipopt(found, by.name, by.ipopt, began)
+        return verify_equilibrium(found) if verify else found
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:

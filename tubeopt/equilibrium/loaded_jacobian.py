@@ -11,7 +11,6 @@ to one side is that of the parabola through three equilibria.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,8 @@ import scipy
 from ..block.transcription.loaded import LoadedProblem, evaluate, tip_frame, tip_position
 from ..block.transcription.loaded_arm import elastic_energy, loaded_arm, loaded_profile
 from ..errors import InputError, SolveError
-from ..robots.breakpoints import DIMENSIONS
 from ..robots.load import Load
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot, resized
 from ..typing import Array
 from .arm_change import check_wrt
 from .load_problem import LOADED_DISCRETISATION, loaded_problem
@@ -42,9 +40,6 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
     """Derivatives as `Jacobian` has them: tip position (3, Q), turn (3, Q), tip rotations (n, Q), margin (Q,), energy
     (Q,); the margin is NaN for loads without one."""
     check_wrt(wrt, side)
-    for name in wrt:
-        if name in DIMENSIONS and is_general(equilibrium.robot):
-            raise InputError(f"wrt names {name!r}; under load, of tubes made of pieces, it may name joint values only")
     point = loaded_point(equilibrium)
     problem, state = point.member.problem, point.state
     if abs(point.margin) < APART:
@@ -94,9 +89,7 @@ def _moved(e: Equilibrium, name: str, tube: int, step: float) -> tuple[Robot, Ar
     if name in joints:
         joints[name][tube] += step
     else:
-        tubes = list(robot.tubes)
-        tubes[tube] = replace(tubes[tube], **{name: getattr(tubes[tube], name) + step})
-        robot = replace(robot, tubes=tuple(tubes))
+        robot = resized(robot, tube, name, getattr(robot.tubes[tube], name) + step)
     return robot, joints["rotations"], tuple(joints["translations"].tolist())
 
 

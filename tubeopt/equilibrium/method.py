@@ -33,7 +33,7 @@ def method_of(given: str | Newton | Ipopt) -> Method:
     return NAMED[choice("method", given, METHODS)]
 
 
-def only_plain(by: Method, load: Load, verify: bool, discretisation: Discretisation) -> None:
+def only_plain(by: Method, load: Load, discretisation: Discretisation) -> None:
     """Raise InputError for what there is not under load."""
     own = {name: getattr(NEWTON, name) for name in ("loaded_refinements", "margin_tolerance")}
     if replace(by.newton, **own) != NEWTON:
@@ -45,7 +45,5 @@ def only_plain(by: Method, load: Load, verify: bool, discretisation: Discretisat
             f"method is {by.name!r}; under a moment or a force that turns with the tip, which have no energy to be "
             "made least, it must be 'newton'"
         )
-    if verify:
-        raise InputError("verify is set; an equilibrium under load is not re-integrated, its own error estimate stands")
     if discretisation != DEFAULT_DISCRETISATION:
         raise InputError("discretisation is given; under load it is chosen for you")

@@ -73,9 +73,11 @@ class Verification(Displayed):
     rotation: float
     """Largest of a theta_i(s), rad."""
     end_torsion: float
-    """Largest torsion at a tube's own end, rad/m, which should be 0."""
+    """Largest torsion at a tube's own end, rad/m, beyond that which a moment on the tip makes; it should be 0."""
     base_rotation: float
     """Largest difference from the rotations that are imposed, rad."""
+    end_curvature: float = 0.0
+    """Curvature by the bending moment at the tip, 1/m, beyond that of a moment on the tip; it should be 0."""
 
 
 @dataclass(frozen=True)
@@ -294,6 +296,11 @@ def refuse_load(equilibrium: Equilibrium) -> None:
     """Raise InputError for an equilibrium under load or friction, where what is asked knows of neither."""
     if equilibrium.load is not None:
         raise InputError("the equilibrium bears a load, which is not supported here; give one without load")
+    refuse_friction(equilibrium)
+
+
+def refuse_friction(equilibrium: Equilibrium) -> None:
+    """Raise InputError for an equilibrium under friction, where what is asked does not know of it."""
     if equilibrium.friction is not None:
         raise InputError("the equilibrium bears friction, which is not supported here; give one without friction")
 

@@ -1,210 +1,148 @@
-"""The fast path: Gauss-Newton on the implicit derivatives of the equilibrium, with active bounds.
+"""The fast path: descents of postures to the target, and along it to less cost.
 
-Every iterate is a solved, stable equilibrium that keeps joints, order, margin and clearance. A step is a small
-least-squares problem with the linearised constraints as inequalities; it is shortened until the real arm agrees with
-its prediction. `reach` brings the tip to the target, `improve` then moves in the null space of the target.
+`reach` brings the tip to the target and out of any obstacle, `improve` then moves in what the target leaves free: each
+is a question to the descent of `gauss_newton`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..files.units import TO_MM
 from ..typing import Array
+from .gauss_newton import SLACK, Back, Descent, Model, Search, Step
 from .goal import Goal
-from .least_squares import LeastSquares, constrained_least_squares
-from .order import Order, breakpoint_order, crossings
+from .order import Order, breakpoint_order
 from .posture import Posture
 
-SLACK = 1e-9
-"""Clearance (m) that may be missing by round-off."""
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """Where a search ended."""
-
-    posture: Posture
-    """The best."""
-    reached: bool
-    """Whether it is on target."""
-    iterations: int
-    solves: int
-    """Equilibria."""
+MOST_PULL = 1e6
+"""Right-hand side of the cost in a step: a larger one would drown the target in round-off."""
 
 
 def reach(goal: Goal, start: Posture) -> Search:
-    """Levenberg-Marquardt with inequalities from a stable posture towards the target, and out of any obstacle."""
+    """From a stable posture towards the target, and out of any obstacle, by Levenberg's and Marquardt's damping."""
     solver = goal.solver.descent
-    here, step, solves, side = start, solver.first_step, 0, 1
-    sizes = [float(np.linalg.norm(_missing(goal, here)))]
-    for iteration in range(solver.steps):
-        if _done(goal, here, solver.tolerance):
-            return Search(here, True, iteration, solves)
-        short, across = goal.collisions(here)
-        missing = np.concatenate([goal.residual(here), short])
-        slope = np.vstack([goal.slope(here, side=side), across])
-        rows, bounds = goal.inequalities(here)
-        there, promised, touched = None, 0.0, len(goal.touched)
-        while there is None and not goal.clock.over:
-            chosen = _towards(goal, slope, missing, rows, bounds, step)
-            promised = sizes[-1] - float(np.linalg.norm(missing + slope @ chosen.x)) if chosen is not None else 0.0
-            if chosen is None or promised <= solver.least_promise * sizes[-1] or step < solver.shortest_step:
-                break
-            there = _tried(goal, here, chosen.x, sizes[-1] - 0.1 * promised)
-            solves += 1
-            if there is None:
-                step = 0.35 * min(step, _length(goal, chosen.x))
-                if len(goal.touched) > touched:
-                    (rows, bounds), touched = goal.inequalities(here), len(goal.touched)
-        if there is None and side > 0 and not goal.clock.over and not _done(goal, here, 1e-8):
-            # Breakpoints may coincide: what holds forwards may not hold backwards.
-            side, step = -1, 0.5 * solver.first_step
-            continue
-        if there is None or _stagnant(sizes, solver.patience) or goal.clock.over:
-            here = here if there is None else there
-            return Search(here, _done(goal, here, 1e-8), iteration, solves)
-        here, side = there, 1
-        sizes.append(float(np.linalg.norm(_missing(goal, here))))
-        if sizes[-2] - sizes[-1] >= 0.7 * promised:
-            step = min(2 * step, 2 * solver.first_step)
-    return Search(here, _done(goal, here, 1e-8), solver.steps, solves)
-
-
-def _missing(goal: Goal, at: Posture) -> Array:
-    """What is left to the target, and the clearances that are missing."""
-    return np.concatenate([goal.residual(at), goal.collisions(at)[0]])
+    descent = Descent(_Target(goal), solver.first_step, solver.steps)
+    end = descent.last(start)
+    return Search(end, _done(goal, end, 1e-8), descent.steps, descent.solves)
 
 
 def _done(goal: Goal, at: Posture, close: float) -> bool:
     return goal.reached(at, close, close) and goal.allowed(at, SLACK)
 
 
-def _tried(goal: Goal, here: Posture, step: Array, most: float) -> Posture | None:
-    """The posture after a step, if it keeps what must be kept, and leaves no more missing than `most`."""
-    there = here.to(goal.space.clip(here.q + step))
-    if there is None or there.margin < min(goal.floor, here.margin):
+@dataclass(frozen=True, eq=False)
+class _Target:
+    """Half the square of what is left to the target, and of the clearances that are missing."""
+
+    goal: Goal
+
+    def value(self, at: Posture) -> float:
+        left = np.concatenate([self.goal.residual(at), self.goal.collisions(at)[0]])
+        return 0.5 * float(left @ left)
+
+    def least(self, value: float) -> float:
+        return 2 * self.goal.solver.descent.least_promise * value
+
+    def ended(self, at: Posture, values: Sequence[float]) -> bool:
+        """On target, or where the last steps together brought next to nothing."""
+        solver = self.goal.solver.descent
+        stagnant = len(values) > solver.patience and values[-1] > 0.97**2 * values[-1 - solver.patience]
+        return stagnant or _done(self.goal, at, solver.tolerance)
+
+    def model(self, at: Posture, side: int, last: Step | None) -> Model:
+        short, across = self.goal.collisions(at)
+        missing = np.concatenate([self.goal.residual(at), short])
+        slope = np.vstack([self.goal.slope(at, side=side), across])
+        return Model(slope, -missing, *damping(self.goal, missing), *self.goal.inequalities(at))
+
+    def back(self, here: Posture, x: Array) -> Back:
+        """What is not kept is not brought back: the step is too long."""
+        there = here.to(self.goal.space.clip(here.q + x))
+        if there is None or there.margin < min(self.goal.floor, here.margin):
+            return Back(None, 1)
+        nearer = self.goal.violation(there) > self.goal.violation(here) + SLACK
+        return Back(None if nearer else there, 1)
+
+    def beyond(self, past: Posture) -> Posture | None:
+        """Not looked at: other starts come from there."""
         return None
-    if goal.violation(there) > goal.violation(here) + SLACK:
-        return None
-    return there if np.linalg.norm(_missing(goal, there)) <= most else None
 
 
-def _stagnant(sizes: list[float], patience: int) -> bool:
-    """Whether the last steps together brought next to nothing."""
-    return len(sizes) > patience and sizes[-1] > 0.97 * sizes[-1 - patience]
-
-
-def _length(goal: Goal, step: Array) -> float:
-    return float(np.abs(step / goal.space.scale).max())
-
-
-def boxed(goal: Goal, rows: Array, bounds: Array, step: float) -> tuple[Array, Array]:
-    """The inequalities with a step of at most `step` in every joint."""
-    unit = np.diag(1 / goal.space.scale)
-    most = np.full(2 * len(unit), -step)
-    return np.vstack([rows, unit, -unit]), np.concatenate([bounds, most])
-
-
-def _towards(goal: Goal, slope: Array, residual: Array, rows: Array, bounds: Array, step: float) -> LeastSquares | None:
-    """The step that brings the tip nearest to the target: the shortest one, where several do."""
-    # Damping by the square of the residual keeps quadratic convergence (Yamashita and Fukushima 2001).
-    damping = np.sqrt(min(1e-2 * float(residual @ residual), 1e-3) + 1e-14)
-    matrix = np.vstack([slope, np.diag(damping / goal.space.scale)])
-    right = np.concatenate([-residual, np.zeros(len(goal.space.scale))])
-    return constrained_least_squares(matrix, right, *boxed(goal, rows, bounds, step))
+def damping(goal: Goal, residual: Array) -> tuple[Array, Array]:
+    """(m, m) and (m,) the guide of a step that makes a residual 0: of the order of its square, which keeps quadratic
+    convergence (Yamashita and Fukushima 2001)."""
+    size = np.sqrt(min(1e-2 * float(residual @ residual), 1e-3) + 1e-14)
+    return np.diag(size / goal.space.scale), np.zeros(len(goal.space.scale))
 
 
 def improve(goal: Goal, start: Posture) -> Search:
-    """Lower the cost from a posture on target, without leaving it: a feasible path, each step corrected back.
-
-    Between changes of the order of breakpoints everything is smooth. Steps end where the order changes, slide along,
-    and cross where it is lower beyond.
-    """
+    """Lower the cost from a posture on target, without leaving it."""
     if not goal.ranked:
         return Search(start, True, 0, 0)
-    path, solver = _Path(goal, goal.cost(start)), goal.solver.descent
-    here, step = start, 0.5 * solver.first_step
-    for iteration in range(solver.improving_steps):
-        cost = path.cost
-        there, step = path.step(here, step)
-        if there is None:
-            there = path.across(here)
-            step = 0.1 * solver.first_step
-        if there is None:
-            return Search(here, True, iteration, path.solves)
-        here = there
-        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.clock.over:
-            return Search(here, True, iteration + 1, path.solves)
-        step = min(1.8 * step, solver.first_step)
-    return Search(here, True, solver.improving_steps, path.solves)
-
-
-class _Path:
-    """Postures on target with ever lower cost; counts the equilibria solved."""
-
-    def __init__(self, goal: Goal, cost: float) -> None:
-        self.goal, self.cost, self.solves = goal, cost, 0
-
-    def step(self, here: Posture, step: float) -> tuple[Posture | None, float]:
-        """The posture after a step that lowers the cost, None without one, and the length that a step may have."""
-        goal = self.goal
-        slope, residual = goal.slope(here), goal.residual(here)
-        order = breakpoint_order(goal, here)
-        limits, touched = order.kept(here.q, *goal.inequalities(here)), len(goal.touched)
-        while step > 1e-4 and not goal.clock.over:
-            chosen = _downhill(goal, here, (slope, residual), limits, step)
-            if chosen is None or _length(goal, chosen.x) < 1e-7:
-                return None, step
-            trial = here.to(goal.space.clip(here.q + chosen.x))
-            self.solves += 1
-            if trial is not None:
-                back = correct(goal, trial, slope, close=goal.solver.descent.tolerance, order=order)
-                self.solves += back.solves
-                if back.posture is not None and goal.cost(back.posture) < self.cost - 1e-9 * max(abs(self.cost), 1e-3):
-                    self.cost = goal.cost(back.posture)
-                    return back.posture, step
-            step = 0.35 * min(step, _length(goal, chosen.x))
-            if len(goal.touched) > touched:
-                limits, touched = order.kept(here.q, *goal.inequalities(here)), len(goal.touched)
-        return None, step
-
-    def across(self, here: Posture) -> Posture | None:
-        """The posture after a step beyond a change of order that holds the cost up; None where it rises beyond."""
-        goal = self.goal
-        for other in crossings(goal, here, goal.solver.order.short_section * goal.space.length):
-            back = correct(goal, other, goal.slope(other), close=goal.solver.descent.tolerance).posture
-            there = None if back is None else self.step(back, 0.1 * goal.solver.descent.first_step)[0]
-            if there is not None:
-                return there
-        return None
-
-
-def _downhill(
-    goal: Goal, here: Posture, target: tuple[Array, Array], limits: tuple[Array, Array], step: float
-) -> LeastSquares | None:
-    (slope, residual), weight = target, goal.solver.descent.target_weight
-    cost, right = goal.cost_rows(here, 1e-3)
-    size = max(float(np.linalg.norm(right)), 1e-12)
-    matrix = np.vstack([weight * slope, cost])
-    rightmost = np.concatenate([-weight * residual, right])
-    if size > 1e6:
-        rightmost[len(residual) :] *= 1e6 / size
-    return constrained_least_squares(matrix, rightmost, *boxed(goal, *limits, step))
+    solver = goal.solver.descent
+    descent = Descent(_Cost(goal), 0.5 * solver.first_step, solver.improving_steps)
+    return Search(descent.last(start), True, descent.steps, descent.solves)
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
-    """A way back onto the target."""
+class _Cost:
+    """The cost among postures on target: each step is brought back to it, in the same order of breakpoints."""
 
-    posture: Posture | None
-    """On target; None where that leads nowhere or out of what is allowed."""
+    goal: Goal
+
+    def value(self, at: Posture) -> float:
+        return self.goal.cost(at)
+
+    def least(self, value: float) -> float:
+        return 1e-9 * max(abs(value), 1e-3)
+
+    def ended(self, at: Posture, values: Sequence[float]) -> bool:
+        return len(values) > 1 and values[-2] - values[-1] < 1e-7 * max(abs(values[-1]), 1e-3)
+
+    def model(self, at: Posture, side: int, last: Step | None) -> Model:
+        goal = self.goal
+        cost, right = goal.cost_rows(at, 1e-3)
+        right *= min(1.0, MOST_PULL / max(float(np.linalg.norm(right)), 1e-300))
+        target = on_target(goal, goal.slope(at, side=side), goal.residual(at))
+        return Model(cost, right, *target, *breakpoint_order(goal, at).kept(at.q, *goal.inequalities(at)))
+
+    def back(self, here: Posture, x: Array) -> Back:
+        order, close = breakpoint_order(self.goal, here), self.goal.solver.descent.tolerance
+        return moved(self.goal, here, x, self.goal.slope(here), close=close, order=order)
+
+    def beyond(self, past: Posture) -> Posture | None:
+        close = self.goal.solver.descent.tolerance
+        return correct(self.goal, past, self.goal.slope(past), close=close).posture
+
+
+def on_target(goal: Goal, slope: Array, residual: Array) -> tuple[Array, Array]:
+    """Rows and right-hand sides of a step that ends on target whatever else it does."""
+    weight = goal.solver.descent.target_weight
+    return weight * slope, -weight * residual
+
+
+@dataclass(frozen=True, eq=False)
+class Correction(Back):
+    """A posture brought back onto the target, or None where that leads nowhere or out of what is allowed."""
+
     slope: Array
-    """As it was updated on the way."""
-    solves: int
-    """Equilibria."""
+    """As the steps have updated it."""
+
+
+def moved(
+    goal: Goal, here: Posture, x: Array, slope: Array, *, close: float, most: int = 8, order: Order | None = None
+) -> Correction:
+    """The posture after a motion, back on target."""
+    there = here.to(goal.space.clip(here.q + x))
+    if there is None:
+        return Correction(None, 1, slope)
+    slope = broyden(goal, slope, there.q - here.q, goal.residual(there) - goal.residual(here))
+    back = correct(goal, there, slope, close=close, most=most, order=order)
+    return replace(back, solves=1 + back.solves)
 
 
 def correct(
@@ -221,21 +159,22 @@ def correct(
     residual, solves = goal.residual(at), 0
     while not goal.reached(at, close, close):
         if solves == most:
-            return Correction(None, slope, solves)
+            return Correction(None, solves, slope)
         rows, bounds = goal.space.inequalities(at.q)
         if order is not None:
             rows, bounds = order.kept(at.q, rows, bounds)
-        chosen = _towards(goal, slope, residual, rows, np.minimum(bounds, 0.0), goal.solver.descent.first_step)
+        model = Model(slope, -residual, *damping(goal, residual), rows, np.minimum(bounds, 0.0))
+        chosen = model.step(goal, goal.solver.descent.first_step)
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         solves += 1
         if there is None:
-            return Correction(None, slope, solves)
+            return Correction(None, solves, slope)
         new = goal.residual(there)
         if np.linalg.norm(new) > 0.5 * np.linalg.norm(residual) and not goal.reached(there, 1e-9, 1e-9):
-            return Correction(None, slope, solves)
+            return Correction(None, solves, slope)
         slope = broyden(goal, slope, there.q - at.q, new - residual)
         at, residual = there, new
-    return Correction(at if goal.allowed(at, SLACK) else None, slope, solves)
+    return Correction(at if goal.allowed(at, SLACK) else None, solves, slope)
 
 
 def broyden(goal: Goal, slope: Array, moved: Array, change: Array) -> Array:

@@ -14,9 +14,9 @@ from ..robots.assembly import ROUND_OFF
 from ..robots.limits import JointLimits
 from ..robots.order import Demand, carriage_name, demands, in_order, translation_ranges
 from ..robots.robot import Robot
+from ..solvers.quadratic import constrained_least_squares
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
-from .least_squares import constrained_least_squares
 
 CLOSE = 1e-6
 """Share of a joint's scale at which it counts as being at the end of its range."""

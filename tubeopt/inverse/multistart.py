@@ -13,7 +13,8 @@ from ..errors import SolveError
 from .answer import InverseSolution, InverseStatistics, InverseStatus
 from .clock import Clock
 from .closest import closest_of
-from .descent import SLACK, Search, correct, improve, millimetres, missed_by, reach
+from .descent import correct, improve, millimetres, missed_by, reach
+from .gauss_newton import SLACK, Search
 from .goal import Goal
 from .joints import JointSpace
 from .outline import Outline

@@ -105,6 +105,14 @@ class Posture:
         return self._slopes((-1,) * self.space.robot.n_tubes)[0]
 
     @property
+    def two_sided(self) -> bool:
+        """Whether derivatives differ to either side by more than round-off, as where breakpoints coincide."""
+        pairs = zip(self.jacobian, self.backward, strict=True)
+        return not all(
+            np.allclose(a, b, rtol=0, atol=1e-6 * np.abs(np.nan_to_num(a)).max(), equal_nan=True) for a, b in pairs
+        )
+
+    @property
     def along(self) -> Array:
         """(p, 3, 2n) change of the shape points by rotations and translations, to the sides of `jacobian`."""
         return self._free[1]

@@ -23,7 +23,7 @@ from ..solvers.problem_solution import ProblemSolution, ProblemStatus
 from ..solvers.settings import CONTINUATION, Ipopt
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
-from .descent import Search
+from .gauss_newton import Search
 from .goal import Goal
 from .order import Order, apart, beyond, breakpoint_order
 from .posture import Posture

@@ -19,9 +19,9 @@ from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .clock import Clock
 from .configurations import Configuration
-from .descent import boxed, broyden, correct, held_by, missed_by, reach
+from .descent import held_by, missed_by, moved, on_target, reach
+from .gauss_newton import Model
 from .goal import Goal, pose_question, unit_vector
-from .least_squares import constrained_least_squares
 from .order import Order, breakpoint_order, crossings
 from .posture import Posture, posture_of, same_place, seed_posture
 from .program import programmable, solve_program
@@ -304,21 +304,21 @@ def _servo(
         rows, bounds = goal.inequalities(here)
     if order is not None:
         rows, bounds = order.kept(here.q, rows, bounds)
-    limits = boxed(goal, rows, np.minimum(bounds, 0.0), solver.descent.first_step)
     scale = goal.space.scale
-    matrix = np.vstack([solver.descent.target_weight * near.target, np.diag(1 / scale)])
-    # The shortest way, which tells how far to go beside it.
+    # The shortest way, which says how far to go beside it.
     size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
     push = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
     steep = float(np.linalg.norm(push))
     aside = push * (solver.session.push * size * min(1.0, 1.0 / steep)) if steep > 0 else push
-    chosen = constrained_least_squares(matrix, np.append(-solver.descent.target_weight * residual, aside), *limits)
-    there = None if chosen is None else here.to(goal.space.clip(here.q + chosen.x))
-    if there is None:
+    target = on_target(goal, near.target, residual)
+    chosen = Model(np.diag(1 / scale), aside, *target, rows, np.minimum(bounds, 0.0)).step(
+        goal, solver.descent.first_step
+    )
+    if chosen is None:
         return None, near, 1
-    target = broyden(goal, near.target, there.q - here.q, goal.residual(there) - residual)
-    back = correct(goal, there, target, close=solver.session.tolerance, most=4 if order is None else 8, order=order)
-    return back.posture, _Slopes(back.slope, near.margin, near.age + 1), 1 + back.solves
+    most = 4 if order is None else 8
+    back = moved(goal, here, chosen.x, near.target, close=solver.session.tolerance, most=most, order=order)
+    return back.posture, _Slopes(back.slope, near.margin, near.age + 1), back.solves
 
 
 def _stalled(goal: Goal, at: Posture) -> str:

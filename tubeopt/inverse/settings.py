@@ -116,8 +116,6 @@ class Closest(Settings):
 
     steps: int = 60
     """From one end of a search."""
-    orders: int = 6
-    """Changes of the order of breakpoints on its way."""
     postures: int = 150
     """Tried in it; far fewer do but where bodies hold the arm in several places."""
     promise: float = 1e-8
@@ -132,8 +130,6 @@ class Closest(Settings):
     """Ends closer than this in every joint, in units of their scales, are one."""
     agreeing: int = 4
     """So many further ends that it brings as close as the best say that there is no closer one."""
-
-    _none: ClassVar[tuple[str, ...]] = ("orders",)
 
 
 @dataclass(frozen=True)

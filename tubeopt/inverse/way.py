@@ -16,7 +16,8 @@ from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .chart import Chart
 from .clock import Clock
-from .descent import SLACK, held_by
+from .descent import held_by
+from .gauss_newton import SLACK
 from .goal import Goal, angle
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place

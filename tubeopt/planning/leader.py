@@ -18,10 +18,10 @@ from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, finite, instance
-from ..inverse.least_squares import constrained_least_squares
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array
 from .building import passing
 from .goals import ends, start_equilibrium

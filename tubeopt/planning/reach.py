@@ -13,9 +13,9 @@ import numpy as np
 from ..bodies.obstacles import Box
 from ..errors import SolveError
 from ..inverse.clock import Clock
-from ..inverse.least_squares import constrained_least_squares
 from ..inverse.multistart import known_starts
 from ..inverse.table import nearest_starts, spread_starts
+from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array
 from .question import PlanTask
 

@@ -74,7 +74,7 @@ def default_limits(tubes: Sequence[Tube]) -> JointLimits:
 
 def check_turn(rotations: Array) -> None:
     """Raise InputError naming a rotation beyond MOST_TURN; warn of one beyond USUAL_TURN."""
-    most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
+    most = max(rotations.ravel().tolist(), key=abs, default=0.0)
     if abs(most) > MOST_TURN:
         raise InputError(f"rotations has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
     if abs(most) > USUAL_TURN / 2:
@@ -99,7 +99,7 @@ def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
     if min(translations) >= 0:
         return
     for i, (tube, shift) in enumerate(zip(tubes, translations, strict=True)):
-        if shift < 0 and shift < -FAR * tube.length:
+        if shift < -FAR * (tube.straight_length + tube.curved_length):
             raise InputError(
                 f"translation of tube {i + 1} is {shift:g} m, and the tube is {tube.length:g} m long; it must be at "
                 f"least {-FAR:g} times that: translations are in m"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from os import PathLike
 from typing import Any, TypeVar
@@ -149,6 +150,12 @@ def keeps_hash(cls: type[Kept]) -> type[Kept]:
 
     cls.__hash__, cls.__getstate__ = kept, state  # type: ignore[method-assign]
     return cls
+
+
+def resized(robot: Robot, tube: int, name: str, value: float) -> Any:
+    """The robot with another dimension of a tube, SI; see `Tube.resized`."""
+    tubes = [one.resized(name, value) if i == tube else one for i, one in enumerate(robot.tubes)]
+    return replace(robot, tubes=tuple(tubes))  # type: ignore[type-var]
 
 
 @lru_cache(maxsize=64)

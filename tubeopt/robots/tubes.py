@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,6 +16,8 @@ from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
 from .pieces import Piece
 from .series import Quantity, extremes
+
+STIFFNESSES = ("bending_stiffness", "torsional_stiffness")
 
 
 def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
@@ -171,6 +173,25 @@ class Tube(Displayed):
         else:
             curvature, given["pieces"] = max(piece.largest_curvature for piece in chain), chain
         return cls(outer_diameter, inner_diameter, straight_length, total, curvature, material, **given)
+
+    def resized(self, name: str, value: float) -> Tube:
+        """The tube with another dimension; of one of pieces, all of them in proportion: a longer curved part stretches
+        each piece, and a stiffness makes each as many times stiffer.
+
+        Args:
+            name: a field that is a number, as "curvature" or "bending_stiffness".
+            value: SI.
+        """
+        factor = value / getattr(self, name) if self.pieces and name in ("curved_length", *STIFFNESSES) else 1.0
+        pieces = self.pieces
+        match name:
+            case "curved_length":
+                pieces = tuple(piece.stretched(factor) for piece in pieces)
+            case "bending_stiffness":
+                pieces = tuple(piece.stiffened(factor, 1.0) for piece in pieces)
+            case "torsional_stiffness":
+                pieces = tuple(piece.stiffened(1.0, factor) for piece in pieces)
+        return replace(self, **{name: value}, pieces=pieces)  # type: ignore[arg-type]
 
     @property
     def general(self) -> bool:

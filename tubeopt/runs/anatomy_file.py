@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from ..bodies.anatomy import Anatomy, anatomy_seen, centres
 from ..bodies.axes import needed
-from ..bodies.corridors import PLACE, MeshObstacle, load_mesh, load_points
+from ..bodies.corridors import PLACE, MeshObstacle, load_points, read_mesh, warn_of_open
 from ..bodies.distance_field import DistanceField
 from ..bodies.frames import Frame, base_frame, ras, register
 from ..bodies.images import LabelImage, read_image
@@ -157,8 +157,10 @@ class MeshPart(Entry):
 
     def build(self) -> DistanceField:
         """Its distance field in the patient, RAS."""
-        mesh = load_mesh(self.file, scale=UNITS[self.unit], axes=needed(self.file, self.axes))
-        return field_of_mesh(mesh, keep=self.keep, name=self.file.name, **self.in_si("cell_mm"))
+        mesh = read_mesh(self.file, scale=UNITS[self.unit], axes=needed(self.file, self.axes))
+        field = field_of_mesh(mesh, keep=self.keep, name=self.file.name, **self.in_si("cell_mm"))
+        warn_of_open(self.file, mesh)
+        return field
 
 
 class PointsPart(Entry):

@@ -15,7 +15,7 @@ from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Progress
-from .base import RobotPath, Study
+from .base import RobotPath, Timed
 from .heating_study import SENSOR, Heating, RigPath, SensorName, Success, heating_of, sensor_of
 from .mold_study import MoldPath
 
@@ -52,7 +52,7 @@ class Fabrication(Displayed):
         return min(known, key=lambda one: one.probability) if len(known) == len(found) else None
 
 
-class FabricationStudy(Study):
+class FabricationStudy(Timed):
     """Molds and heating schedules for every tube of a robot."""
 
     doing = "planning molds and schedules"

@@ -25,7 +25,7 @@ from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
 from ..typing import Progress
-from .base import RobotPath, Study, TubeNumber
+from .base import RobotPath, Timed, TubeNumber
 from .rig_file import load_rig
 
 
@@ -135,7 +135,7 @@ RigPath = Annotated[
 """A rig, given as the path of its file."""
 
 
-class TubeOnRig(Study):
+class TubeOnRig(Timed):
     """What studies of heatings share: a rig, and the tube on it."""
 
     rig: RigPath

@@ -100,7 +100,9 @@ class InverseStudy(Surrounded, LoadedStudy):
     reference_deg: OnePerTube | None = Field(None, description="rotations to stay close to")
     reference_mm: OnePerTube | None = Field(None, description="translations to stay close to")
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
-    time_limit_s: Positive = Field(Decimal(20), description="on the clock, for each target, with the way to it")
+    time_limit_s: Positive = Field(
+        Decimal(20), description="on the clock, for each target, with the way to it; files are read before"
+    )
     all: bool = Field(False, description="all distinct postures for the target, the best first")
     closest: bool = Field(False, description="where the target is out of reach, the closest pose")
     follow: bool = Field(False, description="solve each target of a table from the last one, on its branch")

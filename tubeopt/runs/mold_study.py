@@ -21,7 +21,7 @@ from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Springback
 from ..typing import Progress
-from .base import RobotPath, Study, TubeNumber
+from .base import RobotPath, Study, Timed, TubeNumber
 from .mold_file import load_mold_spec, load_springback
 from .rig_file import load_rig
 
@@ -118,7 +118,7 @@ class PegStudy(Study):
         return plan_pegs(self.robot.tubes[self.tube - 1], spec, number=self.tube)
 
 
-class MaterialsStudy(Study):
+class MaterialsStudy(Timed):
     """What the mold for a tube should be made of: a tube of a robot, or one of these sizes."""
 
     kind: Literal["mold_materials"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import pickle
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ..display import Displayed
-from ..errors import InputError
+from ..errors import InputError, TimeLimitError, positive
 from ..files.journal import Journal
 from ..solvers.parallel.executors import Failure, Outcome, each
 from .sweep_points import Points
@@ -69,7 +70,11 @@ def _read(cell: str) -> float | str:
     return cell
 
 
-def sweep(
+SWEEP_LIMIT = 86400.0
+"""s: a sweep may last a day; what was done by then is kept."""
+
+
+def sweep(  # noqa: PLR0913
     function: Callable[[Any], Answer],
     points: Sequence[Point],
     directory: str | PathLike[str],
@@ -79,6 +84,7 @@ def sweep(
     scheduler: str | None = None,
     retry_failed: bool = False,
     progress: Progress | None = None,
+    time_limit: float = SWEEP_LIMIT,
 ) -> Sweep:
     """`function` at every point, with a journal and a table in `directory`.
 
@@ -91,11 +97,14 @@ def sweep(
         fingerprint: tells one sweep from another; by default it is made of the function and all points.
         workers, scheduler: as for `tubeopt.solvers.parallel.executors.each`.
         retry_failed: compute the points again that have failed before.
+        time_limit: s, on the clock; checked after each point, whose questions have limits of their own.
 
     Raises:
         InputError: no function, or no points; the directory holds another sweep, is in use or cannot be written;
             workers or scheduler as in `parallel.executor`.
         SolveError: the connection to the cluster is lost; the journal keeps what was done.
+        TimeLimitError: (a SolveError) the time limit was reached before all points were done; the journal keeps those
+            that were.
 
     Examples:
         >>> import tempfile
@@ -110,6 +119,7 @@ def sweep(
     """
     if not callable(function):
         raise InputError(f"function is {function!r}; it must be a function of a point")
+    until = time.monotonic() + positive("time_limit", time_limit)
     points = _checked(points)
     directory = Path(directory)
     mark = fingerprint or _fingerprint(function, points)
@@ -126,6 +136,11 @@ def sweep(
             done.add(index)
             if progress is not None:
                 progress(len(done), len(points), len(journal.failed & done))
+            if len(done) < len(points) and time.monotonic() > until:
+                raise TimeLimitError(
+                    f"sweep reached its time limit of {time_limit:g} s with {len(done)} of {len(points)} points; "
+                    "the same sweep in the same directory goes on from there"
+                )
         table, arrays = write_table(directory, journal.entries)
         failures = tuple((entry["index"], why_failed(entry)) for entry in journal.entries() if "failure" in entry)
         return Sweep(len(points), len(left), failures, table, arrays, journal.path)

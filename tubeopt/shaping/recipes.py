@@ -77,16 +77,25 @@ def check_temperatures(material: Material, name: str, low: float, high: float) -
     where that is implausible."""
     recipe = recipe_for(material)
     given = f"{high:g} degC" if low == high else f"{low:g} to {high:g} degC"
-    if high > recipe.most:
-        raise InputError(
-            f"{name} is {given}; it must be at most {recipe.most:g} degC for {recipe.metal}: {recipe.lost}"
-        )
     least, most = recipe.usual
+    if high > recipe.most:
+        cooler, hotter = low - ZERO_CELSIUS, high - ZERO_CELSIUS
+        hint = f"; if these are K, give {cooler:g} to {hotter:g} degC" if least <= cooler <= hotter <= most else ""
+        raise InputError(
+            f"{name} is {given}; it must be at most {recipe.most:g} degC for {recipe.metal}: {recipe.lost}{hint}"
+        )
     if low < least or high > most:
         LOGGER.warning(
             f"{name} is {given}; {recipe.metal} is set at {least:g} to {most:g} degC, where it takes the shape within "
             "minutes and stays elastic"
         )
+
+
+def warn_of_limit(material: Material, limit: float) -> None:
+    """Warn of a limit of the temperature, degC, at which a metal is no longer what it is to be."""
+    recipe = recipe_for(material)
+    if limit > recipe.most:
+        LOGGER.warning(f"limit_degC is {limit:g} degC; {recipe.metal} bears {recipe.most:g} degC: {recipe.lost}")
 
 
 def mold_remarks(material: Material, temperature: float) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ VERIFICATION: tuple[Quantity[Verification], ...] = (
     Quantity("tip_rotation_rad", "angle between the frames of the tips", form=".6g"),
     Quantity("rotation_rad", "largest difference of a tube's rotation", form=".6g"),
     Quantity("end_torsion_rad_per_m", "largest torsion left at the end of a tube", form=".6g"),
+    Quantity("end_curvature_per_m", "curvature at the tip that no moment makes", form=".6g"),
     Quantity("base_rotation_rad", "largest difference to a rotation imposed at the base", form=".6g"),
 )
 
@@ -70,7 +71,7 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
 def by_history(e: Equilibrium) -> Array | None:
     """(3,) half widths (m) to first order of where friction can hold the tip; None where the robot tells of none."""
     friction = friction_of(e.robot)
-    if friction is None or e.load is not None or e.friction is not None or not e.stable:
+    if friction is None or e.friction is not None or not e.stable:
         return None
     from ..stability import friction_band  # with all of stability, which forward kinematics starts without
 

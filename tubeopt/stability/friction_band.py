@@ -1,12 +1,13 @@
 """How far friction can hold an arm from where it would be without, whatever its history: bounds without a path.
 
-Every state with friction obeys grad E + P' lam = 0 with |lam| <= D. To first order around the equilibrium without
-friction a place p moves by -J H^-1 P' lam, so by at most |J H^-1 P'| D along each axis. A bound that is none of first
-order follows where the energy is convex at these joint values, H >= mu > 0 (the snap-free certificate): then
-|x - x0| <= |P' lam| / mu, and with m_i = kb_i kappa_i, K = sum kb_i
+Every state with friction obeys grad E + P' lam = 0 with |lam| <= D, E the potential energy of torsion and bending under
+the load, if any. To first order around the equilibrium without friction a place p moves by -J H^-1 P' lam, so by at
+most |J H^-1 P'| D along each axis. A bound that is none of first order follows where the energy is convex at these
+joint values, H >= mu > 0 (the snap-free certificate, under a force on the tip that for all forces of its size): then
+|x - x0| <= |P' lam| / mu, and with m_i = kb_i kappa_i, K = sum kb_i, u = u_natural(theta) + w
 
     |P' lam|^2 <= D' |P P'| D
-    |p - p0| <= int |u - u0| (s_p - s) ds <= sum_i int (|m_i| / K) |theta_i - theta_i0| (s_p - s) ds
+    |p - p0| <= int |u - u0| (s_p - s) ds <= int (sum_i (|m_i| / K) |theta_i - theta_i0| + |w - w0|) (s_p - s) ds
 """
 
 from __future__ import annotations
@@ -17,18 +18,20 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import make_contact
-from ..block.transcription.linear import poses_at_points
-from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.whole_arm import evaluate_arm
+from ..block.transcription.loaded import LoadedProblem, LoadedState
+from ..block.transcription.loaded_arm import integration_to
+from ..block.transcription.orientation import tangent_slopes
 from ..display import Displayed
-from ..equilibrium.friction import Held, check_rubbing, shaken
-from ..equilibrium.result import Equilibrium, refuse_load
+from ..equilibrium.friction import check_rubbing, shaken
+from ..equilibrium.load_problem import check_load, loading_of
+from ..equilibrium.result import Equilibrium, refuse_friction
 from ..robots.friction import Friction
+from ..robots.load import Load
+from ..robots.robot import is_general
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .certificate import convexity
+from .certificate import convexity, snap_free_certificate
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,8 @@ class FrictionBand(Displayed):
     friction: Friction
     """As given."""
     certificate: float
-    """Of convexity at these translations; without tubes made of pieces that of freedom from snaps."""
+    """Of convexity at these translations, under a force on the tip for all forces of its size; -inf under other loads,
+    and under a force with tubes made of pieces."""
     first_order: Array
     """(M, 3) half widths along the axes of the plate, m, true for small friction only."""
     guaranteed: Array
@@ -64,7 +68,8 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     """How far friction can hold a concentric robot from an equilibrium without friction, whatever its history.
 
     Raises:
-        InputError: an equilibrium under load or friction, a friction for another robot, an eccentric robot.
+        InputError: an equilibrium under friction, or under a load without an energy; a friction for another robot, an
+            eccentric robot.
 
     Examples:
         >>> import tubeopt
@@ -76,50 +81,53 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     """
     robot = equilibrium.robot
     check_rubbing(robot, friction)
-    refuse_load(equilibrium)
-    assembly = robot.assembly(equilibrium.translations)
-    held = shaken(make_contact(assembly, friction, everywhere=True), equilibrium)
-    contact, state = held.contact, held.found.state
+    refuse_friction(equilibrium)
+    shift, load = tuple(equilibrium.translations.tolist()), equilibrium.load or Load()
+    check_load(robot, load, shift)
+    load.require_energy("there is no least energy around which friction could be bounded")
+    assembly, loading = loading_of(robot, shift, load)
+    held = shaken(make_contact(assembly, friction, loading), equilibrium)
+    contact, state, problem = held.contact, held.found.state, held.contact.loaded
+    assert problem is not None
+    assert isinstance(state.elastic, LoadedState)
     response = scipy.linalg.solve(state.hessian, contact.rows.T, assume_a="sym")
-    slopes = _place_slopes(equilibrium, held)
-    first = np.abs(slopes @ response[: contact.problem.size]) @ contact.capacity
-    certificate = convexity(robot, equilibrium.translations)
+    slopes = _place_slopes(equilibrium.arc_length, problem, state.elastic)
+    first = np.abs(slopes @ response[: problem.size]) @ contact.capacity
+    certificate = _convexity(equilibrium, load)
     push = contact.capacity @ np.abs(contact.rows @ contact.rows.T) @ contact.capacity
     guaranteed = np.full(len(equilibrium.arc_length), np.inf)
     if certificate > 0:
-        guaranteed = _levers(equilibrium, contact.problem) * (np.sqrt(push) / certificate)
+        guaranteed = _levers(equilibrium, problem) * (np.sqrt(push) / certificate)
     return FrictionBand(equilibrium, friction, certificate, first, guaranteed)
 
 
-def _place_slopes(equilibrium: Equilibrium, held: Held) -> Array:
-    """(M, 3, U) change of the points along the arm with z: a curvature changed by du turns all beyond by R du ds."""
-    problem, e = held.contact.problem, equilibrium
-    n, count = problem.assembly.n_tubes, len(problem.weight)
-    theta = held.found.state.elastic.theta + problem.phase
-    bent = section_function("curvature_slope", count, n, False)(theta, problem.stiffness, problem.moment)[0]
-    frames, places = _poses(held)
-    turn = np.einsum("nab,nib->nia", frames[:, :, :2], bent.reshape(count, n, 2)) * problem.weight[:, None, None]
-    ahead = (e.arc_length[:, None] > problem.arc_length)[..., None] * (e.position[:, None] - places)
-    point, tube = problem.point, problem.tube
-    moved = np.cross(turn[point, tube], ahead[:, point])
-    return np.asarray(moved.swapaxes(1, 2) @ problem.factor)
+def _convexity(equilibrium: Equilibrium, load: Load) -> float:
+    """Lower bound of the second variation of the energy at any shape and rotations, relative to its elastic part."""
+    robot, shift = equilibrium.robot, equilibrium.translations
+    if not load.tip_force_only:
+        return -np.inf
+    force = float(np.linalg.norm(load.force))
+    if not force:
+        return convexity(robot, shift)
+    return -np.inf if is_general(robot) else snap_free_certificate(robot, shift, max_force=force)
 
 
-def _poses(held: Held) -> tuple[Array, Array]:
-    """Frames (N, 3, 3) and positions (N, 3) at the collocation points."""
-    problem = held.contact.problem
-    arm = evaluate_arm(problem, held.rotations, held.found.state.torsion, held.profile)
-    shape = arm.frame, arm.position, arm.curvature
-    frames, places = poses_at_points(problem.mesh.tableau, problem.mesh.length, shape)
-    chosen = problem.mesh.collocated
-    return frames[chosen].reshape(-1, 3, 3), places[chosen].reshape(-1, 3)
+def _place_slopes(arc_length: Array, problem: LoadedProblem, state: LoadedState) -> Array:
+    """(M, 3, X) change of the points along the arm with torsion and bending."""
+    weights, along = np.array([integration_to(problem, s) for s in arc_length.tolist()]), state.orientation
+    moved = (tangent_slopes(along.stage) @ along.stage_slope).reshape(len(along.stage), -1)
+    return np.asarray((weights @ moved).reshape(len(weights), 3, -1) @ state.turned)
 
 
-def _levers(equilibrium: Equilibrium, problem: ReducedProblem) -> Array:
-    """(M,) how far a point moves at most per unit of |z|."""
+def _levers(equilibrium: Equilibrium, loaded: LoadedProblem) -> Array:
+    """(M,) how far a point moves at most per unit of |(z, q)|."""
+    problem = loaded.torsion
     pull = problem.moment / np.maximum(problem.stiffness.sum(1), 1e-300)[:, None]
     point, tube = problem.point, problem.tube
     reach = np.maximum(equilibrium.arc_length[:, None] - problem.arc_length, 0.0)
     weights = (np.abs(pull) * problem.weight[:, None])[point, tube] * reach[:, point]
     compliance = np.abs(problem.factor @ problem.factor.T)
-    return np.asarray(np.sqrt(np.einsum("ma,ab,mb->m", weights, compliance, weights)))
+    squares = np.einsum("ma,ab,mb->m", weights, compliance, weights)
+    if equilibrium.load is not None:  # without one w is 0, whatever rubs
+        squares += ((reach * problem.weight * loaded.softness) ** 2).sum(1)
+    return np.asarray(np.sqrt(squares))

@@ -21,21 +21,12 @@ from ..errors import InputError, finite, instance, positive
 from ..files.marks import OneOf, check_fields
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.robust_least_squares import Descent, Weights, descend, normal_equations
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, Sentence
 from .certainty import check_registration, registration_error
 from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances, validate
-from .descent import (
-    DEFAULT_SOLVER,
-    LOSSES,
-    Descent,
-    FitSolver,
-    Weights,
-    bootstrap_errors,
-    descend,
-    hold_out,
-    normal_equations,
-)
+from .descent import DEFAULT_SOLVER, LOSSES, FitSolver, bootstrap_errors, hold_out
 from .folds import deal, passes
 from .identifiability import doubts, entangled_history, left_out, louder, undetermined
 from .measurements import Measurements
@@ -269,7 +260,7 @@ class FitProblem:
         """How observations count, given the noise."""
         return weigh(self.model, self.options, self.sigma)
 
-    def _settle(self, start: State, slopes: Array) -> Descent:
+    def _settle(self, start: State, slopes: Array) -> Descent[State]:
         """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least
         squares of positions it does not matter what it is."""
         solver = self.options.solver
@@ -282,7 +273,7 @@ class FitProblem:
             found = descend(self.model, self.weights(), found.state, first=found.jacobian, solver=solver)
         return self._registered(found)
 
-    def _registered(self, found: Descent) -> Descent:
+    def _registered(self, found: Descent[State]) -> Descent[State]:
         """The descent with the registration in closed form, which its last step reaches to first order only."""
         if self.options.loss != "linear":
             return found
@@ -291,12 +282,12 @@ class FitProblem:
         slopes = found.jacobian if self.model.costly(state) else self.model.jacobian(state)
         return replace(found, state=state, residuals=self.model.residuals(state), jacobian=slopes)
 
-    def _noise(self, found: Descent) -> tuple[float, float]:
+    def _noise(self, found: Descent[State]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
         left, given = self._left(found), self.options.noise
         return given[0] or left[0], given[1] or left[1]
 
-    def _left(self, found: Descent) -> tuple[float, float]:
+    def _left(self, found: Descent[State]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions that a fit leaves.
 
         With a robust loss, from the median, which outliers do not move.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -22,6 +22,7 @@ from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
+from ..solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, Mask, Progress, Sentence
 from .comparison import check_tubes
@@ -44,13 +45,16 @@ class ForceSolver(Settings):
     longest_move: float = 0.1
     """Largest move of a measured point in one step, as a share of the arm: beyond, the linear fit tells nothing."""
     first_damping: float = 1e-8
-    """Of the square of the best told direction: others may be seen a thousand times less."""
+    """Relative to the diagonal of the normal equations: other directions may be seen a thousand times less."""
     settled: float = 1e-4
     """Step, in standard errors of the force, below which it has settled."""
 
 
 SETTLED, STEPS = 1e-2, 12
 """Of fits to measurements that are moved: a hundredth of a standard error, and the steps in which most are found."""
+
+SURE = 1e-3
+"""Step, in standard errors, below which a force has settled where steps end for another reason."""
 
 ROOT = np.sqrt(3.0)
 """Standard deviations by which measurements are moved."""
@@ -313,33 +317,71 @@ def estimate_force(  # noqa: PLR0913
 
 
 def _settled(trial: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> tuple[_Trial, int]:
-    """The fit from a trial, and its steps; raises SolveError where it does not settle."""
-    noise, damping, length = measured.noise, solver.first_damping, float(trial.equilibrium.arc_length[-1])
-    for iteration in range(1, solver.steps + 1):
-        step = _step(trial.jacobian, trial.residual, damping)
-        moved = np.abs(trial.jacobian @ step).max() * noise
-        if moved > solver.longest_move * length:
-            damping *= 4
-            continue
-        there: _Trial | None = None
-        with suppress(SolveError):
-            there = _trial(trial.equilibrium, base, trial.force + step, measured)
-        settled = float(np.linalg.norm(trial.jacobian @ step)) <= solver.settled
-        if there is not None and (there.residual @ there.residual <= trial.residual @ trial.residual or settled):
-            trial, damping = there, damping / 10
-        elif settled:
-            break
-        else:
-            damping *= 8
-            continue
-        if settled:
-            return trial, iteration
-    if float(np.linalg.norm(trial.jacobian @ _step(trial.jacobian, trial.residual, 0.0))) <= 1e-3:
-        return trial, iteration
-    raise SolveError(
-        f"the force did not settle in {solver.steps} steps: {_distance(trial, measured) * 1e3:.3g} mm are left",
-        trial.equilibrium,
+    """The fit from a trial, and the forces it tried; raises SolveError where it does not settle."""
+    model = _Pushed(trial, base, measured, solver)
+    count = len(trial.residual)
+    weights = Weights(np.ones(count), np.ones(count), np.full(3, np.inf))
+    steps = LeastSquaresSolver(
+        iterations=solver.steps,
+        settled=1e-12,  # a direction that is hardly seen is a small part of the cost
+        first_damping=solver.first_damping,
+        round_off=solver.settled**2 / count,
     )
+    end = descend(model, weights, model.start, solver=steps).state.trial
+    if float(np.linalg.norm(end.jacobian @ _last_step(end))) <= max(SURE, solver.settled):
+        return end, model.tried
+    raise SolveError(
+        f"the force did not settle in {solver.steps} steps: {_distance(end, measured) * 1e3:.3g} mm are left",
+        end.equilibrium,
+    )
+
+
+class _Force:
+    """A force x (3,), N, with its trial, which is solved from a trial near by where it is asked for."""
+
+    def __init__(self, model: _Pushed, x: Array, near: _Trial) -> None:
+        self._model, self.x, self._near = model, x, near
+
+    @cached_property
+    def trial(self) -> _Trial:
+        """Raises SolveError where there is none, or where points would move farther than the slopes say anything of."""
+        return self._near if self.x is self._near.force else self._model.tried_at(self.x, self._near)
+
+    def moved(self, step: Array) -> _Force:
+        """The force after a step."""
+        return _Force(self._model, self.x + step, self.trial)
+
+
+class _Pushed:
+    """The coordinates of the measured points over their noise, under a force at the tip: what `descend` fits."""
+
+    bounds, freedoms = np.array([[-np.inf] * 3, [np.inf] * 3]), 0
+
+    def __init__(self, start: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> None:
+        self.start = _Force(self, start.force, start)
+        self._base, self._measured, self._solver, self.tried = base, measured, solver, 0
+
+    def tried_at(self, force: Array, near: _Trial) -> _Trial:
+        """The trial of a force; raises SolveError where there is none."""
+        self.tried += 1
+        if self.tried > self._solver.steps:
+            raise SolveError("the steps ran out")
+        moved = np.abs(near.jacobian @ (force - near.force)).max() * self._measured.noise
+        if moved > self._solver.longest_move * float(near.equilibrium.arc_length[-1]):
+            raise SolveError("the force moves the arm farther than its slopes say anything of")
+        return _trial(near.equilibrium, self._base, force, self._measured)
+
+    def residuals(self, state: _Force) -> Array:
+        """(3 P, 1) fitted less measured."""
+        return -state.trial.residual[:, None]
+
+    def jacobian(self, state: _Force) -> Array:
+        """(3 P, 1, 3) by the force."""
+        return state.trial.jacobian[:, None]
+
+    def costly(self, state: _Force) -> bool:
+        """Derivatives come with the equilibrium."""
+        return False
 
 
 def _measured(
@@ -380,12 +422,9 @@ def _trial(near: Equilibrium, base: Load, force: Array, measured: _Measured) -> 
     return _Trial(force, e, np.concatenate(residuals) / noise, np.concatenate(rows) / noise)
 
 
-def _step(jacobian: Array, residual: Array, damping: float) -> Array:
-    """Levenberg's step, damped alike in all directions: those that are hardly seen then move last."""
-    u, size, vt = np.linalg.svd(jacobian, full_matrices=False)
-    seen = size > UNSEEN * size[0]
-    factor = np.where(seen, size / np.maximum(size**2 + damping * size[0] ** 2, 1e-300), 0.0)
-    return np.asarray(vt.T @ (factor * (u.T @ residual)))
+def _last_step(trial: _Trial) -> Array:
+    """(3,) the step of Gauss and Newton, N, in what is seen."""
+    return np.asarray(np.linalg.lstsq(trial.jacobian, trial.residual, rcond=UNSEEN)[0])
 
 
 def _distance(trial: _Trial, measured: _Measured) -> float:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..solvers.robust_least_squares import Descent
 from ..typing import Array
-from .descent import Descent
 from .effects import EFFECTS
 from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters, groups
@@ -118,7 +118,7 @@ def join(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
+def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
     """A remark where an effect of history was fitted that others of these data could imitate."""
     fitted = {p.name for p in model.parameters if p.effect.history}
     if not fitted:

@@ -279,6 +279,11 @@ class ArmModel:
         out[..., count:] = -self._registration_slope(state, here)
         return out
 
+    @property
+    def bounds(self) -> Array:
+        """(2, P) least and greatest value of every parameter."""
+        return np.array([[p.low, p.high] for p in self.parameters]).reshape(-1, 2).T
+
     def costly(self, state: State) -> bool:
         """Whether the derivatives at a state take a way along all rows for every parameter."""
         return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)

@@ -21,11 +21,12 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..solvers.robust_least_squares import Descent, Weights, cost_of, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
 from .certainty import check_registration, registration_error
 from .comparison import ErrorSummary, check_tubes, distances
-from .descent import Descent, Weights, cost_of, descend, predicted_held_out
+from .descent import predicted_held_out
 from .fitting import Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
 from .identifiability import left_out
@@ -138,7 +139,7 @@ class _Trial:
 
     effects: tuple[str, ...]
     model: ArmModel
-    fit: Descent
+    fit: Descent[State]
     sigma: tuple[float, float]
     residuals: Array
 
@@ -287,7 +288,9 @@ class _Search:
         problem = FitProblem(self.model.with_parameters(chosen), self.options, start, sigma)
         return self._held_out(kinds, problem.model, problem.fit, problem.sigma)
 
-    def _held_out(self, kinds: tuple[str, ...], model: ArmModel, fit: Descent, sigma: tuple[float, float]) -> _Trial:
+    def _held_out(
+        self, kinds: tuple[str, ...], model: ArmModel, fit: Descent[State], sigma: tuple[float, float]
+    ) -> _Trial:
         weights = weigh(model, self.options, sigma)
         out = predicted_held_out(model, weights, fit, self.fold)
         if self.progress is not None:

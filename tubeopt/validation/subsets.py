@@ -23,8 +23,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError, SolveError
+from ..solvers.robust_least_squares import Descent, Weights
 from ..typing import Array, Index, Mask
-from .descent import Descent, Weights, predicted_held_out
+from .descent import predicted_held_out
 from .model import ArmModel, State
 from .parameters import Parameter, apply
 
@@ -230,7 +231,7 @@ class Slopes:
         return predicted_held_out(fewer, replace(weights, prior=weights.prior[own]), near, fold)
 
 
-def slopes_around(model: ArmModel, fit: Descent, others: Sequence[Sequence[Parameter]]) -> Slopes:
+def slopes_around(model: ArmModel, fit: Descent[State], others: Sequence[Sequence[Parameter]]) -> Slopes:
     """Slopes around a fit of the parameters of a model, and by those of other effects at their starts.
 
     An effect that cannot begin, since there is no such robot, is left out.

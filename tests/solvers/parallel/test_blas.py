@@ -11,9 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from tests.examples import THESIS
 from tubeopt import IkSession, Load, find_load_limit, forward_kinematics, judge, stability_map, worst_margin
-from tubeopt.inverse import session as sessions
-from tubeopt.inverse.least_squares import LeastSquares
+from tubeopt.inverse import gauss_newton
 from tubeopt.solvers.parallel.blas import _libraries, small
+from tubeopt.solvers.quadratic import LeastSquares
 
 
 def counts() -> set[int]:
@@ -57,13 +57,13 @@ def test_blocks_beside_each_other_end_with_the_last() -> None:
 @pytest.mark.usefixtures("two_threads")
 def test_a_servo_step_runs_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[set[int]] = []
-    solve = sessions.constrained_least_squares
+    solve = gauss_newton.constrained_least_squares
 
     def asked(*arguments: np.ndarray) -> LeastSquares | None:
         seen.append(counts())
         return solve(*arguments)
 
-    monkeypatch.setattr(sessions, "constrained_least_squares", asked)
+    monkeypatch.setattr(gauss_newton, "constrained_least_squares", asked)
     here = forward_kinematics(THESIS, [0.1, 0.2, 0.3])
     IkSession(THESIS, seed=here).solve(here.tip_position + 1e-4)
     assert seen

@@ -89,17 +89,14 @@ class Contact:
         return float(np.abs(np.concatenate(turns)).max(initial=0.0))
 
 
-def make_contact(
-    assembly: Assembly, friction: Friction, loading: Loading | None = None, *, everywhere: bool = False
-) -> Contact:
-    """The rows of friction of concentric tubes under a load or none, on a mesh fine enough for both; with `everywhere`
-    the rotation of each tube is unknown wherever it bends the arm, even where no other tube does."""
+def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None = None) -> Contact:
+    """The rows of friction of concentric tubes under a load or none, on a mesh fine enough for both."""
     n = assembly.n_tubes
     capacities = {name: np.array(friction.per_pair(name, n - 1)) for name in PAIRWISE}
     # (m, n - 1) sections in which a pair touches that rubs anywhere.
     rub = np.sum(list(capacities.values()), axis=0) > 0
     touching = assembly.present[:, 1:] & rub
-    unknown = assembly.curved & (assembly.coupled | everywhere | (loading is not None))[:, None]
+    unknown = assembly.curved & (assembly.coupled | (loading is not None))[:, None]
     unknown[:, 1:] |= touching
     unknown[:, :-1] |= touching
     problem = _problem(assembly, friction, touching, unknown, loading)

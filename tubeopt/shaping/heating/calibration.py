@@ -10,7 +10,6 @@ noise, with the error of the model's own grid to spare.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from ...display import Displayed
 from ...errors import InputError, choice, positive
 from ...physics.heat import LEAD, Resolution
 from ...robots.tubes import Tube
+from ...solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
 from ...typing import Array
 from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of, unexplained
 from .rig import COUNTS, Rig
@@ -43,6 +43,12 @@ def _scaled(part: str, name: str) -> Callable[[Rig, float], Rig]:
 
     return change
 
+
+FARTHEST = 2.5
+"""Largest logarithm of a factor: 12 times what the file says."""
+
+STEPS = LeastSquaresSolver(iterations=25, settled=1e-6)
+"""The grid's own error is far more than a step below leaves."""
 
 FACTORS: dict[str, Callable[[Rig, float], Rig]] = {
     "loss": lambda rig, factor: replace(rig, loss_factor=rig.loss_factor * factor),
@@ -193,6 +199,39 @@ def _estimate(name: str, value: tuple[float, float] | None, bias: float) -> Esti
     return Estimate(name, float(np.exp(x)), float(np.exp(x - room)), float(np.exp(x + room)), False)
 
 
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """Logarithms x of factors, and biases over their size."""
+
+    x: Array
+
+    def moved(self, step: Array) -> _Factors:
+        """After a step."""
+        return _Factors(self.x + step)
+
+
+class _Logged:
+    """The readings of a log by named factors: what `descend` fits."""
+
+    freedoms = 0
+
+    def __init__(self, problem: _Problem, names: Sequence[str], start: Array) -> None:
+        self.start, self._problem, self._names = _Factors(start), problem, names
+        self.bounds = FARTHEST * np.array([-np.ones(len(start)), np.ones(len(start))])
+
+    def residuals(self, state: _Factors) -> Array:
+        """(N, 1) model less log."""
+        return np.vstack([*self._problem.differences(self._names, state.x[None]).values()])
+
+    def jacobian(self, state: _Factors) -> Array:
+        """(N, 1, P) by the factors."""
+        return self._problem.quotients(self._problem.perturbed(self._names, state.x))[:, None]
+
+    def costly(self, state: _Factors) -> bool:
+        """All perturbed rigs are simulated at once."""
+        return False
+
+
 class _Problem:
     """Residuals of a log over logarithms of factors."""
 
@@ -226,14 +265,25 @@ class _Problem:
         before, after = ({c: seen[c][:, side] for c in self.log.channels} for side in (0, 1))
         return before, after | {c: after[c] + off for c, off in self.biases(names, x).items()}
 
-    def differences(self, names: Sequence[str], x: Array) -> dict[str, Array]:
-        """(T, 1 + P) model less log of every channel, at x and with each unknown perturbed."""
-        shifted = [x, *(x + self.solver.perturbation * unit for unit in np.eye(len(x)))]
-        seen = self._predicted([self.rig(names, at) for at in shifted])
-        for k, at in enumerate(shifted):
+    def differences(self, names: Sequence[str], rows: Array) -> dict[str, Array]:
+        """(T, B) model less log of every channel, at rows x (B, P)."""
+        seen = self._predicted([self.rig(names, at) for at in rows])
+        for k, at in enumerate(rows):
             for channel, off in self.biases(names, at).items():
                 seen[channel][:, k] += off
         return {c: seen[c][read] - self.log.channels[c][read][:, None] for c, read in self.read.items()}
+
+    def perturbed(self, names: Sequence[str], x: Array) -> dict[str, Array]:
+        """(T, 1 + P) the same at x and with each unknown perturbed."""
+        return self.differences(names, x + self.solver.perturbation * np.vstack([np.zeros(len(x)), np.eye(len(x))]))
+
+    def quotients(self, now: dict[str, Array]) -> Array:
+        """(N, P) derivatives by the unknowns, of what is `perturbed`."""
+        return np.vstack([(d[:, 1:] - d[:, :1]) / self.solver.perturbation for d in now.values()])
+
+    def spread(self, sigma: dict[str, float]) -> Array:
+        """(N,) noise of every reading."""
+        return np.concatenate([np.full(int(read.sum()), sigma[c]) for c, read in self.read.items()])
 
     def solve(self, names: Sequence[str]) -> tuple[Array, dict[str, float], Array, Array]:
         """Logarithms of the factors, noise of the channels, Jacobian of the residuals, and standard errors."""
@@ -242,14 +292,14 @@ class _Problem:
         for _ in range(2):
             if names:
                 x = self._fit(names, x, sigma)
-            now = self.differences(names, x)
+            now = self.perturbed(names, x)
             # Each channel pays for its share of the unknowns.
             share = len(names) / self.count
             sigma = {
                 c: max(float(np.sqrt((d[:, 0] ** 2).sum() / max(len(d) * (1 - share), 1.0))), LEAST_NOISE[kind_of(c)])
                 for c, d in now.items()
             }
-        J = self._jacobian(now, sigma)
+        J = self.quotients(now) / self.spread(sigma)[:, None]
         values, vectors = np.linalg.eigh(J.T @ J)
         floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
         errors = np.sqrt((vectors**2 / np.maximum(values, floor)).sum(1))
@@ -264,16 +314,5 @@ class _Problem:
         return np.asarray(np.linalg.lstsq(J, error, rcond=None)[0])
 
     def _fit(self, names: Sequence[str], x: Array, sigma: dict[str, float]) -> Array:
-        @functools.cache
-        def both(*at: float) -> tuple[Array, Array]:
-            now = self.differences(names, np.array(at))
-            return np.concatenate([d[:, 0] / sigma[c] for c, d in now.items()]), self._jacobian(now, sigma)
-
-        found = scipy.optimize.least_squares(
-            lambda at: both(*at)[0], x, lambda at: both(*at)[1], bounds=(-2.5, 2.5), xtol=1e-5, ftol=1e-6, max_nfev=25
-        )
-        return np.asarray(found.x)
-
-    def _jacobian(self, now: dict[str, Array], sigma: dict[str, float]) -> Array:
-        """(N, P) of the residuals by the unknowns, of differences at x and with each unknown perturbed."""
-        return np.vstack([(d[:, 1:] - d[:, :1]) / self.solver.perturbation / sigma[c] for c, d in now.items()])
+        weights = Weights(self.spread(sigma), np.ones(self.count), np.full(len(x), np.inf))
+        return descend(_Logged(self, names, x), weights, _Factors(x), solver=STEPS).state.x

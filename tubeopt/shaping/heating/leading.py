@@ -10,6 +10,7 @@ import scipy
 
 from ...errors import InputError, instance
 from ...solvers.parallel.blas import small
+from ...solvers.time_limit import TIME_LIMIT, limited
 from ...typing import Array
 from .law import Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted
 from .plan import HeatingPlan
@@ -31,6 +32,7 @@ and are why the tube needs less and less power."""
 
 
 @small
+@limited
 def lead_by(
     plan: HeatingPlan,
     sensor: Sensor,
@@ -38,6 +40,7 @@ def lead_by(
     *,
     samples: int = 200,
     seed: int = 0,
+    time_limit: float = TIME_LIMIT,
 ) -> Feedback:
     """The law that leads a plan by a sensor: its schedule as feedforward, gains and set-point that keep the window most
     likely, and that likelihood on rigs that were not used to choose them.
@@ -46,9 +49,11 @@ def lead_by(
         plan: what is to be led; one with objective "margin" leaves the law most room.
         uncertainty: of rig and tube; by default `Uncertainty.of_a_workshop()`.
         samples: rigs for the likelihood, at least 20.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: no sensor, fewer than 20 samples, or a sensor that is not on the tube.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt

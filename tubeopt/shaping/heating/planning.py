@@ -8,7 +8,8 @@ from ...constants import ZERO_CELSIUS
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...solvers.parallel.blas import small
-from ..recipes import check_temperatures
+from ...solvers.time_limit import TIME_LIMIT, limited
+from ..recipes import check_temperatures, warn_of_limit
 from .cures import find_cures
 from .leading import lead_by
 from .plan import HeatingPlan
@@ -20,7 +21,15 @@ from .thermal import PROGRAM, thermal_data, thermal_model
 
 
 @small
-def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, sensor: Sensor | None = None) -> HeatingPlan:
+@limited
+def plan_heating(
+    tube: Tube,
+    rig: Rig,
+    spec: HeatingSpec | None = None,
+    *,
+    sensor: Sensor | None = None,
+    time_limit: float = TIME_LIMIT,
+) -> HeatingPlan:
     """The schedule of whole counts that holds the curved part of a tube in the window, no point above the limit, and
     ramp and currents within theirs.
 
@@ -33,11 +42,13 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
         spec: window, hold and limits; by default 500-550 degC for 60 s.
         sensor: what is felt of the tube: a `Thermocouple`, `TubeResistance` or `Camera`. The plan's `feedback` is then
             the law that leads the schedule by it, and how likely uncertain rigs keep the window (see `lead_by`).
+        time_limit: s, on the clock.
 
     Raises:
         InputError: the tube has no curved part, its material no thermal data or no recipe (only nitinol has), or cannot
             be set in the window; the rig or the window make no sense.
         SolveError: the optimal control problem did not converge.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
         >>> import tubeopt
@@ -50,6 +61,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
         instance(name, value, wanted)
     check_temperatures(tube.material, "window_degC", *spec.window_degC)
+    warn_of_limit(tube.material, spec.limit)
     thermal_data(tube)
     if rig.ambient - ZERO_CELSIUS >= spec.window_degC[0]:
         raise InputError(

@@ -16,6 +16,7 @@ from ...block.transcription.buffered import mapped
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_functions, step_function
 from ...solvers.compiled.heating import Marcher, Windows, heating_kernel
+from ...solvers.time_limit import check_time
 from ...typing import Array
 from .thermal import ThermalModel
 
@@ -112,6 +113,7 @@ def marcher_of(model: ThermalModel) -> Marcher | None:
 def march(model: ThermalModel, course: State, windows: Windows) -> None:
     """Write the states after windows of time at constant duties into a course (T, B, ...) whose first one in place is
     given: in the compiled kernel, or where there is none by steps one by one, to the same states."""
+    check_time()
     marcher = marcher_of(model)
     if marcher is None:
         step_by_step(model, course, windows)
@@ -295,6 +297,7 @@ def simulate_feedback(
     """One member under a duty that `controller` chooses at every slot from time and state; also the duties (count,)."""
     states, duties = [at_rest(model)], []
     for k in range(count):
+        check_time()
         duties.append(controller(k * slot, states[-1]))
         states.append(advance(model, states[-1], duties[-1], slot))
     course = State(*(np.array([getattr(state, name) for state in states]) for name in ("cells", "lumped")))

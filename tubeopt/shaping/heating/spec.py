@@ -8,15 +8,12 @@ from typing import Annotated, Any
 
 from ...display import Displayed
 from ...errors import InputError, choice, finite, instance, items, positive, vector
-from ...files.marks import POSITIVE, OneOf, Range, Usual, check_fields, key, unit
+from ...files.marks import POSITIVE, OneOf, Range, check_fields, key, unit
 from .settings import DEFAULT_HEATING, HeatingSolver
 
 OBJECTIVES = ("time", "energy", "margin")
 QUENCHES = ("water", "air")
 FREE = ("clearance", "lead", "vents")
-HOT = Usual(100.0, 680.0)
-"""Temperatures (degC) at which nitinol is set, with much to spare: above, they are probably in kelvin."""
-
 LONGEST = 1800.0
 """Hold, s, beyond which no tube that is heated by its own resistance needs one."""
 
@@ -29,9 +26,9 @@ class HeatingSpec(Displayed):
         InputError: an empty window, a window above the limit, or another value out of its range.
     """
 
-    window_degC: Annotated[tuple[float, float], HOT, "of the whole curved part during the hold"] = (500.0, 550.0)
+    window_degC: Annotated[tuple[float, float], "of the whole curved part during the hold"] = (500.0, 550.0)
     hold_time: Annotated[float, key("hold_s"), POSITIVE, "length of the hold, 1 to 1800 s"] = 60.0
-    limit_degC: Annotated[float | None, HOT, "for every point at all times; by default the window's end"] = None
+    limit_degC: Annotated[float | None, "for every point at all times; by default the window's end"] = None
     ramp: Annotated[
         float,
         key("ramp_K_per_s"),

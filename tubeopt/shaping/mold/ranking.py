@@ -10,6 +10,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...errors import InputError
 from ...robots.tubes import Tube
+from ...solvers.time_limit import TIME_LIMIT, limited
 from ..heating.plan import HeatingPlan
 from ..heating.planning import plan_heating
 from ..heating.rig import Rig
@@ -58,6 +59,7 @@ class MaterialRating:
         return held and self.limit_margin >= 0 and self.leak <= MOST_LEAK
 
 
+@limited
 def rank_mold_materials(
     tube: Tube,
     heat: HeatSpec | None = None,
@@ -65,6 +67,7 @@ def rank_mold_materials(
     materials: Iterable[MoldMaterial] = tuple(MOLD_MATERIALS.values()),
     plate: PlateSpec | None = None,
     rig: Rig | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> tuple[MaterialRating, ...]:
     """The materials in order: those that are suitable, then the others; each by the energy it takes.
 
@@ -76,10 +79,12 @@ def rank_mold_materials(
         materials: to compare.
         plate: whose section conducts beside the tube.
         rig: on which a heating is planned with a mold of each material, as by `plan_heating`; by default none is.
+        time_limit: s, on the clock.
 
     Raises:
         InputError: no material, a tube without a curved part or of another metal than nitinol, or a temperature at
             which it cannot be set.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     given = tuple(materials)
     if not given:

@@ -34,3 +34,9 @@ static __attribute__((noinline, const)) _Complex double sine_cosine(double angle
 #define sin(angle) (__imag__ sine_cosine(angle))
 #define cos(angle) (__real__ sine_cosine(angle))
 #endif
+
+static double dot(const double *restrict x, const double *restrict y, int n) {
+    double sum = 0;
+    for (int k = 0; k < n; k++) sum += x[k] * y[k];
+    return sum;
+}

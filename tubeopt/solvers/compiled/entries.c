@@ -20,18 +20,6 @@ CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const A
 }
 #endif
 
-/* Least squares in n variables with `rows` inequalities: `memory` has a matrix (count, n), what it is to be closest to
-   (count), rows (rows, n), their bounds (rows), and room for as many numbers. x (n) and the numbers of the active rows,
-   of which there are as many as it returns; -1 where no x keeps the rows. */
-CASADI_SYMBOL_EXPORT int constrained(long long n, long long count, long long rows, double *memory, double *x,
-                                     long long *active) {
-    double *right = memory + n * count, *first = right + count, *bounds = first + n * rows;
-    Quadratic q = {first, bounds, bounds + rows, (int)n, (int)rows, {0}, 0};
-    if (!least_squares(&q, (int)count, memory, right, x)) return -1;
-    for (int k = 0; k < q.actives; k++) active[k] = q.active[k];
-    return q.actives;
-}
-
 /* Many configurations, each from tubes without torsion; `summary` (count, SUMMARY) gets tip position (3), tip frame by
    rows (9), tip rotations (n), margin, residual, mesh error, tip error, energy; `declined` (count) what is left over.
    `arms`, where not NULL, (count, 2, points, N) gets rotations and torsion at the shape points, as many as all have. */

@@ -18,7 +18,6 @@
 #endif
 #include "layout.c"
 #include "linear.c"
-#include "quadratic.c"
 #include "energy.c"
 #include "minimise.c"
 #include "arm.c"

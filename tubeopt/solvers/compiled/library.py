@@ -305,7 +305,6 @@ def library(n: int, eccentric: bool, general: bool = False) -> Kernel | None:
     functions.solve.argtypes = [pointer] * 6
     functions.solve_many.argtypes = [pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     functions.solve_many.restype = None
-    functions.constrained.argtypes = [whole] * 3 + [pointer] * 3
     if kernel.differentiable:
         functions.differentiate.argtypes = [pointer] * 6
     return kernel

@@ -106,12 +106,6 @@ static void cholesky_solve(const double *a, int n, int stride, double *x) {
     eliminate_backwards(a, whole, whole, stride, x);
 }
 
-static double dot(const double *restrict x, const double *restrict y, int n) {
-    double sum = 0;
-    for (int k = 0; k < n; k++) sum += x[k] * y[k];
-    return sum;
-}
-
 static double largest(const double *x, int n) {
     double out = 0;
     for (int k = 0; k < n; k++) out = fmax(out, fabs(x[k]));

@@ -10,7 +10,8 @@ from pathlib import Path
 
 Kind = tuple[int, str]
 """Of a kernel: for how many tubes, and what: "concentric", "eccentric", "general" (made of pieces), "loaded" or
-"rubbing"; 0 and "heating" is that of heat."""
+"rubbing"; 0 and "heating" or "quadratic" are those of
+heat and of small least squares, for all robots."""
 
 FOLDER = Path(__file__).parent / "kernels"
 """Where a wheel has them."""

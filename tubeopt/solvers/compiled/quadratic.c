@@ -4,6 +4,8 @@
 
 #define MOST_VARIABLES (2 * N)
 #define MOST_EXCHANGES 100
+#define FEASIBLE 1e-9       /* by which a row that is 0 may miss its bound */
+#define ROUND_OFF_ROW 1e-14 /* of the longest row: a shorter one is 0 */
 
 /* rows x >= bounds, (count, n) and (count), with what each is pushed by; numbers of the rows that are active. */
 typedef struct {
@@ -40,10 +42,9 @@ static void drop_row(Quadratic *q, int which) {
     q->actives--;
 }
 
-/* The row that is violated most, of unit length; -1 where none is. */
-static int worst_row(const Quadratic *q, const double *x) {
+/* The row that is violated most, of unit length, by more than `most`; -1 where none is. */
+static int worst_row(const Quadratic *q, const double *x, double most) {
     int worst = -1;
-    double most = 1e-12;
     for (int r = 0; r < q->count; r++) {
         double missed = q->bounds[r] - dot(q->rows + q->n * r, x, q->n);
         if (missed <= most) continue;
@@ -53,19 +54,34 @@ static int worst_row(const Quadratic *q, const double *x) {
     return worst;
 }
 
-/* min |x - a|^2 subject to the rows; 0 where no x keeps them. They are made of unit length, those without length are
-   left out. */
-static int least_distance(Quadratic *q, const double *a, double *x) {
-    int n = q->n, row;
+/* The rows made of unit length; those that are 0 but for round-off say nothing of x: 0 where x = 0 does not keep them. */
+static int unit_rows(Quadratic *q) {
+    double longest = 0;
     for (int r = 0; r < q->count; r++) {
-        double *own = q->rows + n * r, length = sqrt(dot(own, own, n)), scale = length > 0 ? 1 / length : 0;
-        for (int c = 0; c < n; c++) own[c] *= scale;
-        q->bounds[r] = length > 0 ? q->bounds[r] * scale : -1;
+        double *own = q->rows + q->n * r;
+        q->multipliers[r] = sqrt(dot(own, own, q->n)); /* until the multipliers are known */
+        longest = fmax(longest, q->multipliers[r]);
+    }
+    for (int r = 0; r < q->count; r++) {
+        double length = q->multipliers[r];
+        int idle = length <= ROUND_OFF_ROW * longest;
+        if (idle && q->bounds[r] > FEASIBLE) return 0;
+        for (int c = 0; c < q->n; c++) q->rows[q->n * r + c] *= idle ? 0 : 1 / length;
+        q->bounds[r] = idle ? -INFINITY : q->bounds[r] / length;
         q->multipliers[r] = 0;
     }
+    return 1;
+}
+
+/* min |x - a|^2 subject to the rows; 0 where no x keeps them. */
+static int least_distance(Quadratic *q, const double *a, double *x) {
+    int n = q->n, row;
+    if (!unit_rows(q)) return 0;
     memcpy(x, a, n * sizeof(double));
     q->actives = 0;
-    row = worst_row(q, x);
+    row = worst_row(q, x, 0);
+    /* Round-off grows with what is violated and with the way from 0. */
+    double within = row < 0 ? 0 : 1e-12 * (q->bounds[row] - dot(q->rows + n * row, x, n)) + 1e-14 * sqrt(dot(a, a, n));
     for (int change = 0; row >= 0; change++) {
         double along[MOST_VARIABLES], by[MOST_VARIABLES], whole, shortest = INFINITY;
         int leaving = -1;
@@ -86,7 +102,7 @@ static int least_distance(Quadratic *q, const double *a, double *x) {
         q->multipliers[row] += step;
         if (full <= shortest) {
             q->active[q->actives++] = row;
-            row = worst_row(q, x);
+            row = worst_row(q, x, within);
         } else {
             drop_row(q, leaving);
         }

@@ -14,6 +14,7 @@ from .heating import heating_source
 from .library import MOST_TUBES, compile_to, compiler, kept_as, source
 from .loaded import loaded_source
 from .packaged import Generation, Kind, generations, processor_features
+from .quadratic import quadratic_source
 from .rubbing import rubbing_source
 
 
@@ -58,7 +59,7 @@ def build_kernels(sources: Mapping[Kind, str], folder: Path, chosen: Sequence[Ge
 
 def texts() -> dict[Kind, str]:
     """The C texts of all kernels."""
-    found: dict[Kind, str] = {(0, "heating"): heating_source()}
+    found: dict[Kind, str] = {(0, "heating"): heating_source(), (0, "quadratic"): quadratic_source()}
     for n in range(1, MOST_TUBES + 1):
         found |= {
             (n, "concentric"): source(n, False),

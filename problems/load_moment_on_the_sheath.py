@@ -1,0 +1,54 @@
+"""What does a moment on the outer tube do to the tip: a port tilts the arm, or holds the tube while it turns?
+
+A port 60 mm from the plate acts on the outermost tube there. Across the arm its moment bends all tubes. Along the arm
+it twists the outer tube alone, whose curve then lies in another direction.
+
+One learns: a moment across the arm moves the tip twice as far as the same moment along it, which turns the outer tube
+by 30 deg instead. Neither has an energy, so that there is no margin to compare.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import tubeopt
+from tubeopt.robots.load import PointLoad
+from tubeopt.show.plots import plot_shape
+
+ROOT = Path(__file__).resolve().parents[1]
+ROTATIONS = np.radians([0.0, 60.0, 120.0])
+PORT = 0.06
+"""Arc length from the plate, m."""
+
+
+def main(out: Path) -> list[Path]:
+    """Put moments on the arm, save the picture into `out`, and return its path."""
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
+    free = tubeopt.forward_kinematics(robot, ROTATIONS)
+    along = free.frame[np.argmin(np.abs(free.arc_length - PORT))][:, 2]
+    across = np.cross(along, (1.0, 0.0, 0.0))
+    across /= np.linalg.norm(across)
+    arms = []
+    for name, axis in (("across", across), ("along", along)):
+        for size in (2e-3, 5e-3, 10e-3):
+            load = tubeopt.Load(points=(PointLoad(PORT, moment=tuple(size * axis)),))
+            arms.append(tubeopt.forward_kinematics(robot, ROTATIONS, load=load, verify=True))
+            way = np.linalg.norm(arms[-1].tip_position - free.tip_position)
+            turn = np.degrees(arms[-1].tip_rotations[2] - free.tip_rotations[2])
+            moved = f"the tip moves by {way * 1e3:5.2f} mm, tube 3 turns by {turn:6.2f} deg"
+            print(f"{size * 1e3:2.0f} mN m {name:6}: {moved}")
+    checks = [arm.verification.tip_position for arm in arms if arm.verification is not None]
+    print(f"re-integrated, the tips differ by {1e3 * max(checks):.0e} mm at most")
+    picture = out / "load_moment.png"
+    plot_shape(arms[2], picture, ghosts=[free], remark="pale: without the moment")
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")
