@@ -33,6 +33,9 @@ from tubeopt.stability.eccentric_certificate import segments_of, softest_untwist
 from tubeopt.stability.shooting import profiles, to_base
 from tubeopt.typing import Array
 
+# Formulas hold beyond what metals bear.
+pytestmark = pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")
+
 PLACES = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
 
 
@@ -152,7 +155,6 @@ def test_a_bent_back_robot_is_as_free_of_snaps() -> None:
     assert snap_free_certificate(back) == pytest.approx(snap_free_certificate(robot), abs=1e-12)
 
 
-@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # tubes bent beyond what metals bear
 @pytest.mark.parametrize("tightness", [0.01, 0.1, 0.22])
 @pytest.mark.parametrize("transmission", [0.0, 0.7])
 def test_the_closed_form_is_the_margin_of_an_equilibrium(tightness: float, transmission: float) -> None:

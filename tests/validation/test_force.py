@@ -115,3 +115,17 @@ def test_standard_errors_of_a_record_are_roots_of_variances() -> None:
     record = ForceRecord(THESIS, None, 1e-4, (found, None), ((1, "none"),))  # type: ignore[arg-type]
     assert record.standard_error[0] ** 2 == pytest.approx(np.diag(found.covariance), rel=1e-12)
     assert np.isnan(record.standard_error[1]).all()
+
+
+def test_the_coverage_is_that_of_simulated_measurements() -> None:
+    # So little noise that the force depends on it linearly: the ellipsoid is exact, and holds what it states.
+    tip = forward_kinematics(THESIS, ROTATIONS, load=Load(FORCES[0])).tip_position
+    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=2e-5)
+    draws = 80
+    for confidence in (0.5, 0.95):
+        held = found.coverage(confidence, draws=draws, seed=5)
+        assert abs(held - confidence) < 3 * np.sqrt(confidence * (1 - confidence) / draws)
+    with pytest.raises(InputError, match="confidence is 95; it must be between 0 and 1"):
+        found.coverage(95)
+    with pytest.raises(InputError, match="draws is 0; it must be at least 1"):
+        found.coverage(draws=0)

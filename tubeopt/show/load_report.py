@@ -98,6 +98,12 @@ ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
 )
 
 
+CONFIDENCE = (
+    "standard errors are to second order in the noise; ForceEstimate.coverage computes how often the ellipsoid of a "
+    "row holds the force, and contains asks the region of the likelihood"
+)
+"""What is said of standard errors."""
+
 RECORD: tuple[Quantity[ForceRecord], ...] = (
     Quantity("robot", "name of the robot", lambda r: r.robot.name),
     Quantity("rows", "rows of the recording", lambda r: len(r.estimates), form="d"),
@@ -105,6 +111,7 @@ RECORD: tuple[Quantity[ForceRecord], ...] = (
     Quantity("noise_mm", "noise of a measured coordinate", form=".3g"),
     line("largest force", lambda r: _largest(r)),
     line("standard errors (median)", lambda r: _errors(r)),
+    line("confidence", lambda r: CONFIDENCE if _told(r) else None),
     line("too small to be told", lambda r: _untold(r)),
     Quantity("estimates", "the force in every row that tells one", lambda r: _told(r), of=ESTIMATE),
     Quantity("failures", "other rows, from 1, and why", lambda r: [[k + 1, why] for k, why in r.failures]),

@@ -17,13 +17,13 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, Settings, SolveError, instance, positive, vector
+from ..errors import InputError, Settings, SolveError, finite, instance, positive, vector, whole
 from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
-from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
+from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, Progress, Sentence
 from .comparison import check_tubes
 from .measurements import Measurements
@@ -88,7 +88,7 @@ class ForceEstimate(Displayed):
     covariance: Array
     """(3, 3) N^2, by the noise of the measurement, to second order; inf along directions in which the measurement does
     not bound the force. Its ellipsoid is an approximation: where a standard error is some tenths of a newton, it may
-    hold the force less often than it says, and `contains` is the region to ask."""
+    hold the force less often than it says. `coverage` computes how often, and `contains` is the region to ask."""
     directions: Array
     """(3, 3) unit vectors by row, from the best to the worst told."""
     errors: Array
@@ -120,6 +120,37 @@ class ForceEstimate(Displayed):
             return False
         excess = float(there.residual @ there.residual) - self.fit[0]
         return excess <= float(scipy.special.chdtri(3, 1 - confidence))
+
+    @limited
+    def coverage(
+        self, confidence: float = 0.95, *, draws: int = 100, seed: int = 0, time_limit: float = TIME_LIMIT
+    ) -> float:
+        """The share of simulated measurements, with the noise that was given, whose ellipsoid holds the force.
+
+        A parametric bootstrap at this estimate: its force is taken for the true one, and estimated anew from every
+        draw. The standard error of the share is the root of share (1 - share) / draws. A draw that no force fits counts
+        as one that does not hold it.
+
+        Raises:
+            InputError: a confidence that is not in (0, 1), fewer than one draw.
+            TimeLimitError: (a SolveError) the time limit was reached before all draws were made.
+        """
+        if not 0 < finite("confidence", confidence) < 1:
+            raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
+        most, random = float(scipy.special.chdtri(3, 1 - confidence)), np.random.default_rng(seed)
+        fitted = _trial(self.equilibrium, self.base, self.force, _Measured(*self.measured))
+        place, position, noise = self.measured
+        position = position - noise * fitted.residual.reshape(position.shape)
+        held = 0
+        for _ in range(whole("draws", draws, 1)):
+            check_time()
+            drawn = _Measured(place, position + noise * random.normal(size=position.shape), noise)
+            with suppress(SolveError):
+                start = _trial(self.equilibrium, self.base, self.force, drawn)
+                again = _estimate(*_settled(start, self.base, drawn, DEFAULT_FORCE), self.base, drawn)
+                off = again.directions @ (self.force - again.force)
+                held += float(np.sum((off / again.errors) ** 2)) <= most
+        return held / draws
 
     @property
     def value(self) -> Array:
@@ -313,7 +344,7 @@ def estimate_force(  # noqa: PLR0913
     check_target(robot.tubes, "what is measured", measured.position)
     trial = _trial(start, base, np.subtract(first.force, base.force), measured)
     trial, iterations = _settled(trial, base, measured, solver)
-    return _estimate(trial, base, measured, iterations, solver)
+    return _estimate(trial, iterations, base, measured, solver)
 
 
 def _settled(trial: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> tuple[_Trial, int]:
@@ -431,7 +462,9 @@ def _distance(trial: _Trial, measured: _Measured) -> float:
     return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
-def _estimate(trial: _Trial, base: Load, measured: _Measured, iterations: int, solver: ForceSolver) -> ForceEstimate:
+def _estimate(
+    trial: _Trial, iterations: int, base: Load, measured: _Measured, solver: ForceSolver = DEFAULT_FORCE
+) -> ForceEstimate:
     covariance, directions, errors = _spread(trial, base, measured, replace(solver, settled=SETTLED, steps=STEPS))
     return ForceEstimate(
         force=trial.force,
