@@ -167,10 +167,7 @@ class DesignSpace:
         for one, value in zip(self.unknowns, x, strict=True):
             for i in one.tubes if one.field in TUBE_FIELDS else ():
                 values[i][one.field] = float(value) * (getattr(self.robot_tubes[i], one.field) if one.scaled else 1.0)
-        whole = tuple(
-            replace(tube, **changes) if changes else tube  # type: ignore[arg-type]
-            for tube, changes in zip(self.robot_tubes, values, strict=True)
-        )
+        whole = tuple(_changed(tube, changes) for tube, changes in zip(self.robot_tubes, values, strict=True))
         return changed_tubes(whole, given_of(self.unknowns, x.tolist())) if self.pieced else whole
 
     def expressions(self, x: Any) -> dict[str, Any]:
@@ -219,6 +216,15 @@ class DesignSpace:
         return {name: slope.full() for name, slope in zip(GRADED, self._graded(x), strict=True)}
 
 
+def _changed(tube: Tube, changes: dict[str, float]) -> Tube:
+    """A tube with other dimensions, those of pieces all in proportion."""
+    if not tube.general:
+        return replace(tube, **changes) if changes else tube  # type: ignore[arg-type]
+    for name, value in changes.items():
+        tube = tube.resized(name, value)
+    return tube
+
+
 def _entries(free: Sequence[Free]) -> list[tuple[Free, Unknown]]:
     """The unknowns that are dimensions of whole tubes, each with what frees it."""
     taken: set[tuple[str, int]] = set()
@@ -264,15 +270,15 @@ def _piece_entries(
     tubes: tuple[Tube, ...], free: Sequence[Free]
 ) -> tuple[tuple[Tube, ...], list[tuple[Free, Unknown]]]:
     """The tubes with the slots that are free, and the unknowns of a design of pieces, each with what frees it."""
-    straight = [one for one in free if one.field == "straight_length"]
-    found = _entries(straight)
+    lengths = [one for one in free if one.field in ("straight_length", "curved_length")]
+    found = _entries(lengths)
     for one in free:
-        if one in straight:
+        if one in lengths:
             continue
         if one.field not in PIECE_FIELDS:
             raise InputError(
-                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only these and straight_length "
-                "are free: an equilibrium block has lengths of pieces as unknowns"
+                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only these, straight_length and "
+                "curved_length are free: an equilibrium block has lengths of each piece as unknowns"
             )
         places = [place for i in one.tubes for place in _places(one, i, tubes)]
         taken = {(other.field, place) for _, other in found for place in other.pieces}

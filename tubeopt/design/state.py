@@ -164,10 +164,11 @@ class State:
 
     def _piece_changes(self, here: Linearised) -> list[Change]:
         """What every unknown piece changes along a solved arm."""
-        unknowns, straight = self.layout.space.unknowns, self.slopes["straight_length"]
+        unknowns = self.layout.space.unknowns
+        straight, curved = self.slopes["straight_length"], self.slopes["curved_length"]
         given = given_of(unknowns, self.x[: self.layout.designs].tolist())
         return [
-            change_of(here, one, given) if one.pieces else here.held(straight[:, column])
+            change_of(here, one, given) if one.pieces else here.lengthened(straight[:, column], curved[:, column])
             for column, one in enumerate(unknowns)
         ]
 
