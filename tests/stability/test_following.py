@@ -65,7 +65,7 @@ def test_zero_load_moves_a_robot_as_none(k: int) -> None:
 
 @pytest.mark.parametrize("load", [None, Load((0.01, 0, 0))])
 def test_the_kernel_only_saves_time(load: Load | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    ways = np.radians([[0, 0, 0], [250, 30, 0], [20, 60, 0]]), [[0, 0, 0], [-0.02, -0.01, 0], [0, 0, 0]]
+    ways = np.radians([[0, 0, 0], [250, 30, 0], [20, 60, 0]]), np.array([[0, 0, 0], [-0.02, -0.01, 0], [0, 0, 0]])
     fast = follow(THESIS, *ways, load=load)
     monkeypatch.setattr(motion, "kernel_of", lambda _: None)
     slow = follow(THESIS, *ways, load=load)
