@@ -120,7 +120,9 @@ def calibrate_springback(
 
     Args:
         model: constant, one fraction for all; linear, a fraction that grows with the mold's curvature; auto, linear
-            where the 95 % interval of the slope leaves out 0.
+            where the 95 % interval of the slope leaves out 0. Intervals are those of the chosen model as if it had been
+            given. In 600 simulated sets of 6 trials they cover the fraction in 91 to 97 %, and a slope that is small
+            and happens to be kept in 52 to 94 %; with a model that is given they cover both in 93 to 96 %.
 
     Raises:
         InputError: no trials, lists of different lengths, a radius that is not positive, or too few different mold
