@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tubeopt.planning.clearing import Sizes
-from tubeopt.planning.cross_sections import Jet
+from tubeopt.planning.cross_sections import Drift, Jet
 from tubeopt.planning.loaded_branch import _Bounds
 
 
@@ -66,3 +66,21 @@ def test_between_its_ends_a_parabola_is_no_steeper_than_its_chord_by_more_than_h
     # Of a difference of two tubes that bow by as much each, twice the bow at most, and by as much its slope.
     assert pair.dd.item() == pytest.approx(2 * bow)
     assert pair.d.item() == pytest.approx(change + bow)
+
+
+@pytest.mark.parametrize("which", ["bend", "moment"])
+def test_what_drift_adds_is_the_second_derivative_of_a_pull_that_changes_as_it_turns(which: str) -> None:
+    """Of a(t) exp(i theta(t)), but for a theta'^2, which is there without drift; sharp where terms are parallel."""
+    random = np.random.default_rng(0)
+    none = Jet(*np.zeros((3, 1, 1)))
+    for _ in range(50):
+        v, d, dd, turn, bow = random.uniform(0.0, 2.0, 5)
+        for change, speed, curve in ((d, dd, bow), (0.0, dd, 0.0), (d, 0.0, bow)):
+            pulls = Jet(*(np.array([[each]]) for each in (v, change, speed)))
+            drift = Drift(False, pulls, pulls, none, none, none, none, none)
+            first, second = getattr(drift, which)(np.array([[turn]]), np.array([[curve]]))
+            true = speed + 2j * change * turn + 1j * v * curve
+            assert first.item() == pytest.approx(change)
+            assert abs(true) <= second.item() * (1 + 1e-12)
+            if not change or not speed:
+                assert second.item() == pytest.approx(abs(true))
