@@ -57,8 +57,9 @@ def test_second_and_third_derivatives_of_the_tip_are_bounded(
     follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), DEFAULT_PROOF, load)
     arms = [forward_kinematics(robot, *np.split(q, 2), load=load) for q in (a, b)]
     intervals = follower.intervals(arms, np.array([0]), np.array([1]))
-    assert follower.joined(intervals).unbroken.all()
-    second, third = follower.tip_rates(intervals)[:, 0]
+    known = follower.joined(intervals)
+    assert known.unbroken.all()
+    second, third = known.rates[:, 0]
     tips = np.array([_tip(robot, a + (b - a) * x, load) for x in np.linspace(0, 1, 5)])
     speeding = np.linalg.norm(np.diff(tips, 2, axis=0), axis=1).max() * 4**2
     jerking = np.linalg.norm(np.diff(tips, 3, axis=0), axis=1).max() * 4**3
@@ -89,7 +90,7 @@ def test_a_circle_of_the_tip_is_passed_at_its_speed() -> None:
     proof = verify_trajectory(THESIS, [0, 2], [[0.3, 0.3, 0.3], [1.3, 1.3, 1.3]])
     x, y, _ = forward_kinematics(THESIS, [0.3, 0.3, 0.3]).tip_position
     exact = math.hypot(x, y) / 2
-    assert exact * (1 - 1e-6) <= proof.largest_tip_rate <= 1.02 * exact
+    assert exact * (1 - 1e-6) <= proof.largest_tip_rate <= 1.03 * exact
 
 
 def test_what_is_not_proved_of_the_speed_is_not_kept() -> None:

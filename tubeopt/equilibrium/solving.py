@@ -119,6 +119,18 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
     return Solution.near(problem, equilibrium.rotations, theta, failure)
 
 
+def linearised(equilibrium: Equilibrium) -> Array:
+    """(U, U) the linearised equations behind an equilibrium, on its own mesh, as it was solved.
+
+    Raises InputError for an equilibrium under load.
+    """
+    refuse_load(equilibrium)
+    shift, own = tuple(equilibrium.translations.tolist()), equilibrium.rotations
+    problem = reduced_problem(equilibrium.robot, shift, discretisation_of(equilibrium))
+    theta = sample_rotation(equilibrium, problem.arc_length)
+    return evaluate(problem, own, to_unknowns(problem, own, theta)).hessian
+
+
 def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:
     """The problem that an equilibrium solves, on its own mesh, and the torsion along its arm."""
     solution = polish(equilibrium, discretisation_of(equilibrium))

@@ -52,6 +52,9 @@ class Branch:
     turned: Mask
     """(B,) whether the turn of the tubes is bounded between its samples along the arm, which shorter intervals hardly
     help."""
+    rates: Array
+    """(2, B) bounds of the second and third derivative of the tip by time, m, where one stable branch joins the
+    equilibria; infinite where nothing bounds them."""
 
 
 def branch(intervals: Intervals, stiffness: Array) -> Branch:
@@ -62,22 +65,8 @@ def branch(intervals: Intervals, stiffness: Array) -> Branch:
         ball, kept = found.ball(turn)
         unbroken = sure & kept & intervals.ordered
         off = found.off(turn, ball.radius[:, None, None] * found.weight[0])
-    return Branch(np.asarray(unbroken & np.isfinite(off).all(1)), np.where(unbroken[:, None], off, np.inf), sure)
-
-
-def tip_rates(intervals: Intervals, stiffness: Array) -> Array:
-    """(2, B) bounds of the second and third derivative of the tip by time, m, where one stable branch joins the
-    equilibria; infinite where nothing bounds them."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        found = _Bounds(intervals, np.minimum(stiffness[intervals.one], stiffness[intervals.other]))
-        turn, _ = found.turn()
-        bent = found.long * found.cross_sections(found.course(turn, found.ball(turn)[0]))[1]
-        assert bent.ddd is not None
-        # Bounds are convex along a section, so that their mean there is no more than that of both ends.
-        w = _ends(bent.d)
-        spin = _ends(w.mean(0) * bent.d + bent.dd)
-        jerk = _ends((spin + w**2).mean(0) * bent.d + 2 * w.mean(0) * bent.dd + bent.ddd)
-        return tip_of(found.long * whirled(w, spin, jerk).map(lambda bound: bound.mean(0)))
+        rates = tip_of(found.long * found.whirl(turn, ball))
+    return Branch(np.asarray(unbroken & np.isfinite(off).all(1)), np.where(unbroken[:, None], off, np.inf), sure, rates)
 
 
 def least_root(first: Array, left: Array, bow: Array) -> tuple[Array, Mask]:
@@ -277,6 +266,16 @@ class _Bounds:
             orders[order] = orders[order] + size * own
             pairs[order] = pairs[order] + size[..., None] * self.weight[1]
         return Jet(own, *orders), Jet(own, *pairs)
+
+    def whirl(self, turn: Turn, ball: _Ball) -> Jet:
+        """(B, K) of the tangent of the equilibria themselves, to the third derivative."""
+        bent = self.long * self.cross_sections(self.course(turn, ball))[1]
+        assert bent.ddd is not None
+        # Bounds are convex along a section, so that their mean there is no more than that of both ends.
+        w = _ends(bent.d)
+        spin = _ends(w.mean(0) * bent.d + bent.dd)
+        jerk = _ends((spin + w**2).mean(0) * bent.d + 2 * w.mean(0) * bent.dd + bent.ddd)
+        return whirled(w, spin, jerk).map(lambda bound: bound.mean(0))
 
     def _varied(self, varied: Jet, gained: Jet, by: Turn, moving: bool) -> Array:
         """(B, K, n) first derivative, as theta turns `by` (and sections and transmissions move), of DF - 1 applied to

@@ -39,20 +39,12 @@ def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bounds = _Bounds(intervals)
         least = np.minimum(margins[intervals.one], margins[intervals.other])
-        radius, _, kept = bounds.ball(least)
+        radius, convex, kept = bounds.ball(least)
         off = bounds.off(radius)
+        rates = tip_of(bounds.long * bounds.whirl(radius, convex))
     sure = bounds.changes.sure
     unbroken = sure & kept & intervals.ordered & np.isfinite(off).all(1)
-    return Branch(np.asarray(unbroken), np.where(unbroken[:, None], off, np.inf), sure)
-
-
-def loaded_tip_rates(intervals: LoadedIntervals, margins: Array) -> Array:
-    """(2, B) bounds of the second and third derivative of the tip by time, m, where one stable branch joins the
-    equilibria; infinite where nothing bounds them."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        bounds = _Bounds(intervals)
-        radius, convex, _ = bounds.ball(np.minimum(margins[intervals.one], margins[intervals.other]))
-        return tip_of(bounds.long * bounds.whirl(radius, convex))
+    return Branch(np.asarray(unbroken), np.where(unbroken[:, None], off, np.inf), sure, rates)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,18 +17,18 @@ import numpy as np
 from ..bodies.scene import Scene
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import discretisation_of, polish
+from ..equilibrium.solving import linearised
 from ..errors import SolveError
 from ..inverse.clock import Clock
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import find_snap
 from ..typing import Array, Index
-from .branch import Branch, branch, tip_rates
+from .branch import Branch, branch
 from .clearing import Wanted, cleared
 from .cross_sections import Constants
 from .effort import ProofSearch
-from .loaded_branch import loaded_branch, loaded_tip_rates
+from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import SWAPPED, Arms, Intervals
 
@@ -54,14 +54,16 @@ class Step:
 @dataclass(frozen=True, eq=False)
 class Link:
     """Two neighbouring steps; by how much (K,) m the arm is off the straight line in between; bound of the clearance
-    there, m; of how many intervals, each half of the one before, nothing bounds the turn; bound of the speed of the tip
-    of what it is a part of, m/s."""
+    there, m; of how many intervals, each half of the one before, nothing bounds the turn; bounds (2,) of the second and
+    third derivative of the tip, over powers of the time between the steps, m; bound of the speed of the tip in what it
+    is a part of, m/s."""
 
     one: Step
     other: Step
     off: Array = field(default_factory=lambda: np.zeros(0))
     bound: float = math.inf
     unbounded: int = 0
+    rates: Array = field(default_factory=lambda: np.full(2, np.inf))
     fastest: float = math.inf
 
 
@@ -104,6 +106,8 @@ class Follower:
     effort: ProofSearch
     load: Load | None = None
     count: int = 0
+    _known: dict[int, tuple[Equilibrium, float]] = field(default_factory=dict, repr=False)
+    """Equilibria by their `id`, with the least singular values of their linearised equations."""
 
     @cached_property
     def length(self) -> float:
@@ -180,15 +184,17 @@ class Follower:
             return loaded_branch(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
         if self.says:
             none = np.zeros(len(intervals.one), dtype=bool)
-            return Branch(none, np.full(intervals.length[0].shape, np.inf), none)
-        return branch(intervals, _stiffness(intervals.arms))
+            return Branch(none, np.full(intervals.length[0].shape, np.inf), none, np.full((2, len(none)), np.inf))
+        return branch(intervals, self._stiffness(intervals.arms))
 
-    def tip_rates(self, intervals: Intervals) -> Array:
-        """(2, B) bounds of the second and third derivative of the tip by time between neighbours that are joined, over
-        powers of the time between them, m."""
-        if isinstance(intervals, LoadedIntervals):
-            return loaded_tip_rates(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
-        return tip_rates(intervals, _stiffness(intervals.arms))
+    def _stiffness(self, arms: Arms) -> Array:
+        """(E,) least singular values of the linearised equations: the margins, unless tubes run off the centreline."""
+        if not arms.constants.offset.any():
+            return np.array([min(e.margin, 1.0) for e in arms.equilibria])
+        for e in arms.equilibria:
+            if id(e) not in self._known:
+                self._known[id(e)] = e, float(np.linalg.svd(linearised(e), compute_uv=False).min(initial=1.0))
+        return np.array([self._known[id(e)][1] for e in arms.equilibria])
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
@@ -272,12 +278,12 @@ def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tupl
         fresh: list[Link] = []
         for some, intervals in batches(follower, links):
             found = follower.joined(intervals)
-            told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, strict=True)
-            for link, turned, unbroken, off in told:
+            told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, found.rates.T, strict=True)
+            for link, turned, unbroken, off, rates in told:
                 unbounded = 0 if turned else link.unbounded + 1
                 short = link.other.at - link.one.at < SHORTEST or unbounded > follower.halvings
                 if unbroken:
-                    done.append(replace(link, off=off, unbounded=unbounded))
+                    done.append(replace(link, off=off, unbounded=unbounded, rates=rates))
                 elif follower.over or short:
                     lost.append((link.one.at, link.other.at))
                     done.append(replace(link, off=np.full_like(off, np.inf), unbounded=unbounded))
@@ -305,14 +311,6 @@ def batches(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Sequenc
         number = {key: j for j, key in enumerate(steps)}
         one, other = (np.array([number[id(getattr(link, end))] for link in some]) for end in ("one", "other"))
         yield some, follower.intervals([step.equilibrium for step in steps.values()], one, other)
-
-
-def _stiffness(arms: Arms) -> Array:
-    """Least singular values of the linearised equations: the margins, unless tubes run off the centreline."""
-    if not arms.constants.offset.any():
-        return np.array([min(e.margin, 1.0) for e in arms.equilibria])
-    states = (polish(e, discretisation_of(e)).result.state for e in arms.equilibria)
-    return np.array([np.linalg.svd(state.hessian, compute_uv=False).min(initial=1.0) for state in states])
 
 
 def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]], float]:

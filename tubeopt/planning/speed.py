@@ -15,10 +15,10 @@ import numpy as np
 
 from ..errors import SolveError
 from ..typing import Array, Mask
-from .passage import SHORTEST, Follower, Link, Step, batches, halves, joined
+from .passage import SHORTEST, Follower, Link, Step, halves, joined
 from .sections import SWAPPED
 
-TIGHT = 0.02
+TIGHT = 0.029
 """Share of the speed of the tip by which its bound may lie above what was measured."""
 
 STEADY = 1e-9
@@ -43,16 +43,12 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
     """The pace of a motion that takes `span`, s, along links that follow each other, halved where its bound is not
     sharp, or does not show that a `limit`, m/s, is kept."""
     links, most, measured = list(links), 0.0, 0.0
-    bounds: dict[int, Array] = {}
     for _ in range(FINEST):
         row = _Row(follower, links, span)
         measured = float(row.speed.max(initial=0.0))
         if not all(len(link.off) and np.isfinite(link.off).all() for link in links):
             return Pace(math.inf, measured)
-        fresh = [link for link in links if id(link) not in bounds]
-        for some, intervals in batches(follower, fresh):
-            bounds.update(zip(map(id, some), follower.tip_rates(intervals).T, strict=True))
-        rates = np.array([bounds[id(link)] for link in links]).reshape(-1, 2).T / row.passed ** np.array([[2], [3]])
+        rates = np.array([link.rates for link in links]).reshape(-1, 2).T / row.passed ** np.array([[2], [3]])
         own, reached = row.fastest(rates, min(measured * (1 + TIGHT), limit))
         most, reached = float(own.max(initial=0.0)), max(measured, reached)
         line = reached * (1 + TIGHT)
