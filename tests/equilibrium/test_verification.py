@@ -10,7 +10,7 @@ import pytest
 from benchmarks.shooting import shoot
 from tests.examples import CRL, MM, THESIS, configurations, eccentric_robot, nested
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, Load, Piece, Tube, Verification, forward_kinematics
-from tubeopt.equilibrium.verification import verify_equilibrium
+from tubeopt.equilibrium.verification import verifications, verify_equilibrium
 
 
 def checked(equilibrium: Equilibrium) -> Verification:
@@ -163,3 +163,20 @@ def test_tubes_of_pieces_under_a_load_are_confirmed() -> None:
         assert check.tip_position < 1e-10
         assert check.end_torsion < 1e-7
         assert check.end_curvature < 1e-7
+
+
+@pytest.mark.parametrize("load", [None, Load(force=(0.02, 0.01, 0.0))], ids=["unloaded", "force"])
+def test_arms_that_are_integrated_together_are_checked_each_for_itself(load: Load | None) -> None:
+    """Of three with other sections, one wrong and one withdrawn behind the plate, each is as by itself."""
+    home = np.array(THESIS.home_translations)
+    places = [home, home - 0.02 * np.arange(3)] + (
+        [-np.array([tube.length for tube in THESIS.tubes])] if not load else []
+    )
+    arms = [forward_kinematics(THESIS, (0.2, 1.0, -0.4), place, load=load) for place in places]
+    moved = arms[1].arm.position + np.array([0.0, 0.0, 1e-4])
+    wrong = replace(arms[1], arm=replace(arms[1].arm, position=moved))
+    arms.append(wrong)
+    for own, found in zip(map(checked, arms), verifications(arms), strict=True):
+        for name in ("tip_position", "tip_rotation", "rotation", "end_torsion", "base_rotation"):
+            assert getattr(found, name) == pytest.approx(getattr(own, name), rel=1e-5, abs=1e-9)
+    assert verifications(arms)[-1].tip_position == pytest.approx(1e-4, rel=1e-3)

@@ -12,16 +12,19 @@ and at the tip n and m are the force and the moment there.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
 
 from ..robots.assembly import Assembly, cut
 from ..robots.load import FORCE, MOMENT, Load, masses
+from ..robots.robot import Robot
 from ..robots.series import Quantity, at, vary
 from ..robots.tubes import stretches
-from ..typing import Array
+from ..typing import Array, Index, Mask
 from .result import Equilibrium, Verification, refuse_friction, small_turn
 
 TOLERANCE = 1e-12
@@ -35,54 +38,68 @@ SAME_PLACE = 1e-12
 
 def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
     """The same equilibrium with its `verification` filled in; raises InputError for one under friction."""
-    refuse_friction(equilibrium)
-    load = equilibrium.load or Load()
-    assembly = cut(equilibrium.robot.assembly(equilibrium.translations), load.cuts())
-    n = assembly.n_tubes
-    state = _base(equilibrium, assembly)
-    base = state[:n] - _transmitted(equilibrium, assembly, state[n : 2 * n]) - equilibrium.rotations
-    worst, loose, bent = 0.0, 0.0, 0.0
-    tip = int(np.argmax(assembly.end))
-    for k in range(assembly.n_sections):
-        section, stop = _Section(equilibrium, assembly, k), assembly.start[k] + assembly.length[k]
-        state = section.integrated(stop, _past_points(assembly, load, assembly.start[k], state))
-        solved = equilibrium.rotation[:, np.argmin(np.abs(equilibrium.arc_length - stop))]
-        worst = max(worst, float(np.abs(state[:n] - solved).max()))
-        ends = np.abs(assembly.end - stop) < SAME_PLACE
-        beyond = _past_points(assembly, load, stop, state)
-        torque = beyond[n : 2 * n].copy()
-        if k == assembly.n_sections - 1:
-            moment = _frame(state, n).T @ _at_tip(equilibrium, load.moment)
-            torque[tip] -= moment[2]
-            bent = float(np.abs(beyond[-5:-3] - moment[:2]).max() / section.tubes(stop)[0].sum())
-        loose = max(loose, float(np.abs(torque / section.tubes(stop)[1])[ends].max(initial=0.0)))
-    turn = _frame(state, n) @ equilibrium.tip_rotation.T
-    return replace(
-        equilibrium,
-        verification=Verification(
-            tip_position=float(np.linalg.norm(state[2 * n + 9 : 2 * n + 12] - equilibrium.tip_position)),
-            tip_rotation=float(np.linalg.norm(small_turn(turn))),
-            rotation=worst,
-            end_torsion=loose,
-            end_curvature=bent,
-            base_rotation=float(np.abs(base).max(initial=0.0)),
-        ),
-    )
+    (check,) = verifications([equilibrium])
+    return replace(equilibrium, verification=check)
+
+
+def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
+    """The verifications of equilibria of one robot under one load, integrated together: many cost little more than one.
+
+    Raises InputError for one under friction.
+    """
+    for each in equilibria:
+        refuse_friction(each)
+    arms = _Arms.of(equilibria)
+    n, load, state = arms.robot.n_tubes, arms.load, arms.base()
+    base = [
+        own[:n] - arms.transmitted(assembly, own[n : 2 * n]) - each.rotations
+        for each, assembly, own in zip(equilibria, arms.assemblies, state, strict=True)
+    ]
+    worst, loose, bent = np.zeros((3, len(equilibria)))
+    for k in range(arms.n_sections):
+        section = arms.section(k)
+        state[section.rows] = section.integrated(arms.past_points(section.rows, section.start, state[section.rows]))
+        kb, kt, *_ = section.tubes(1.0)
+        beyond = arms.past_points(section.rows, section.stop, state[section.rows])
+        for j, b in enumerate(section.rows.tolist()):
+            each, assembly, stop = equilibria[b], arms.assemblies[b], section.stop[j]
+            solved = each.rotation[:, np.argmin(np.abs(each.arc_length - stop))]
+            worst[b] = max(worst[b], np.abs(state[b, :n] - solved).max())
+            torque = beyond[j, n : 2 * n].copy()
+            if k == assembly.n_sections - 1:
+                moment = _frame(state[b], n).T @ _at_tip(each, load.moment)
+                torque[int(np.argmax(assembly.end))] -= moment[2]
+                bent[b] = np.abs(beyond[j, -5:-3] - moment[:2]).max() / kb[j].sum()
+            ends = np.abs(assembly.end - stop) < SAME_PLACE
+            loose[b] = max(loose[b], np.abs(torque / kt[j])[ends].max(initial=0.0))
+    out = []
+    for b, each in enumerate(equilibria):
+        turn = _frame(state[b], n) @ each.tip_rotation.T
+        out.append(
+            Verification(
+                tip_position=float(np.linalg.norm(state[b, 2 * n + 9 : 2 * n + 12] - each.tip_position)),
+                tip_rotation=float(np.linalg.norm(small_turn(turn))),
+                rotation=float(worst[b]),
+                end_torsion=float(loose[b]),
+                end_curvature=float(bent[b]),
+                base_rotation=float(np.abs(base[b]).max(initial=0.0)),
+            )
+        )
+    return out
 
 
 def point_at(equilibrium: Equilibrium, arc_length: float) -> tuple[Array, Array]:
     """Position (3,), m, and curvature (2,) in the Bishop frame, 1/m, at an arc length, by the same integration."""
-    load = equilibrium.load or Load()
-    assembly = cut(equilibrium.robot.assembly(equilibrium.translations), load.cuts())
-    state, u, n = _base(equilibrium, assembly), 0j, assembly.n_tubes
-    for k in range(assembly.n_sections):
-        stop = min(assembly.start[k] + assembly.length[k], arc_length)
-        if k and stop <= assembly.start[k]:
+    arms = _Arms.of([equilibrium])
+    state, u, n = arms.base(), 0j, equilibrium.robot.n_tubes
+    for k in range(arms.n_sections):
+        section = arms.section(k)
+        if k and arc_length <= section.start[0]:
             break
-        section = _Section(equilibrium, assembly, k)
-        state = section.integrated(stop, _past_points(assembly, load, assembly.start[k], state))
-        u = section.bent(section.tubes(stop), state)[0]
-    return state[2 * n + 9 : 2 * n + 12], np.array([u.real, u.imag])
+        section = replace(section, stop=np.minimum(section.stop, arc_length))
+        state = section.integrated(arms.past_points(section.rows, section.start, state))
+        u = complex(section.bent(section.tubes(1.0), state)[0][0])
+    return state[0, 2 * n + 9 : 2 * n + 12], np.array([u.real, u.imag])
 
 
 def _frame(state: Array, n: int) -> Array:
@@ -109,99 +126,200 @@ def _past_points(assembly: Assembly, load: Load, s: float, state: Array) -> Arra
     return out
 
 
-class _Section:
-    """A section of the arm: what each tube is there, read from its pieces alone."""
+Stretch = tuple[float, float, tuple[Quantity, ...]]
+"""Where one begins along its tube from where that is held, and where it ends, m; kb, kt and u* (3) along it."""
 
-    def __init__(self, equilibrium: Equilibrium, assembly: Assembly, k: int) -> None:
-        self.start, self.assembly = assembly.start[k], assembly
-        self.load = equilibrium.load or Load()
-        self.mass = masses(equilibrium.robot.tubes, self.load) @ assembly.present[k]
-        middle = self.start + assembly.length[k] / 2
-        self.parts: list[tuple[float, tuple[Quantity, ...]] | None] = []
-        for i, tube in enumerate(equilibrium.robot.tubes):
-            begin, found = -float(assembly.transmission[i]), None
+
+@dataclass(frozen=True, eq=False)
+class _Arms:
+    """B equilibria of a robot under a load, their tubes as they are placed, and what each tube is along itself, read
+    from its pieces alone."""
+
+    equilibria: Sequence[Equilibrium]
+    load: Load
+    assemblies: tuple[Assembly, ...]
+    along: tuple[tuple[Stretch, ...], ...]
+
+    @staticmethod
+    def of(equilibria: Sequence[Equilibrium]) -> _Arms:
+        """Those of a list."""
+        robot, load, along = equilibria[0].robot, equilibria[0].load or Load(), []
+        for tube in robot.tubes:
+            own, begin = [], 0.0
             for length, (x, y, z), kb, kt in stretches(tube):
-                if begin <= middle < begin + length:
-                    found = begin, (kb, kt, x, y, z)
+                own.append((begin, begin + length, (kb, kt, x, y, z)))
                 begin += length
-            self.parts.append(found)
-        self.there = np.array([part is not None for part in self.parts])
-        self.everywhere = None
-        if not any(vary(part[1]) for part in self.parts if part is not None):
-            self.everywhere = self.tubes(middle)
+            along.append(tuple(own))
+        placed = tuple(cut(robot.assembly(each.translations), load.cuts()) for each in equilibria)
+        return _Arms(equilibria, load, placed, tuple(along))
 
-    def tubes(self, s: float) -> tuple[Array, ...]:
-        """kb, kt, u*_x + j u*_y, u*_z (n,); kt 1 and 0 else where a tube has ended."""
+    @property
+    def robot(self) -> Robot:
+        """Of all of them."""
+        return self.equilibria[0].robot
+
+    @property
+    def n_sections(self) -> int:
+        """The most that one of them has."""
+        return max(assembly.n_sections for assembly in self.assemblies)
+
+    def past_points(self, rows: Index, s: Array, state: Array) -> Array:
+        """The states of some of them beyond the forces and moments that act at arc lengths (B,)."""
+        if not self.load.points:
+            return state
+        each = zip(rows.tolist(), s.tolist(), state, strict=True)
+        return np.array([_past_points(self.assemblies[b], self.load, at, own) for b, at, own in each])
+
+    def section(self, k: int) -> _Section:
+        """The k-th from the plate, of arms that have so many."""
+        rows = np.array([b for b, assembly in enumerate(self.assemblies) if k < assembly.n_sections], dtype=np.intp)
+        some = [self.assemblies[b] for b in rows]
+        start, length = (np.array([getattr(each, name)[k] for each in some]) for name in ("start", "length"))
+        mass = np.array([masses(self.robot.tubes, self.load) @ each.present[k] for each in some])
+        parts = [
+            [
+                next(((begin - held, own) for begin, end, own in tube if begin - held <= middle < end - held), None)
+                for tube, held in zip(self.along, each.transmission.tolist(), strict=True)
+            ]
+            for each, middle in zip(some, (start + length / 2).tolist(), strict=True)
+        ]
+        section = _Section(some[0], self.load, rows, start, start + length, mass, parts)
+        still = not any(vary(part[1]) for row in parts for part in row if part is not None)
+        return replace(section, everywhere=section.tubes(0.5)) if still else section
+
+    def base(self) -> Array:
+        """(B, 2n + 17) theta, t, R, p, m, n behind the plate: the torque is kt (theta' / g - u*_z), with moments at the
+        plate."""
+        states = []
+        for each in self.equilibria:
+            wrench, none = each.base_wrench, np.zeros(self.robot.n_tubes)
+            pose = [*np.eye(3).ravel(), 0.0, 0.0, 0.0]
+            states.append(np.concatenate([each.rotation[:, 0], none, pose, wrench[3:5], wrench[:3]]))
+        state, n = np.array(states), self.robot.n_tubes
+        if self.n_sections:
+            section = self.section(0)
+            _, kt, _, z = tubes = section.tubes(0.0)
+            slope = np.array([self.equilibria[b].torsion[:, 0] for b in section.rows])
+            # As on the arm, less what the points at the plate take away.
+            beyond = self.past_points(section.rows, 0 * section.start, state[section.rows])
+            torque = kt * (slope / section.bent(tubes, beyond)[2] - z) - beyond[:, n : 2 * n]
+            state[section.rows, n : 2 * n] = torque
+        return state
+
+    def transmitted(self, assembly: Assembly, torque: Array) -> Array:
+        """(n,) turn of the tubes between where they are held and the plate, rad."""
+        out = np.zeros(assembly.n_tubes)
+        for i, (own, held) in enumerate(zip(self.along, assembly.transmission.tolist(), strict=True)):
+            for begin, end, (_, kt, _, _, z) in own:
+                stop = min(end, held)
+                if stop > begin and not vary((z, kt)):
+                    out[i] += (at(z, 0.0) + torque[i] / at(kt, 0.0)) * (stop - begin)
+                elif stop > begin:
+                    out[i] += scipy.integrate.quad(
+                        lambda x, z=z, kt=kt, t=torque[i]: at(z, x) + t / at(kt, x), 0, stop - begin, epsrel=TOLERANCE
+                    )[0]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Section:
+    """A section of B arms, `rows`, from one arc length to another (B,), m: mass per length (B,), kg/m; by arm and tube
+    from where its stretch runs and what it is there, None where it has ended. Places are fractions of the section."""
+
+    assembly: Assembly
+    load: Load
+    rows: Index
+    start: Array
+    stop: Array
+    mass: Array
+    parts: list[list[tuple[float, tuple[Quantity, ...]] | None]]
+    everywhere: tuple[Array, ...] | None = None
+
+    @cached_property
+    def there(self) -> Mask:
+        """(B, n) whether a tube is there."""
+        return np.array([[part is not None for part in row] for row in self.parts])
+
+    @cached_property
+    def loaded(self) -> bool:
+        """Whether anything acts on the arms."""
+        return self.load != Load()
+
+    def places(self, x: float) -> Array:
+        """(B,) m."""
+        return self.start + x * (self.stop - self.start)
+
+    def tubes(self, x: float) -> tuple[Array, ...]:
+        """kb, kt, u*_x + j u*_y, u*_z (B, n); kt 1 and 0 else where a tube has ended."""
         if self.everywhere is not None:
             return self.everywhere
-        columns = [
-            [0.0, 1.0, 0.0, 0.0, 0.0] if part is None else [at(q, s - part[0]) for q in part[1]] for part in self.parts
+        ended = [0.0, 1.0, 0.0, 0.0, 0.0]
+        table = [
+            [ended if part is None else [at(q, s - part[0]) for q in part[1]] for part in row]
+            for row, s in zip(self.parts, self.places(x).tolist(), strict=True)
         ]
-        kb, kt, x, y, z = np.array(columns).T
-        return kb, kt, x + 1j * y, z
+        kb, kt, bend, aside, twist = np.moveaxis(np.array(table), 2, 0)
+        return kb, kt, bend + 1j * aside, twist
 
-    def bent(self, tubes: tuple[Array, ...], state: Array) -> tuple[complex, Array, Array]:
-        """u_x + j u_y by fixed-point iteration on u sum kb / g(u) = m + sum kb u* e^(j theta), these pulls, and g."""
+    def bent(self, tubes: tuple[Array, ...], state: Array) -> tuple[Array, Array, Array]:
+        """u_x + j u_y (B,) by fixed-point iteration on u sum kb / g(u) = m + sum kb u* e^(j theta), these pulls, and g
+        (B, n)."""
         kb, _, own, _ = tubes
-        pull = kb * own * np.exp(1j * state[: len(kb)])
-        total, g, assembly = complex(*state[-5:-3]) + complex(pull.sum()), np.ones(len(kb)), self.assembly
-        u = total / kb.sum()
+        pull = kb * own * np.exp(1j * state[:, : kb.shape[1]])
+        total, g, assembly = state[:, -5] + 1j * state[:, -4] + pull.sum(1), np.ones(kb.shape), self.assembly
+        u = total / kb.sum(1)
+        sin, cos = np.sin(assembly.offset_angle), np.cos(assembly.offset_angle)
         for _ in range(60 if assembly.eccentric else 0):
-            g = 1 + assembly.offset * (u.real * np.sin(assembly.offset_angle) - u.imag * np.cos(assembly.offset_angle))
-            u, before = total / (kb / g).sum(), u
-            if abs(u - before) <= ROUND_OFF * abs(u):
+            g = 1 + assembly.offset * (u.real[:, None] * sin - u.imag[:, None] * cos)
+            u, before = total / (kb / g).sum(1), u
+            if (np.abs(u - before) <= ROUND_OFF * np.abs(u)).all():
                 break
         return u, pull, g
 
-    def rates(self, s: float, state: Array) -> Array:
-        """(theta, t, R, p, m, n)' at an arc length."""
-        n = len(self.parts)
-        torque, frame, force = state[n : 2 * n], _frame(state, n), state[-3:]
-        _, kt, _, z = tubes = self.tubes(s)
+    def rates(self, x: float, state: Array) -> Array:
+        """(B, 2n + 17) of theta, t, R, p, m, n by arc length."""
+        count, n = self.there.shape
+        torque = state[:, n : 2 * n]
+        frame, out = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3), np.zeros(state.shape)
+        _, kt, _, z = tubes = self.tubes(x)
         u, pull, g = self.bent(tubes, state)
-        hat = np.array([[0, 0, u.imag], [0, 0, -u.real], [-u.imag, u.real, 0]])
-        twist = g * (z + torque / kt) * self.there
-        per_length = self.load.per_length(np.array(s))
-        along, couple, whole = per_length[FORCE], frame.T @ per_length[MOMENT], torque[self.there].sum()
+        a, b, ahead = u.real, u.imag, frame[:, :, 2]
+        out[:, :n] = g * (z + torque / kt) * self.there
+        out[:, n : 2 * n] = (np.conj(u)[:, None] * pull).imag
+        turned = out[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)  # R times the matrix of u x
+        turned[:, :, 0], turned[:, :, 1] = -b[:, None] * ahead, a[:, None] * ahead
+        turned[:, :, 2] = b[:, None] * frame[:, :, 0] - a[:, None] * frame[:, :, 1]
+        out[:, 2 * n + 9 : 2 * n + 12] = ahead
+        if self.loaded:
+            self._loaded(x, state, u, out)
+        return out
+
+    def _loaded(self, x: float, state: Array, u: Array, out: Array) -> None:
+        """Add what a load makes of rates of torques, moments and forces."""
+        count, n = self.there.shape
+        frame = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)
+        per_length = self.load.per_length(self.places(x))
+        along, couple = per_length[:, FORCE], np.einsum("bij,bi->bj", frame, per_length[:, MOMENT])
+        own = np.einsum("bij,bi->bj", frame, state[:, -3:])
         if self.load.gravity is not None:
-            along = along + self.mass * np.array(self.load.gravity)
-        gain = (np.conj(u) * pull).imag
-        gain[np.flatnonzero(self.there)[-1]] -= couple[2]
-        own = frame.T @ force
-        bend = [-u.imag * whole + own[1] - couple[0], u.real * whole - own[0] - couple[1]]
-        return np.concatenate([twist, gain, (frame @ hat).ravel(), frame[:, 2], bend, -along])
+            along = along + self.mass[:, None] * np.array(self.load.gravity)
+        outermost = n - 1 - np.argmax(self.there[:, ::-1], axis=1)
+        out[np.arange(count), n + outermost] -= couple[:, 2]
+        whole = (state[:, n : 2 * n] * self.there).sum(1)
+        out[:, -5] = -u.imag * whole + own[:, 1] - couple[:, 0]
+        out[:, -4] = u.real * whole - own[:, 0] - couple[:, 1]
+        out[:, -3:] = -along
 
-    def integrated(self, stop: float, state: Array) -> Array:
-        """The state at an arc length, from that at the beginning."""
-        tight = {"rtol": TOLERANCE, "atol": TOLERANCE}
-        run = scipy.integrate.solve_ivp(self.rates, (self.start, stop), state, method="DOP853", **tight)
-        return np.asarray(run.y[:, -1])
-
-
-def _base(equilibrium: Equilibrium, assembly: Assembly) -> Array:
-    """(theta, t, R, p, m, n) behind the plate: the torque is kt (theta' / g - u*_z), with moments at the plate."""
-    theta, slope, wrench = equilibrium.rotation[:, 0], equilibrium.torsion[:, 0], equilibrium.base_wrench
-    n, none = len(theta), np.zeros(len(theta))
-    state = np.concatenate([theta, none, np.eye(3).ravel(), np.zeros(3), wrench[3:5], wrench[:3]])
-    if assembly.n_sections:
-        section = _Section(equilibrium, assembly, 0)
-        _, kt, _, z = tubes = section.tubes(0.0)
-        # As on the arm, less what the points at the plate take away.
-        beyond = _past_points(assembly, section.load, 0.0, state)
-        state[n : 2 * n] = kt * (slope / section.bent(tubes, beyond)[2] - z) - beyond[n : 2 * n]
-    return state
-
-
-def _transmitted(equilibrium: Equilibrium, assembly: Assembly, torque: Array) -> Array:
-    """(n,) turn of the tubes between where they are held and the plate, rad."""
-    out = np.zeros(assembly.n_tubes)
-    for i, tube in enumerate(equilibrium.robot.tubes):
-        begin, held = 0.0, float(assembly.transmission[i])
-        for length, (_, _, z), _, kt in stretches(tube):
-            stop = min(begin + length, held)
-            if stop > begin:
-                out[i] += scipy.integrate.quad(
-                    lambda x, z=z, kt=kt, t=torque[i]: at(z, x) + t / at(kt, x), 0, stop - begin, epsrel=TOLERANCE
-                )[0]
-            begin += length
-    return out
+    def integrated(self, state: Array) -> Array:
+        """The states at the end, from those at the beginning."""
+        long = (self.stop - self.start)[:, None]
+        # The error is a mean over all arms, so that each alone may have the root of their number times as much.
+        tight = dict.fromkeys(("rtol", "atol"), TOLERANCE / np.sqrt(len(state)))
+        run = scipy.integrate.solve_ivp(
+            lambda x, flat: (long * self.rates(x, flat.reshape(state.shape))).ravel(),
+            (0.0, 1.0),
+            state.ravel(),
+            method="DOP853",
+            **tight,
+        )
+        return np.asarray(run.y[:, -1]).reshape(state.shape)

@@ -23,7 +23,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_problem import check_load
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.verification import verify_equilibrium
+from ..equilibrium.verification import verifications
 from ..errors import InputError, finite, instance, positive
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
@@ -330,13 +330,11 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
     return faults, unproved
 
 
-def _again(equilibrium: Equilibrium) -> float:
-    """Difference of a tip from its re-integration, m; under a load the estimate of its error."""
-    if equilibrium.load is not None:
-        return equilibrium.tip_error
-    check = verify_equilibrium(equilibrium).verification
-    assert check is not None
-    return check.tip_position
+def _again(equilibria: Sequence[Equilibrium]) -> float:
+    """Largest difference of a tip from its re-integration, m; under a load the largest estimate of its error."""
+    if equilibria[0].load is not None:
+        return max(e.tip_error for e in equilibria)
+    return max(check.tip_position for check in verifications(equilibria))
 
 
 def _judge(
@@ -354,7 +352,7 @@ def _judge(
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     tip_step = float(moved.max(initial=0.0))
     picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.verified).astype(int))]
-    again = max(_again(e) for e in picked)
+    again = _again(picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
     turning, moving = ([float(each.max(initial=0.0)) for each in kind] for kind in rates)
     if again > follower.effort.agreement * follower.length:
