@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tubeopt.planning import branch
 from tubeopt.planning.clearing import Sizes
 from tubeopt.planning.cross_sections import Drift, Jet
 from tubeopt.planning.loaded_branch import _Bounds
@@ -84,3 +85,21 @@ def test_what_drift_adds_is_the_second_derivative_of_a_pull_that_changes_as_it_t
             assert abs(true) <= second.item() * (1 + 1e-12)
             if not change or not speed:
                 assert second.item() == pytest.approx(abs(true))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.4999, 0.5001, 0.8, 1.0, 3.0])
+def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share: float) -> None:
+    """x = own + share x has x = own / (1 - share): twice the first term is as much up to a share of a half."""
+    own, error = np.array([[[0.7]]]), np.array([[0.0], [0.0]])
+    ends: Any = SimpleNamespace(
+        changes=(own, np.full((1, 1, 1, 1), 0.7)), arms=SimpleNamespace(turn_error=error), one=[0], other=[1]
+    )
+    still: Any = SimpleNamespace(
+        intervals=ends,
+        drift=SimpleNamespace(bow=SimpleNamespace(dd=np.zeros((1, 1, 1)))),
+        _between=lambda turn: share * turn[0],
+    )
+    (wide, _), sure = branch._Bounds.turn(still)
+    assert sure.item() == (share <= 0.5)
+    if sure:
+        assert wide.item() >= 0.7 / (1 - share) * (1 - 1e-12)
