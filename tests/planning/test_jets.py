@@ -103,3 +103,22 @@ def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share
     assert sure.item() == (share <= 0.5)
     if sure:
         assert wide.item() >= 0.7 / (1 - share) * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 0.8408, 0.841, 1.0, 3.0])
+def test_what_lies_between_samples_of_loaded_arms_is_sure_as_far_as_its_series_is_bounded(share: float) -> None:
+    """The last of four terms of the series is doubled: as much as all that are left up to share^4 = 1/2."""
+    ends: Any = SimpleNamespace(
+        changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 1.4)),
+        arms=SimpleNamespace(turn_error=np.zeros((2, 1))),
+        one=[0],
+        other=[1],
+    )
+    still: Any = SimpleNamespace(
+        intervals=ends, _between=lambda c: (share * c.turn[0], share * c.torque, share * c.moment)
+    )
+    found = _Bounds._changes(still, np.full((1, 1, 1), 0.2), np.full((1, 1), 0.3))
+    assert found.sure.item() == (share**4 <= 0.5)
+    if found.sure:
+        for bound, own in ((found.turn[0], 0.7), (found.turn[1], 1.4), (found.torque, 0.2), (found.moment, 0.3)):
+            assert bound.item() >= own / (1 - share) * (1 - 1e-12)
