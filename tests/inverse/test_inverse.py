@@ -613,3 +613,13 @@ def test_a_time_limit_ends_the_search() -> None:
         inverse_kinematics(THESIS, far, options=InverseOptions(starts=1))
     with pytest.raises(InputError, match="time_limit is 0; it must be greater than 0"):
         InverseOptions(time_limit=0)
+
+
+def test_derivatives_differ_to_either_side_only_where_breakpoints_coincide() -> None:
+    """Where one tube ends at the end of another, a descent has a second side to try; elsewhere it has not."""
+    corner = tubeopt.load_robot(CONFIGS / "example_equal_ends.yaml")
+    space = joint_space(corner)
+    for shift, differ in ((0.0, True), (-1e-3, False)):
+        d = corner.home_translations + shift * np.arange(corner.n_tubes)[::-1]
+        at = posture_of(space, forward_kinematics(corner, corner.home_rotations + [0.3, 1.0, 2.0][: corner.n_tubes], d))
+        assert at.two_sided == differ
