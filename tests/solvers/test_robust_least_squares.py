@@ -43,7 +43,7 @@ class Seen:
         """(V, 1)."""
         if state.x[1] > self.most:
             raise SolveError("there is no such decay")
-        return (state.x[0] * np.exp(-state.x[1] * TIME) - self.reading)[:, None]
+        return np.asarray(state.x[0] * np.exp(-state.x[1] * TIME) - self.reading)[:, None]
 
     def jacobian(self, state: Decay) -> Array:
         """(V, 1, 2)."""
