@@ -255,7 +255,9 @@ def _hessian(problem: LoadedProblem, factor: float, by_tubes: Array, softened: A
     hessian.ravel()[: split * problem.size : problem.size + 1] -= 1.0
     # What bending turns is diagonal.
     hessian[split:, :split] = by_bending[:, None] * felt_by_tubes
-    hessian[:split, split:] = (by_tubes.T @ work) * by_bending
+    # Of moments the matrix is not symmetric.
+    alike = problem.couples is None
+    hessian[:split, split:] = hessian[split:, :split].T if alike else (by_tubes.T @ work) * by_bending
     hessian[split:, split:] = by_bending[:, None] * work * np.repeat(problem.softness, 2)
     hessian.ravel()[:: problem.size + 1] += 1.0
     return hessian
