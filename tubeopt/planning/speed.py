@@ -22,7 +22,7 @@ TIGHT = 0.029
 """Share of the speed of the tip by which its bound may lie above what was measured."""
 
 STEADY = 1e-9
-"""Share of joint rates by which they may differ where they are the same."""
+"""Share of the largest joint rate by which directions of motion may differ where they are the same."""
 
 MOST_HALVINGS = 2
 """At a time."""
@@ -106,10 +106,17 @@ class _Row:
         return np.diff([step.joints for step in self.steps], axis=0) / self.passed[:, None]
 
     @cached_property
+    def pace(self) -> Array:
+        """(B,) the largest rate of a joint; 1 at rest."""
+        most = np.abs(self.rate).max(1)
+        return np.where(most > 0, most, 1.0)
+
+    @cached_property
     def alike(self) -> Mask:
-        """(B - 1,) whether joint values go on as before at the inner steps, and so do the sections of the arm."""
-        n = self.follower.robot.n_tubes
-        same = (np.abs(np.diff(self.rate, axis=0)) <= STEADY * np.abs(self.rate).max(0, initial=0.0)).all(1)
+        """(B - 1,) whether joints go on along the same straight line at the inner steps, and so do the sections of the
+        arm."""
+        n, along = self.follower.robot.n_tubes, self.rate / self.pace[:, None]
+        same = (np.abs(np.diff(along, axis=0)) <= STEADY).all(1)
         if not self.rate[:, n:].any():
             return np.asarray(same)
         gap = self._gaps(np.array([step.joints[n:] for step in self.steps]))
@@ -147,10 +154,12 @@ class _Row:
         wrong = 2 * np.maximum(error[1:], error[:-1]) / h
         plain = np.minimum(speed + rates[0] * h / 2 + wrong, [link.fastest for link in self.links])
         middle = speed + third * h**2 / 24 + wrong
-        # From the middle of a link to that of the next.
-        long, both = (h[1:] + h[:-1]) / 2, np.maximum(third[1:], third[:-1])
-        inner = np.where(self.alike, np.maximum(middle[1:], middle[:-1]) + both * long**2 / 8, np.inf)
-        sides = np.stack([np.append(np.inf, inner), np.append(inner, np.inf)])
+        # From the middle of a link to that of the next, by what the joints go instead of time: at other rates too.
+        pace = self.pace
+        far, slow, bent = h * pace, middle / pace, third / pace**3
+        long, both = (far[1:] + far[:-1]) / 2, np.maximum(bent[1:], bent[:-1])
+        inner = np.where(self.alike, np.maximum(slow[1:], slow[:-1]) + both * long**2 / 8, np.inf)
+        sides = np.stack([np.append(np.inf, inner), np.append(inner, np.inf)]) * pace
         out, reached = np.minimum(plain, sides.max(0)), 0.0
         for k in np.flatnonzero((out > line) & np.isfinite(third)).tolist():
             for side in np.flatnonzero(~np.isfinite(sides[:, k])).tolist():
