@@ -93,6 +93,20 @@ def test_a_circle_of_the_tip_is_passed_at_its_speed() -> None:
     assert exact * (1 - 1e-6) <= proof.largest_tip_rate <= 1.03 * exact
 
 
+@pytest.mark.parametrize("load", [None, Load(force=(0.02, 0.01, 0.0))], ids=["unloaded", "force"])
+def test_changes_of_pace_need_few_further_equilibria(load: Load | None) -> None:
+    """Forty samples with a smooth law of time: the inner tube passes its fastest place at a known J q'."""
+    x = np.linspace(0, 1, 41)
+    angle = (x**3 * (10 - 15 * x + 6 * x**2))[:, None] * [0.8, 0.0, 0.0]
+    proof = verify_trajectory(THESIS, 2 * x, angle, load=load)
+    fast = [[float(angle[k, 0]) + d, 0.0, 0.0, *THESIS.home_translations] for k in (19, 20, 21) for d in (-1e-5, 1e-5)]
+    tips = [_tip(THESIS, np.array(q), load) for q in fast]
+    sizes = [np.linalg.norm(b - a) / 2e-5 for a, b in zip(tips[::2], tips[1::2], strict=True)]
+    rate = float(np.diff(angle[:, 0]).max()) / 0.05
+    assert rate * max(sizes) * (1 - 1e-4) <= proof.largest_tip_rate <= 1.03 * rate * max(sizes)
+    assert proof.equilibria <= (43 if load is None else 60)
+
+
 def test_what_is_not_proved_of_the_speed_is_not_kept() -> None:
     moved = [[0.0, 0, 0], [0.2, 0, 0]]
     uncovered = Load(force=(1e-3, 0, 0), points=((0.05, (1e-3, 0.0, 0.0)),))
