@@ -11,10 +11,12 @@ from tests.command_line import THESIS as FILE
 from tests.command_line import Run, answer, refused
 from tests.examples import DEG, PIECES, THESIS, TWO_TUBE
 from tubeopt import (
+    ConcentricRobot,
     InputError,
     Load,
     PlanOptions,
     SolveError,
+    Tube,
     find_snap,
     follow,
     forward_kinematics,
@@ -28,7 +30,7 @@ from tubeopt.inverse.outline import Outline
 from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.loaded_branch import _Bounds, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS
+from tubeopt.planning.sections import PARTS, SHAPE_ERROR
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -96,6 +98,18 @@ def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot
         assert between[0][k].max() <= 2 * true.max() or true.max() < 1e-4
         assert (between[1][k] >= sharp * np.abs(torque).max(0))[present].all()
         assert between[2][k] >= sharp * np.linalg.norm(moment, axis=1).max()
+
+
+@pytest.mark.parametrize("curvature", [0.0, 5.0])
+def test_the_error_between_points_of_a_loaded_rod_is_bounded_by_its_third_derivative(curvature: float) -> None:
+    """Its square is |u|^4 + |u'|^2, by differences of the arm as it is solved for."""
+    robot = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.0, 0.1, curvature),))
+    arm = forward_kinematics(robot, [0.0], load=SIDEWAYS)
+    arms = LoadedArms.of(Constants.of(robot), [arm], pull=Pull.of(robot, SIDEWAYS))
+    s, size = arm.arc_length, np.linalg.norm(arm.curvature, axis=1)
+    slope = np.linalg.norm(np.diff(arm.curvature, axis=0), axis=1) / np.diff(s)
+    third = np.hypot((size[1:] + size[:-1]) ** 2 / 4, slope)
+    assert arms.shape_error[0] - arm.tip_error >= 0.99 * (SHAPE_ERROR[0] * np.diff(s) ** 3 * third).max()
 
 
 def test_two_branches_at_one_place_are_not_joined() -> None:
