@@ -217,3 +217,12 @@ def test_options_keep_numbers_however_they_are_written() -> None:
     assert ServoOptions(speed="0.1", push=1).speed == 0.1  # type: ignore[arg-type]
     with pytest.raises(InputError, match="speed is 'fast'; it must be a number"):
         ServoOptions(speed="fast")  # type: ignore[arg-type]
+
+
+def test_a_target_nearer_than_the_speed_allows_is_reached_in_one_step(seed: Equilibrium) -> None:
+    """But for the little damping and what is not linear; one farther away comes nearer by what the speed allows."""
+    servo = Servo(THESIS, seed)
+    begin = servo.equilibrium.tip_position
+    near = begin + np.array([2e-6, -1e-6, 0.0])
+    servo.step(Command(position=near), 1e-2)
+    assert np.linalg.norm(servo.equilibrium.tip_position - near) < 0.1 * np.linalg.norm(near - begin)
