@@ -36,6 +36,7 @@ def test_two_equal_tubes_are_as_curved_as_the_closed_form_allows() -> None:
         assert found.x[0] == pytest.approx(closed_form(overlap, transmission, margin), rel=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # the closed form bends them beyond nitinol
 def test_front_of_two_equal_tubes_is_the_closed_form() -> None:
     front = pareto_front(tightest(equal_pair(0.1, 0.05), 0.05), [0.8, 0.05, 0.4])
     assert [point.margin for point in front.points] == [0.05, 0.4, 0.8]

@@ -387,6 +387,22 @@ def test_the_estimated_error_is_that_of_coarse_meshes(thesis: ConcentricRobot) -
         assert error / 2 < e.tip_error < 2 * error
 
 
+def test_the_estimated_error_of_rotations_is_not_below_the_true_one(thesis: ConcentricRobot) -> None:
+    from tubeopt import Discretisation
+    from tubeopt.equilibrium.load_answer import to_loaded
+    from tubeopt.equilibrium.loaded import ramp
+
+    plain = forward_kinematics(thesis, ROTATIONS)
+    for load in (Load((0.3, 0.1, -0.1)), Load(gravity=(0.0, -9.81, 0.0))):
+        exact = forward_kinematics(thesis, ROTATIONS, load=load, tolerance=1e-12)
+        for degree in (2, 3, 4):
+            e = to_loaded(ramp(plain, load, Discretisation(degree=degree)))
+            at = np.abs(exact.arc_length[:, None] - e.arc_length)
+            mine, its = at.min(0) < 1e-12, at.argmin(0)
+            true = np.abs(e.rotation[:, mine] - exact.rotation[:, its[mine]]).max()
+            assert true < e.mesh_error < 20 * true
+
+
 def test_a_guess_is_followed_to_other_joints_and_loads(thesis: ConcentricRobot) -> None:
     here = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, 0, 0)))
     for rotations, load in (

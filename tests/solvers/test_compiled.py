@@ -72,7 +72,9 @@ def check_same(one: Equilibrium, other: Equilibrium) -> None:
     assert one.margin == pytest.approx(other.margin, abs=1e-8)
     assert one.energy == pytest.approx(other.energy, rel=1e-9, abs=1e-15)
     assert one.residual < 1e-10
-    assert one.mesh_error == pytest.approx(other.mesh_error, rel=0.1, abs=1e-11)
+    # The kernel begins its check of the mesh from an interpolated state, and so finds more than there is.
+    assert other.mesh_error <= 1.1 * one.mesh_error + 1e-12
+    assert one.mesh_error < 1e-8
     assert one.tip_error == pytest.approx(other.tip_error, rel=0.3, abs=1e-12)
     assert one.statistics.elements == other.statistics.elements
 
@@ -356,7 +358,9 @@ def check_same_loaded(one: Equilibrium, other: Equilibrium) -> None:
     assert one.margin == pytest.approx(other.margin, abs=1e-9)
     assert one.energy == pytest.approx(other.energy, rel=1e-11)
     assert one.work == pytest.approx(other.work, rel=1e-11)
-    assert one.mesh_error == pytest.approx(other.mesh_error, rel=0.1, abs=1e-11)
+    # The kernel begins its check of the mesh from an interpolated state, and so finds more than there is.
+    assert other.mesh_error <= 1.1 * one.mesh_error + 1e-12
+    assert one.mesh_error < 1e-8
 
 
 @compiler

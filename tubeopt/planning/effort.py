@@ -198,7 +198,7 @@ class Timing(Settings):
     """At most."""
     sample_step: float = 0.04
     """Largest change of a joint between samples, in units of its scale."""
-    hurry: float = 1.05
+    hurry: float = 1.1
     """Over its limit, by which the tip may be too fast between samples of a motion that is then slowed down for it."""
 
 
