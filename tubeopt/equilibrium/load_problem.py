@@ -38,10 +38,28 @@ MOST_BEND = 20.0
 the length, as no needle is used."""
 
 
-def _warn_of_size(robot: Robot, load: Load, length: float) -> None:
-    """Warn of forces that no arm of these tubes is made for: they were probably meant in mN."""
-    forces = [np.linalg.norm(load.force), *(np.linalg.norm(part.force) for part in load.points)]
+LARGEST_BEND = 1000.0
+"""The same for a force that is refused: no tube bears it, and a mesh that would is too fine to solve."""
+
+LARGEST_TURN = 30.0
+"""Moment times length over bending stiffness, rad: beyond, an arm is bent to a coil of five turns."""
+
+
+def _check_size(robot: Robot, load: Load, length: float) -> None:
+    """Refuse forces and moments that no arm of these tubes bears, and warn of forces that none is made for: they were
+    probably meant in mN and mN m."""
+    forces = [np.abs(load.force).max(), *(np.abs(part.force).max() for part in load.points)]
     most, stiffness = float(max(forces)), sum(float(tube.bending_stiffness) for tube in robot.tubes)
+    turning = float(np.abs(load.moments).max())
+    for what, value, unit, allowed in (
+        ("force", most, "N", LARGEST_BEND * stiffness / length**2),
+        ("moment", turning, "N m", LARGEST_TURN * stiffness / length),
+    ):
+        if value > allowed:
+            raise InputError(
+                f"a {what} of the load has {value:g} {unit}; on this arm it must be at most {allowed:.3g} {unit}: was "
+                f"{value:g} m{unit} meant?"
+            )
     if most * length**2 > MOST_BEND * stiffness:
         implausible(
             f"a force of the load is {most:g} N, {most * length**2 / stiffness:.3g} times the bending stiffness over "
@@ -60,7 +78,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     length = assembly.total_length
     if not length:
         raise InputError("no tube is in front of the plate, so there is no arm on which a load could act")
-    _warn_of_size(robot, load, length)
+    _check_size(robot, load, length)
     for k, part in enumerate(load.points):
         if part.at > length * (1 + 1e-12):
             raise InputError(
