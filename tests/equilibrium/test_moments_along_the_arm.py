@@ -261,3 +261,11 @@ def test_files_and_studies_have_moments(thesis: ConcentricRobot, tmp_path: Path)
 def test_wrong_entries_are_named(given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         Load(**given)
+
+
+def test_a_function_gives_as_many_numbers_everywhere(thesis: ConcentricRobot) -> None:
+    """Else the moments beyond the plate would be left out without a word."""
+    for first in ((0.0, 0.0, 0.0), None):
+        load = Load(distributed=lambda s, first=first: first if s < 0.05 else (0.0, 0.0, 0.0, 0.0, 0.02, 0.0))
+        with pytest.raises(InputError, match=r"distributed at .* m .* it must be 3 numbers"):
+            forward_kinematics(thesis, ROTATIONS, load=load)

@@ -143,11 +143,11 @@ class Load(Displayed):
         if along is None:
             return out
         if callable(along):
+            # As many everywhere as at the plate: by them it is known whether there are moments.
+            size = 6 if _has_moment(along) else 3
             for index in np.ndindex(arc_length.shape):
                 s = float(arc_length[index])
-                given = along(s)
-                size = 6 if np.size(given) == 6 else 3
-                out[index][:size] = vector(f"distributed at {s:g} m", given, size, "force, or force and moment")
+                out[index][:size] = vector(f"distributed at {s:g} m", along(s), size, "as many as at 0 m")
         elif _stretches(along):
             for part in along:
                 out[(arc_length > part.start) & (arc_length < part.end)] += (*part.force, *part.moment)
