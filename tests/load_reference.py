@@ -143,7 +143,7 @@ class Shooting:
         same = np.tile(np.concatenate([np.zeros(3), np.eye(3).ravel()]), (count, 1))
         y = np.concatenate([theta, t0, same, m0, np.tile(self._weight(), (count, 1))], axis=1)
         miss = np.zeros((count, n))
-        last = int(np.argmax(self.end))
+        last = self._twisted(self.length)
         for i in range(n):
             if self.end[i] <= 0:
                 miss[:, i] = y[:, n + i]
@@ -170,7 +170,12 @@ class Shooting:
                 R = y[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3)
                 own = np.einsum("bji,j->bi", R, np.array(couple, float))
                 y[:, 2 * n + 12 : 2 * n + 14] -= own[:, :2]
-                y[:, n + np.flatnonzero(self.end >= at - 1e-12)[-1]] -= own[:, 2]
+                y[:, n + self._twisted(at)] -= own[:, 2]
+
+    def _twisted(self, at: float) -> int:
+        """The tube that a moment along the arm twists: at the tip the innermost that ends there, else the outermost."""
+        there = np.flatnonzero(self.end >= at - 1e-9)
+        return int(there[0] if at > self.length - 1e-9 else there[-1])
 
     def _along(self, ends: tuple[float, float], y: Array, tolerance: float, count: int = 2) -> Array:
         """States (count, B, S) of several arms along a section, from those (B, S) where it begins or ends."""

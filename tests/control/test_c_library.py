@@ -204,6 +204,23 @@ def test_tubes_made_of_pieces_bear_loads_and_have_a_compliance(pieces: CRobot) -
         library.bear()
 
 
+def test_the_tip_tube_of_tubes_that_end_together_does_not_depend_on_round_off() -> None:
+    """The moment of a compliance is on the innermost of them."""
+    library, rotations = CRobot(c_library(TWO_TUBES, loads=True)), [0.3, 1.4]
+    load = Load(force=(5e-3, 1e-2, -3e-3))
+    shift = np.array([0.05 - tube.curved_length for tube in TWO_TUBES.tubes])
+    for off in (0.0, 1e-15, -1e-15, 1e-13, -1e-13):
+        there = shift + np.array([off, 0.0])
+        for push in (None, load):
+            known = forward_kinematics(TWO_TUBES, rotations, shift, load=push).compliance
+            library.solve(rotations, there)
+            if push is not None:
+                library.bear(push.force)
+            found = library.slopes().compliance
+            assert found == pytest.approx(known, rel=1e-6, abs=1e-9 * np.abs(known).max())
+            library.bear()
+
+
 def test_loads_that_no_library_has_are_refused() -> None:
     with pytest.raises(InputError, match="no model has them on tubes off the centreline"):
         c_library(load_robot("configs/robots/thesis_etr.yaml"), loads=True)

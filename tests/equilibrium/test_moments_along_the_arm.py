@@ -146,7 +146,7 @@ def test_moment_along_a_straight_rod_twists_it_up_to_where_it_acts() -> None:
     assert e.base_wrench[5] == pytest.approx(per_length * length, rel=1e-12)
 
 
-def test_outermost_tube_is_twisted(thesis: ConcentricRobot) -> None:
+def test_outermost_tube_is_twisted() -> None:
     """A straight sheath around a straight tube turns alone, up to where the moment acts."""
     inner, outer = (Tube(od, bore, 0.0, length, 0.0) for od, bore, length in ((1e-3, 0.0, 0.2), (2e-3, 1.5e-3, 0.1)))
     robot, moment = ConcentricRobot((inner, outer)), 0.004

@@ -14,6 +14,7 @@ from ..errors import InputError, nearest
 from ..robots.assembly import Assembly, assemble
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, places
 from ..robots.load import Load, masses
+from ..robots.order import last_tube
 from ..robots.robot import Robot, is_general
 from ..typing import Array
 from .near import Near
@@ -138,7 +139,7 @@ def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
         turning=load.frame == "tip",
         along=np.array(along, dtype=float),
         weight=masses(near.robot.tubes, load)[:, None] * gravity,
-        tip_tube=int(np.argmax(bundle.end)),
+        tip_tube=int(last_tube(bundle.end)),
         typical=float(sum(tube.bending_stiffness for tube in near.robot.tubes)),
     )
 

@@ -17,6 +17,7 @@ from ..errors import InputError, SolveError
 from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load, masses
+from ..robots.order import SAME_END
 from ..robots.robot import Robot
 from ..solvers.compiled.constants import piece_constants
 from ..solvers.compiled.library import MOST_CUTS
@@ -48,6 +49,7 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
         "MOST_SECTIONS": pieces if home.general else 2 * n,
         "MOST_CUTS": MOST_CUTS if home.general else 2 * n + 1,
         "ROUND_OFF_LENGTH": ROUND_OFF,
+        "SAME_END": SAME_END,
         "WAVES_PER_ELEMENT": 1,  # of what is not loaded: not asked for
         "LOADED_WAVES": LOADED_WAVES,
         "BEND_PER_PIECE": BEND_PER_PIECE,

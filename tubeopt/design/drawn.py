@@ -9,6 +9,7 @@ import numpy as np
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..robots.concentric import ConcentricRobot
+from ..robots.order import last_tube
 from ..robots.tubes import Tube
 from ..typing import Array, Mask
 
@@ -23,7 +24,7 @@ def drawn_back(tubes: Sequence[Tube], translations: Array, share: float) -> tupl
     """Translations (n,), m, of an arm drawn back to a share of its length; which tubes (n,) are drawn back for that;
     and the tube that ends last."""
     ends = translations + np.array([tube.length - tube.straight_length for tube in tubes])
-    last = int(np.argmax(ends))
+    last = int(last_tube(ends))
     beyond = ends - share * ends[last]
     return translations - np.maximum(beyond, 0.0), beyond > 0, last
 

@@ -12,6 +12,7 @@ from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance,
 from ..block.transcription.loaded_arm import compliance_along
 from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointLoad
+from ..robots.order import SAME_END, twisted_tube
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import LoadedAnswer, solve_loaded_compiled, solve_many_loaded_compiled
@@ -261,8 +262,8 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     assembly, length = point.member.problem.torsion.assembly, float(equilibrium.arc_length[-1])
     if not 0 <= finite("arc_length", arc_length) <= length * (1 + 1e-12):
         raise InputError(f"arc_length is {arc_length:g} m; it must be on the arm, between 0 and {length:g} m")
-    here = np.flatnonzero(assembly.end >= arc_length - 1e-12)
-    chosen = int(here[-1]) if tube is None else tube
+    here = np.flatnonzero(assembly.end >= arc_length - SAME_END)
+    chosen = twisted_tube(assembly.end, arc_length) if tube is None else tube
     if chosen not in here:
         raise InputError(f"tube is {tube}; tubes {', '.join(map(str, here))} are at {arc_length:g} m")
     # Where a wrench acts the curvature jumps: elements end there.

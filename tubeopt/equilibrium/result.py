@@ -223,7 +223,8 @@ class Equilibrium(Displayed):
     @cached_property
     def compliance(self) -> Array:
         """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
-        world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last."""
+        world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last, of
+        several the innermost."""
         found: Array = late("tubeopt.equilibrium.loaded.compliance_of")(self)
         return found
 
@@ -232,7 +233,8 @@ class Equilibrium(Displayed):
         moment (N m) there, in world axes; concentric tubes, without load or under forces that keep their direction.
 
         Args:
-            tube: from 0, on which the moment acts and whose rotation is told; by default the outermost there.
+            tube: from 0, on which the moment acts and whose rotation is given; by default the outermost there, at the
+                tip the one that ends last.
 
         Raises:
             InputError: a place that is not on the arm, a tube that is not there, a load without an energy.

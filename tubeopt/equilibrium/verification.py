@@ -21,6 +21,7 @@ import scipy
 
 from ..robots.assembly import Assembly, cut
 from ..robots.load import FORCE, MOMENT, Load, masses
+from ..robots.order import last_tube, twisted_tube
 from ..robots.robot import Robot
 from ..robots.series import Quantity, at, vary
 from ..robots.tubes import stretches
@@ -66,9 +67,10 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
             solved = each.rotation[:, np.argmin(np.abs(each.arc_length - stop))]
             worst[b] = max(worst[b], np.abs(state[b, :n] - solved).max())
             torque = beyond[j, n : 2 * n].copy()
+            moment, tip = _frame(state[b], n).T @ _at_tip(each, load.moment), int(last_tube(assembly.end))
+            if abs(assembly.end[tip] - stop) < SAME_PLACE:
+                torque[tip] -= moment[2]
             if k == assembly.n_sections - 1:
-                moment = _frame(state[b], n).T @ _at_tip(each, load.moment)
-                torque[int(np.argmax(assembly.end))] -= moment[2]
                 bent[b] = np.abs(beyond[j, -5:-3] - moment[:2]).max() / kb[j].sum()
             ends = np.abs(assembly.end - stop) < SAME_PLACE
             loose[b] = max(loose[b], np.abs(torque / kt[j])[ends].max(initial=0.0))
@@ -119,8 +121,7 @@ def _past_points(assembly: Assembly, load: Load, s: float, state: Array) -> Arra
     for part in load.points:
         if abs(part.at - s) < SAME_PLACE:
             moment = _frame(state, n).T @ part.moment
-            outermost = int(np.flatnonzero(assembly.end >= s - SAME_PLACE)[-1])
-            out[n + outermost] -= moment[2]
+            out[n + twisted_tube(assembly.end, s)] -= moment[2]
             out[-5:-3] -= moment[:2]
             out[-3:] -= part.force
     return out

@@ -19,6 +19,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, finite, instance
 from ..robots.limits import JointLimits
+from ..robots.order import last_tube
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.quadratic import constrained_least_squares
@@ -167,7 +168,7 @@ def _foremost(task: PlanTask, z: Array) -> tuple[int, int]:
     """The tube with which the arm ends, and its carriage."""
     space = task.chart.space
     curved = np.array([tube.curved_length for tube in space.robot.tubes])
-    tube = int(np.argmax(task.chart.translations(z[None])[0] + curved))
+    tube = int(last_tube(task.chart.translations(z[None])[0] + curved))
     return tube, next(k for k, tubes in enumerate(space.carriages) if tube in tubes)
 
 

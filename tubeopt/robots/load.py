@@ -41,7 +41,9 @@ class PointLoad:
 
     at: Annotated[float, unit("mm"), NOT_NEGATIVE, "arc length from the plate"]
     force: Annotated[Vector, unit("mN")] = ZERO
-    moment: Annotated[Vector, unit("mN_m"), "its part along the arm turns the outermost tube"] = ZERO
+    moment: Annotated[
+        Vector, unit("mN_m"), "its part along the arm turns the outermost tube, at the arm's end the innermost"
+    ] = ZERO
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Load(Displayed):
     force: Annotated[Vector, key("tip_force_mN"), "force on the tip in axes of the plate"] = ZERO
     """N."""
     moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in axes of the plate"] = ZERO
-    """N m; its part along the tip turns the tube that ends last."""
+    """N m; its part along the tip turns the tube that ends last, of several the innermost: it holds the tool."""
     _: KW_ONLY
     frame: Annotated[
         str, OneOf(FRAMES), "of tip force and moment: world keeps their direction, tip turns them with the tip"
@@ -65,10 +67,10 @@ class Load(Displayed):
     distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
     """Per length in world axes: a force (3,), N/m, all along the arm; a function of arc length (m from the plate)
     -> (3,), or (6,) with a moment, N; or stretches (start, end, force (3,)) or (start, end, force (3,), moment (3,)),
-    constant on each. A moment's part along the arm turns the outermost tube."""
+    constant on each. A moment's part along the arm turns the outermost tube there."""
     points: Annotated[tuple[PointLoad, ...], "forces and moments at places of the arm, in world axes"] = ()
     """(arc length, force (3,)) or (arc length, force (3,), moment (3,)) each, m, N and N m; the part of a moment along
-    the arm turns the outermost tube."""
+    the arm turns the outermost tube there, at the arm's end the one that a moment at the tip turns."""
     gravity: Annotated[Vector | None, unit("m_per_s2"), "gravity, which acts on the mass of the tubes"] = None
     """m/s^2; the tubes are those in front of the plate."""
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ..errors import InputError
-from ..typing import Array
+from ..typing import Array, Index
 from .assembly import ROUND_OFF
 from .limits import JointLimits, default_limits
 from .tubes import Tube
@@ -200,4 +200,21 @@ def tip_tube(end: Array) -> int | None:
 
     None where all are withdrawn behind the plate.
     """
-    return int(np.argmax(end >= end.max() - SAME_END)) if end.max() > SAME_END else None
+    return int(last_tube(end)) if end.max() > SAME_END else None
+
+
+def last_tube(end: Array) -> Index:
+    """(...) the tube, from 0, that ends last where tubes end at arc lengths (..., n), m: of those that end there the
+    innermost, which holds the tool. Ends within SAME_END of one another are one, whatever round-off says."""
+    return np.asarray(np.argmax(end >= end.max(-1, keepdims=True) - SAME_END, axis=-1))
+
+
+def twisted_tube(end: Array, arc_length: float) -> int:
+    """The tube, from 0, that a moment along the arm twists at an arc length, m, where tubes end at arc lengths (n,).
+
+    It is the outermost tube there, and at the tip the tube that ends last. A moment changes its tube where it passes an
+    end: of the last two, the shape jumps there by what their twists differ.
+    """
+    if arc_length >= end.max() - SAME_END:
+        return int(last_tube(end))
+    return int(np.flatnonzero(end >= arc_length - SAME_END)[-1])

@@ -19,6 +19,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.concentric import ConcentricRobot
 from ..robots.friction import Friction
+from ..robots.order import last_tube
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed
 from ..stability.rubbing_following import rubbing_leg, rubbing_start
@@ -69,7 +70,7 @@ def solve_poses(
     for row, shape in shapes.items():
         tip[row], turned[row] = shape.tip_position, shape.tip_rotation
         turns[row], margin[row] = shape.tip_rotations, shape.margin
-    theta = turns[np.arange(len(batch)), np.argmax(reach, axis=1)]
+    theta = turns[np.arange(len(batch)), last_tube(reach)]
     position = np.repeat(tip[:, None], len(stations), axis=1)
     failures = tuple(failure for failure in batch.failures if failure[0] not in shapes)
     poses = Poses(position, turned @ about_z(theta), margin, np.maximum(reach, 0.0).max(1), failures)
@@ -159,7 +160,7 @@ class _Seen:
 
     def _last(self, translations: Array) -> Index:
         """The tube that ends last, at translations (..., n)."""
-        return np.asarray(np.argmax(translations + [tube.curved_length for tube in self.robot.tubes], axis=-1))
+        return last_tube(translations + [tube.curved_length for tube in self.robot.tubes])
 
 
 def loose(robot: Robot) -> bool:

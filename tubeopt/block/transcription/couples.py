@@ -6,8 +6,8 @@ the frame turns by dpsi = 2 (Z Q)' dQ about world axes, and the tube by dtheta a
     m.dpsi + tau dtheta,        tau = m.t,
 
 so that the moment bends all tubes, and its part along the arm twists the tube on which it acts: at the tip that which
-ends last, elsewhere the outermost one. At a joint between pieces m is the moment itself; a moment per length acts at
-the collocation points, times their weights.
+ends last, of several the innermost; elsewhere the outermost one. At a joint between pieces m is the moment itself; a
+moment per length acts at the collocation points, times their weights.
 
 The equations are linear in m: the adjoint sweep takes 2 (m.Z) Q from the quaternion, and the torsion takes tau. Since
 m.Z is antisymmetric, the Jacobian is not symmetric: the work depends on the path.
@@ -21,6 +21,7 @@ import numpy as np
 
 from ...physics.shape import world_turns
 from ...robots.load import Load
+from ...robots.order import last_tube, twisted_tube
 from ...typing import Array, Index
 from .orientation import Orientation, tangent_slopes, tangents
 from .reduced import ReducedProblem, softness, whitened
@@ -74,10 +75,10 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     (N, n, U) is the turn of the tubes there by z."""
     assembly, mesh = torsion.assembly, torsion.mesh
     ahead, ends = softness(torsion)
-    tip = int(np.argmax(assembly.end))
     at = [part for part in load.points if any(part.moment)]
     joint = np.array([len(mesh.length), *(_joint(mesh.start, part.at) for part in at)])
-    on_joint = [tip, *(int(np.flatnonzero(assembly.end >= part.at - END)[-1]) for part in at)]
+    tip = int(last_tube(assembly.end))
+    on_joint = [tip, *(twisted_tube(assembly.end, part.at) for part in at)]
     point = np.flatnonzero(per_length.any(1))
     present = assembly.present[np.repeat(mesh.section, mesh.tableau.degree)[point]]
     outermost = present.shape[1] - 1 - present[:, ::-1].argmax(1)

@@ -26,6 +26,7 @@ import numpy as np
 
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import FORCE, MOMENT, Load
+from ...robots.order import last_tube
 from ...typing import Array, Index
 from .buffered import section_function
 from .couples import Couples, couples_of
@@ -44,7 +45,7 @@ class LoadedProblem:
         force: (N, 3) n at the points by the loads in world axes, N.   base_force: (3,) all of them.
         spread: (N, n, U) rows of L, 0 for tubes that are not unknown at a point.
         softness: (N,) 1 / sqrt(B K).
-        tip_tube: the tube that ends last.
+        tip_tube: the tube that ends last, of several the innermost.
         tip_row: (U,) its rotation at its end by z.   tip_rest: rotation there by a unit torque that z does not see.
         tip_lever: its whole compliance, rotation at its end by a unit torque there, rad/(N m).
         couples: the moments, where the load has no energy.
@@ -145,7 +146,7 @@ def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]
     count, n = torsion.stiffness.shape
     spread = np.zeros((count * n, torsion.size))
     spread[torsion.flat] = torsion.factor
-    tip = int(np.argmax(torsion.assembly.end))
+    tip = int(last_tube(torsion.assembly.end))
     lever, ends = softness(torsion)
     row = whitened(torsion, np.where(torsion.tube == tip, lever[torsion.point, tip], 0.0))
     soft = 1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1))

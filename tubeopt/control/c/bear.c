@@ -95,8 +95,9 @@ static int lay_bed(Bed *bed, const double *shift, const tubeopt_load *load) {
         bed->held[i] = l->transmission[i] / ROBOT.kt[i];
 #endif
         weight += MASS[i] * fmax(l->end[i], 0);
-        if (l->end[i] > l->end[bed->tip_tube]) bed->tip_tube = i;
     }
+    /* Of the tubes that end at the tip, the innermost. */
+    while (l->end[bed->tip_tube] < bed->whole - SAME_END) bed->tip_tube++;
     force += weight * sqrt(dot(load->gravity, load->gravity, 3));
     for (int k = 0; k + 1 < count; k++)
         if (!lay_section(bed, cuts[k], cuts[k + 1], force)) return 0;

@@ -32,6 +32,7 @@ from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
+from ...robots.order import SAME_END
 from ..settings import NEWTON
 from .constants import COARSE_DEGREE, DEGREE, general_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
@@ -135,6 +136,7 @@ def kernel_text(
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
         "BEND_PER_PIECE": BEND_PER_PIECE,
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
+        "SAME_END": SAME_END,
         "ROUND_OFF": NEWTON.round_off,
         "LAST_STEP": NEWTON.last_step,
         "LONGEST_STEP": NEWTON.longest_step,

@@ -56,7 +56,7 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
     const Layout *l = q->layout;
     int k = q->tableau->degree, last = l->pieces * STEPS, held = 0;
     double unit[3] = {v % 3 == 0, v % 3 == 1, v % 3 == 2}, tip[6];
-    while (held + 1 < N && fabs(l->end[held] - out->arc_length[last]) > ROUND_OFF_LENGTH) held++;
+    while (held + 1 < N && l->end[held] < out->arc_length[last] - SAME_END) held++; /* as robots/order.py */
     memset(a->moments, 0, sizeof a->moments);
     memset(a->kicks, 0, sizeof a->kicks);
     for (int x = 0; x < l->pieces * k; x++) {
