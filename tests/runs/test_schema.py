@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,14 @@ def test_they_are_written_where_asked(tmp_path: Path) -> None:
 
 def test_the_page_is_in_step() -> None:
     assert (CONFIGS.parent / PAGE).read_text(encoding="utf-8") == page(), "run `python -m tubeopt.runs.schema`"
+
+
+def test_page_names_choices_once() -> None:
+    for row in page().splitlines():
+        said, _, allowed = row.rstrip(" |").rpartition("; ")
+        choices = re.findall(r"[\w-]+", allowed.replace(" or ", " "))
+        if " or " in allowed and set(allowed.split(" or ")) == set(choices):
+            assert not all(re.search(rf"(?<![\w-]){word}(?![\w-])", said) for word in choices), row
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.stem)

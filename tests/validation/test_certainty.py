@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import InputError
 from tubeopt.validation import BasePose, Measurements, validate
-from tubeopt.validation.certainty import registration_error
+from tubeopt.validation.certainty import registration_error, remark
 from tubeopt.validation.model import ArmModel
 
 from .laboratory import BASE, DEVICE_BASE, MM, TURN, ctr, in_device, tips, turned
@@ -73,7 +73,7 @@ def test_a_mirror_image_is_remarked_upon() -> None:
     error = registration_error(model, model.start)
     assert error is not None
     assert error.mirrored == pytest.approx(0.0, abs=1e-6)
-    assert "does a rotation or an axis of the device have the wrong sign?" in error.remark
+    assert "does a rotation or an axis of the device have the wrong sign?" in remark(error)
     right = validate(ctr(), m).registration_error
     assert right is not None
-    assert not right.remark
+    assert not remark(right)

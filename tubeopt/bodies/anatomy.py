@@ -11,7 +11,7 @@ from ..display import Displayed
 from ..errors import InputError, nearest
 from ..typing import Array, Mask
 from .distance_field import DistanceField
-from .frames import Frame
+from .frames import Frame, Registration
 from .images import LabelImage
 from .obstacles import Obstacle, nearest_distance
 
@@ -29,7 +29,9 @@ class Anatomy(Displayed):
     base: Frame = field(default_factory=Frame)
     """Where the plate is in the patient, RAS."""
     registration_error: float = 0.0
-    """Root of the mean square error of the landmarks that it was found from; 0 without."""
+    """Root of the mean square error of the landmarks that it was found from, m; 0 without."""
+    registration: Registration | None = None
+    """That by which the plate was found, with its standard errors; None without."""
 
     @property
     def fields(self) -> tuple[DistanceField, ...]:
@@ -61,7 +63,7 @@ def anatomy_seen(
     *,
     target: Array | None = None,
     landmarks: Mapping[str, Array] | None = None,
-    registration_error: float = 0.0,
+    registration: Registration | None = None,
 ) -> Anatomy:
     """The anatomy that a plate sees which stands at `base`, from fields and places in the axes of the patient.
 
@@ -85,7 +87,8 @@ def anatomy_seen(
             "'target' is a landmark and the name of the region for the tip; give the landmark another name (a .txt "
             "file gives it its own), or leave the region out"
         )
-    return Anatomy(bodies, places, known, base, registration_error)
+    error = 0.0 if registration is None else registration.rms
+    return Anatomy(bodies, places, known, base, error, registration)
 
 
 def centres(image: LabelImage, chosen: Mask) -> Array:

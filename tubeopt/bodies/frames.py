@@ -6,6 +6,7 @@ left and to the back. Lengths are in m.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, choice, finite, vector
 from ..typing import Array
+from .certainty import MOST, NARROW, RegistrationError, landmark_error
 
 AXES = ("RAS", "LPS")
 """Ways of writing positions in a patient."""
@@ -23,6 +25,10 @@ FEWEST = 3
 
 FLAT = 1e-3
 """Share of their size by which landmarks must lie off a line."""
+
+
+DOUBT = 0.5e-3
+"""Standard deviation (m) of a coordinate of landmarks, as careful hands and trackers reach it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +101,37 @@ class Registration:
     """The plate's in the patient."""
     errors: dict[str, float]
     """How far each landmark is off with it, m."""
+    known: RegistrationError
+    """Standard errors of the plate's place, as far as what the landmarks are off tells them."""
+    doubt: RegistrationError
+    """The same where every coordinate of the landmarks is known to DOUBT."""
 
     @property
     def rms(self) -> float:
         """Root of the mean square of the errors, m: the fiducial registration error."""
         return float(np.sqrt(np.mean(np.square(list(self.errors.values())))))
+
+    @property
+    def statement(self) -> str:
+        """How well the plate's place is known, in words."""
+        known, turn = self.known, math.degrees(self.known.turn)
+        words = (
+            f"registration by {len(self.errors)} landmarks leaves them {self.rms * 1e3:.2g} mm off (root of the mean "
+            f"square): the plate is known to {turn:.2g} deg, and to {known.reach * 1e3:.2g} mm as far away as the "
+            "farthest landmark (standard errors); no proof knows of this, so let the clearance cover it"
+        )
+        if known.mirrored is not None:
+            words += (
+                f"; a mirror image of them fits better ({known.mirrored * 1e3:.2g} mm off): has an axis the wrong sign?"
+            )
+        if known.narrow <= NARROW:
+            words += (
+                f"; the landmarks lie near to a line, so that errors of {DOUBT * 1e3:g} mm turn the plate by "
+                f"{math.degrees(self.doubt.turn):.2g} deg: measure one that is farther off the line"
+            )
+        elif known.turn > MOST:
+            words += "; the landmarks are too near to one another, or too far from those of the patient"
+        return words
 
 
 def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -> Registration:
@@ -107,7 +139,8 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
     (Arun, Huang and Blostein 1987; Umeyama 1991), m.
 
     Raises:
-        InputError: names that only one of both has, fewer than three landmarks, or all of them on a line.
+        InputError: names that only one of both has, fewer than three landmarks, or all of them on a line, or so near
+            to one that the turn about it is known to more than 5 deg only (standard error).
     """
     names = list(plate)
     missing = [name for name in names if name not in patient]
@@ -125,5 +158,15 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
     u, _, v = np.linalg.svd((here - here.mean(0)).T @ (there - there.mean(0)))
     turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
     frame = Frame(turn, there.mean(0) - turn @ here.mean(0))
-    off = np.linalg.norm(frame.placed(here) - there, axis=1)
-    return Registration(frame, dict(zip(names, off.tolist(), strict=True)))
+    seen = frame.seen(there)
+    off = np.linalg.norm(seen - here, axis=1)
+    errors = dict(zip(names, off.tolist(), strict=True))
+    found = Registration(frame, errors, landmark_error(here, seen), landmark_error(here, seen, DOUBT))
+    if found.known.too_large:
+        known = "not at all" if math.isinf(found.known.turn) else f"to {math.degrees(found.known.turn):.0f} deg only"
+        raise InputError(
+            f"the landmarks fix the plate's turn about the line near which they lie {known} (standard error; at most "
+            f"{math.degrees(MOST):g} deg), since they are {found.rms * 1e3:.2g} mm off (root of the mean square); "
+            "measure one that is farther off the line"
+        )
+    return found

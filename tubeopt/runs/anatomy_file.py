@@ -288,7 +288,7 @@ class AnatomyPart(Entry):
         landmarks = {} if self.landmarks is None else self.landmarks.build()
         if self.image is not None and landmarks and not any(self.image.holds(each) for each in landmarks.values()):
             LOGGER.warning(f"no landmark lies in {self.image.name}; are the axes or the unit of their file others?")
-        base, error = Frame(), 0.0
+        base, found = Frame(), None
         if self.base is not None:
             base = self.base.frame(landmarks)
         elif self.registration is not None:
@@ -301,6 +301,7 @@ class AnatomyPart(Entry):
                     f"registration leaves landmarks {error * 1e3:.3g} mm off (root of the mean square; {worst!r} by "
                     f"{found.errors[worst] * 1e3:.3g} mm); most_error_mm is {self.registration.most_error_mm}"
                 )
+            LOGGER.warning(found.statement)
         fields, target = self._of_image()
         fields += [part.build() for part in self.structures if part.keep != "target"]
         regions = [centres(part.file, part.file.values) for part in self.structures if part.keep == "target"]
@@ -308,7 +309,7 @@ class AnatomyPart(Entry):
             target = np.concatenate([*regions, *([] if target is None else [target])])
         fields += [part.build() for part in self.meshes]
         fields += [part.build() for part in self.points]
-        return anatomy_seen(fields, base, target=target, landmarks=landmarks, registration_error=error)
+        return anatomy_seen(fields, base, target=target, landmarks=landmarks, registration=found)
 
     def _of_image(self) -> tuple[list[DistanceField], Array | None]:
         image = self.image

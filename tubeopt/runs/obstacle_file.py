@@ -24,7 +24,8 @@ Place = Annotated[Triple, Usual(1e-3, 10.0)]
 
 
 class MeshEntry(Part):
-    """The surface in a mesh file, in mm: a closed one bounds a body, an open one is avoided by its triangles."""
+    """The surface in a mesh file, in mm and in axes of the plate: a closed one bounds a body, an open one is avoided by
+    its triangles. Of a file that states SPACE=LPS, as 3D Slicer writes it, x and y change their signs."""
 
     kind: Literal["mesh"]
     file: Annotated[MeshObstacle, in_file(load_mesh, "a mesh file in mm")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import operator
+import re
 from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
@@ -115,7 +116,11 @@ def _title(name: str) -> str:
 def _row(key: str, value: dict[str, Any], required: bool) -> str:
     default = value.get("default")
     shown = "required" if required else "" if default is None else f"`{json.dumps(default)}`"
-    words = [value.get("description", ""), _allowed(value)]
+    said, allowed = value.get("description", ""), _allowed(value)
+    choices = allowed.split(" or ")
+    if len(choices) > 1 and all(re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", said) for word in choices):
+        allowed = ""  # the description names every one
+    words = [said, allowed]
     return f"| `{key}` | {shown} | {'; '.join(word for word in words if word)} |"
 
 
@@ -126,7 +131,8 @@ def _allowed(value: dict[str, Any]) -> str:
     if "enum" in value:
         return " or ".join(str(word) for word in value["enum"])
     if "$ref" in value:
-        return f"a {_title(value['$ref'].rpartition('/')[2])}"
+        title = _title(value["$ref"].rpartition("/")[2])
+        return f"{'an' if title[0] in 'AEIO' else 'a'} {title}"
     signs = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
     found = [f"{words} {value[sign]:g}" for sign, words in signs.items() if sign in value]
     inner = [_allowed(each) for each in (*value.get("anyOf", ()), *value.get("oneOf", ()))]

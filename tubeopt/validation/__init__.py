@@ -1,6 +1,6 @@
 """The model against measured tips: frames registered, errors told, the effects found that part robot and drawing."""
 
-from .certainty import RegistrationError
+from ..bodies.certainty import RegistrationError
 from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate
 from .descent import FitSolver
 from .effects import EFFECTS, KINDS

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arguments import typed
+from ..bodies.certainty import RegistrationError
 from ..display import Displayed
 from ..errors import InputError, SolveError, finite_array
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array
-from .certainty import RegistrationError, check_registration, registration_error
+from .certainty import check_registration, registration_error, remark
 from .folds import Parity, parity, passes
 from .measurements import Measurements
 from .model import ArmModel, State
@@ -135,7 +136,8 @@ class Validation(Displayed):
     def remarks(self) -> tuple[str, ...]:
         """What was noticed in the measurements and in their comparison, in words."""
         error = self.registration_error
-        words = list(self.measurements.remarks) + ([error.remark] if error is not None and error.remark else [])
+        known = "" if error is None else remark(error)
+        words = list(self.measurements.remarks) + ([known] if known else [])
         if self.left_out:
             row, reason = self.left_out[0]
             count = f"{len(self.left_out)} rows have no stable shape and were left out"
