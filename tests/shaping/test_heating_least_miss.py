@@ -8,15 +8,17 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, plan_heating
+from tests.command_line import ROOT
+from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
 from tubeopt.shaping import rank_mold_materials
-from tubeopt.shaping.heating.counts import paced
+from tubeopt.shaping.heating.counts import guarded_counts, paced
 from tubeopt.shaping.heating.nearest import at_start, missed_by, placed
 from tubeopt.shaping.heating.outcome import outcome_of
 from tubeopt.shaping.heating.simulation import resimulate
-from tubeopt.shaping.heating.thermal import COARSE, FINE, thermal_model
+from tubeopt.shaping.heating.thermal import COARSE, FINE, joined, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, MDF, MOLD_MATERIALS
 from tubeopt.shaping.mold.heat import HeatSpec
+from tubeopt.typing import Array
 
 from .heating_reference import TUBE, thesis_rig, with_mold
 
@@ -102,3 +104,77 @@ def test_ranked_materials_are_held_where_their_plan_is(hold: float) -> None:
         assert (rating.plan.feasible, rating.shortfall) == (plan.feasible, pytest.approx(plan.shortfall))
         assert not rating.suitable or (plan.feasible and not plan.problems)
         assert rating.suitable == (plan.feasible and rating.limit_margin >= 0 and rating.leak <= 0.01)
+
+
+STEEL = load_rig(ROOT / "configs" / "rigs" / "thesis_steel.yaml")
+
+
+def misses(rig: Rig, tube: Tube, spec: HeatingSpec, counts: Array, plan: HeatingPlan) -> float:
+    """By how much counts miss the window, K, where their hold is best; infinite where they break more than the plan."""
+    model = thermal_model(tube, rig, FINE)
+    within = resimulate(model, spec.slot, counts / 255).within
+    assert within is not None
+    broken = within.rate > max(spec.ramp, plan.steepest), within.mean_current > rig.circuit.current_limit
+    held, mesh = np.lib.stride_tricks.sliding_window_view, plan.outcome.mesh
+    coldest, hottest = joined(model, within.coldest).min(1), joined(model, within.hottest).max(1)
+    low, high = np.array(spec.window_degC) + 273.15
+    starts = int(spec.longest_heating / spec.slot) + 1
+    miss = (
+        np.maximum(low - held(coldest, spec.hold_slots).min(1), held(hottest, spec.hold_slots).max(1) - high)
+        + mesh.held
+    )
+    top = np.maximum.accumulate(within.hottest.max(1))[spec.hold_slots - 1 :] - 273.15 + mesh.hottest
+    miss[top > spec.limit + plan.outcome.excess] = np.inf
+    return np.inf if any(broken) else float(miss[:starts].min())
+
+
+def straight(length: int, rise: int, first: float, last: float) -> Array:
+    """Counts that rise in a line, then go in another to the last one; dithered."""
+    k = np.arange(length)
+    levels = np.where(k < rise, first * (k + 1) / rise, first + (last - first) * (k - rise) / max(length - rise, 1))
+    return np.clip(np.diff(np.floor(np.cumsum(levels) + 0.5), prepend=0.0), 0.0, 255.0)
+
+
+def test_steel_is_missed_by_less_than_by_counts_that_rise_in_a_line() -> None:
+    # The plan of before stopped heating in every second slot: what contacts gave the tube in the clamps broke the ramp.
+    spec = quick(HeatingSpec())
+    plan = plan_heating(STEEL.tube, STEEL, spec)
+    assert plan.steepest <= spec.ramp
+    assert plan.mean_current <= STEEL.circuit.current_limit
+    line = np.round(18.5 * np.minimum(np.arange(720) / 200, 1.0))
+    assert misses(STEEL, STEEL.tube, spec, line, plan) == pytest.approx(446.0, abs=1.0)
+    assert plan.shortfall < 440.0
+    assert misses(STEEL, STEEL.tube, spec, np.asarray(plan.duty[:-1], float), plan) == pytest.approx(plan.shortfall)
+
+
+@pytest.mark.parametrize(("rig", "tube", "spec"), [*RIGS, (STEEL, STEEL.tube, HeatingSpec(longest_heating=60.0))])
+def test_no_dithered_line_of_counts_misses_by_less(rig: Rig, tube: Tube, spec: HeatingSpec) -> None:
+    plan, dice = plan_heating(tube, rig, quick(spec)), np.random.default_rng(2)
+    length, most = int(spec.longest_heating / spec.slot) + spec.hold_slots, float(plan.duty.max())
+    for _ in range(15):
+        rise = int(dice.uniform(0.02, 0.8) * length)
+        counts = straight(length, max(rise, 1), *(dice.uniform(0.4, 1.2, 2) * most))
+        assert misses(rig, tube, spec, counts, plan) > 0.98 * plan.shortfall - 1.0
+
+
+def test_counts_that_current_holds_back_are_never_given_at_once() -> None:
+    # What the limits held back was owed in the end, and one slot got all of it.
+    model, spec = thermal_model(STEEL.tube, STEEL, FINE), HeatingSpec(hold_time=30.0, longest_heating=60.0)
+    counts = guarded_counts(model, spec, STEEL, np.full(180, 25 / 255))
+    within = resimulate(model, spec.slot, counts / 255).within
+    assert within is not None
+    assert counts.max() == 19
+    assert within.rate <= spec.ramp
+    assert within.mean_current <= STEEL.circuit.current_limit
+
+
+@pytest.mark.parametrize(("volt", "coarse"), [(1.0, False), (2.0, True)])
+def test_a_single_count_is_called_too_coarse_only_where_it_breaks_the_ramp(volt: float, coarse: bool) -> None:
+    rig, spec = thesis_rig(), HeatingSpec(hold_time=5.0)
+    table = tuple((charge, volt * rest) for charge, rest in rig.battery.open_circuit)
+    rig = replace(rig, battery=replace(rig.battery, open_circuit=table))
+    model = thermal_model(TUBE, rig, FINE)
+    outcome = outcome_of(model, rig, spec, resimulate(model, spec.slot, np.full(40, 9 / 255)), 0.0)
+    (ramp, *_) = outcome.broken
+    assert "beyond the ramp of 20 K/s" in ramp
+    assert ("single count is too coarse" in ramp) == coarse

@@ -19,11 +19,14 @@ from ...errors import InputError
 from ...robots.tubes import Tube
 from ...typing import Array
 from .rig import COUNTS, Rig
-from .simulation import State, advance, at_rest, warming_span
+from .simulation import LOOK, State, advance, at_rest, warming_span
 from .spec import HeatingSpec
 from .thermal import ThermalModel, leak_resistance, seen, thermal_data
 
 Counts = NDArray[np.int64]
+
+CLOSE = 0.05
+"""Counts by which one that need not be whole may be below the greatest that is kept."""
 
 
 def sum_up_rounding(duty: ArrayLike) -> Counts:
@@ -91,49 +94,109 @@ def guarded_counts(
     """
     sums = COUNTS * np.cumsum(duty)
     counts = np.zeros(len(duty), dtype=np.int64)
-    state, given = at_rest(model), 0.0
-    slow, fast, _ = extremes(model, state)
+    given, asked = 0.0, (spec, rig)
+    now = Instant.of(model, at_rest(model), asked)
+    slow, fast = idle_rates(model, now.state)
     owed = 0.5 + spec.solver.counts.colder * COUNTS / (spec.slot * float((fast - slow).max()))
-    hopeless = most_count(model, state, spec, rig) < 1 + COUNTS * rig.circuit.lost_share
+    hopeless = beyond_counts(rig, now)
     heated = int(np.count_nonzero(duty))
     if hopeless and rough is not None:
-        model, state = rough, at_rest(rough)
-    watched = min(heated, heated - spec.hold_slots + math.ceil(spec.solver.counts.watched / spec.slot))
-    for k in range(watched):
+        model = rough
+        now = Instant.of(model, at_rest(model), asked)
+    watched = heated - spec.hold_slots + math.ceil(spec.solver.counts.watched / spec.slot)
+    k = 0
+    # Without a look, all that is owed would be given at once.
+    while k < heated and (k < watched or sums[k - 1] - given > 0.5 + 1e-9):
         due = math.floor(sums[k] - given + 0.5)
-        least = math.ceil(sums[k] - given - owed - 1e-9) if hopeless else 0
-        # Where nothing is due, or all of it must be given, it does not matter how much would be kept.
-        most = most_count(model, state, spec, rig) if due > max(least, 0) else due
-        counts[k] = min(max(min(due, most), least, 0), COUNTS)
-        given += float(counts[k])
+        if hopeless:
+            least = math.ceil(sums[k] - given - owed - 1e-9)
+            count = min(max(min(due, int(now.most)), least, 0), COUNTS)
+            now = Instant.of(model, advance(model, now.state, count / COUNTS, spec.slot), asked, count)
+        else:
+            now = sustained(model, now, asked, float(min(max(due, 0), int(now.most))), spec.slot)
+        counts[k] = int(now.count)
+        given += now.count
         if not hopeless:
             given = max(given, sums[k] - owed)
-        state = advance(model, state, counts[k] / COUNTS, spec.slot)
-    rest = np.maximum(np.floor(sums[watched:heated] - given + 0.5), 0.0)
-    counts[watched:heated] = np.minimum(np.diff(rest, prepend=0.0), COUNTS)
+        k += 1
+    rest = np.maximum(np.floor(sums[k:heated] - given + 0.5), 0.0)
+    counts[k:heated] = np.minimum(np.diff(rest, prepend=0.0), COUNTS)
     return counts
 
 
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """A state, and the counts that ramp and mean current allow in it; they need not be whole."""
+
+    state: State
+    most: float
+    """Greatest that the limits allow now."""
+    calm: float
+    """Greatest with which no cell warms faster than the ramp, those in the clamps included: none does later either, for
+    under constant power the fastest warming of all cells never grows."""
+    count: float = 0.0
+    """That was kept until now."""
+
+    @classmethod
+    def of(cls, model: ThermalModel, state: State, asked: tuple[HeatingSpec, Rig], count: float = 0.0) -> Instant:
+        """That of a state."""
+        spec, rig = asked
+        slow, fast, now = warming_span(model, state.cells, state.lumped)
+        room = ((1 - spec.solver.counts.spared) * spec.ramp - slow[0]) / np.maximum(fast[0] - slow[0], 1e-9)
+        # What a pulse loses does not warm, but it flows.
+        lost, bound = rig.circuit.lost_share, min(rig.circuit.current_limit / float(now[0]), 1.0)
+        free = model.resolution.grip
+        most, calm = (COUNTS * max(min(float(cells.min()) + lost, bound), 0.0) for cells in (room[free:], room))
+        return cls(state, most, calm, count)
+
+
+def sustained(
+    model: ThermalModel, now: Instant, asked: tuple[HeatingSpec, Rig], count: float, span: float, *, whole: bool = True
+) -> Instant:
+    """What follows `span` s with the greatest count, up to `count`, that keeps ramp and mean current all the time.
+
+    Contacts heat the tube in the clamps, and that warms the tube beside them soon after the count was chosen.
+    """
+
+    def tried(count: float) -> tuple[Instant, float]:
+        looks, at, least = math.ceil(span / LOOK - 1e-9) if count > now.calm else 1, now, math.inf
+        for _ in range(looks):
+            at = Instant.of(model, advance(model, at.state, count / COUNTS, span / looks), asked, count)
+            least = min(least, at.most)
+        return at, least - count
+
+    above, spare = tried(count)
+    if spare >= 0:
+        return above
+    (found, room), lack = tried(0.0), -spare
+    close = 1.0 if whole else CLOSE
+    while above.count - found.count > close and room > 0:
+        between = found.count + (above.count - found.count) * room / (room + lack)
+        last, spare = tried(max(float(int(between)), found.count + 1) if whole else between)
+        if spare >= 0:
+            found, room, lack = last, spare, 0.5 * lack
+        else:
+            above, room, lack = last, 0.5 * room, -spare
+        if 0 <= spare < close and not whole:
+            break
+    return found
+
+
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
-    """Greatest count that keeps ramp and mean current, less what is `spared`, at a state."""
-    return int(most_counts(model, state, spec, rig))
+    """Greatest count that keeps the ramp, less what is `spared`, and the mean current at a state."""
+    return int(Instant.of(model, state, (spec, rig)).most)
 
 
-def most_counts(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> float:
-    """The same where a count need not be whole."""
-    slow, fast, now = extremes(model, state)
-    kept = 1 - spec.solver.counts.spared
-    room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
-    # What a pulse loses does not warm, but it flows.
-    return COUNTS * max(min(room + rig.circuit.lost_share, kept * rig.circuit.current_limit / now, 1.0), 0.0)
+def beyond_counts(rig: Rig, rest: Instant) -> bool:
+    """Whether not even one count keeps ramp and mean current at rest."""
+    return int(rest.most) < 1 + COUNTS * rig.circuit.lost_share
 
 
-def extremes(model: ThermalModel, state: State) -> tuple[Array, Array, float]:
-    """Rates of warming of the cells outside of the clamps at no duty and at full duty, K/s; and the current while the
-    MOSFET conducts, A."""
-    idle, full, now = warming_span(model, state.cells, state.lumped)
+def idle_rates(model: ThermalModel, state: State) -> tuple[Array, Array]:
+    """Rates of warming of the cells outside of the clamps at no duty and at full duty, K/s."""
+    idle, full, _ = warming_span(model, state.cells, state.lumped)
     free = model.resolution.grip
-    return idle[0, free:], full[0, free:], float(now[0])
+    return idle[0, free:], full[0, free:]
 
 
 # --- the soonest schedule ---------------------------------------------------------------------------------------------
@@ -147,22 +210,22 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
         model: one member. reserve: kept from the window's ends and the limit, K.
     """
     low, high = spec.window_degC[0] + reserve, min(spec.window_degC[1], spec.limit) - reserve
-    state, counts, looked = at_rest(model), [], []
+    counts, looked, asked = [], [], (spec, rig)
+    now = Instant.of(model, at_rest(model), asked)
     slots, apart = int(spec.longest_heating / spec.slot), max(round(spec.solver.counts.stall / spec.slot), 1)
     for k in range(slots):
-        coldest = float(seen(model, state.cells[0, :, 0])[0])
+        coldest = float(seen(model, now.state.cells[0, :, 0])[0])
         if coldest >= low:
             break
         if k % apart == 0:
             looked.append(coldest)
             if _stalls(looked, low, spec.solver.counts.sooner * (slots - k) / apart):
                 return None
-        most = most_count(model, state, spec, rig)
-        count, state = _greatest(model, state, most, (spec.slot, high, spec.solver.counts.probe))
-        counts.append(count)
+        now = _greatest(model, now, asked, float(int(now.most)), (spec.slot, high))
+        counts.append(int(now.count))
     else:
         return None
-    held = _hold(model, spec, rig, state, high)
+    held = _hold(model, spec, rig, now.state, high)
     heating = np.array(counts, dtype=np.int64)
     levels = np.concatenate([heating / COUNTS, held])
     return np.concatenate([heating, sum_up_rounding(held)]), levels, spec.slot * len(heating)
@@ -177,14 +240,23 @@ def _stalls(seen: Sequence[float], goal: float, left: float) -> bool:
     return rise <= before and seen[-1] + left * rise < goal
 
 
-def _greatest(model: ThermalModel, state: State, most: int, goal: tuple[float, float, float]) -> tuple[int, State]:
-    """Greatest count, up to `most`, that keeps every point below a temperature after a time (`goal`: s, degC, and
-    counts between which it is taken to be linear), and the state then."""
-    after = advance(model, state, most / COUNTS, goal[0])
-    if _hottest(after) <= goal[1]:
-        return most, after
-    count = int(COUNTS * _level(model, state, most / COUNTS, goal) + 1e-9)
-    return count, advance(model, state, count / COUNTS, goal[0])
+def _greatest(
+    model: ThermalModel,
+    now: Instant,
+    asked: tuple[HeatingSpec, Rig],
+    most: float,
+    goal: tuple[float, float],
+    *,
+    whole: bool = True,
+) -> Instant:
+    """What follows the greatest count, up to `most`, that keeps ramp and mean current, and every point below a
+    temperature after a time (`goal`: s, degC)."""
+    found = sustained(model, now, asked, most, goal[0], whole=whole)
+    if _hottest(found.state) <= goal[1]:
+        return found
+    probe = asked[0].solver.counts.probe
+    count = COUNTS * _level(model, now.state, found.count / COUNTS, (*goal, probe))
+    return sustained(model, now, asked, float(int(count + 1e-9)) if whole else count, goal[0], whole=whole)
 
 
 def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: float) -> Array:
@@ -247,13 +319,16 @@ def paced(
     shared = min(len(caps), len(known.levels))
     other = np.flatnonzero((caps[:shared] != known.caps[:shared]) | (centred[:shared] != known.centred[:shared]))
     first, middle = int(other[0]) if len(other) else shared, 0.5 * sum(spec.window_degC)
-    states, levels = list(known.states[: first + 1]), known.levels[:first].tolist()
+    states, levels, asked = list(known.states[: first + 1]), known.levels[:first].tolist(), (spec, rig)
+    hopeless = beyond_counts(rig, Instant.of(model, states[0], asked))
+    now = Instant.of(model, states[-1], asked)
     for cap, centre in zip(caps[first:].tolist(), centred[first:].tolist(), strict=True):
-        state = states[-1]
-        target = min(cap, _centred(model, state, middle)) if centre else cap
-        most = most_counts(model, state, spec, rig) / COUNTS
-        levels.append(_level(model, state, most, (known.span, target, spec.solver.counts.probe)))
-        states.append(advance(model, state, levels[-1], known.span))
+        target = min(cap, _centred(model, now.state, middle)) if centre else cap
+        # Counts that change within the span would break at the greater ones what their mean keeps.
+        most = now.most if hopeless else float(int(now.most))
+        now = _greatest(model, now, asked, most, (known.span, target), whole=False)
+        levels.append(now.count / COUNTS)
+        states.append(now.state)
     return Pace(known.span, np.array(levels), caps, centred, tuple(states))
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CHARGE
-from .rig import Rig
-from .simulation import History
+from .rig import COUNTS, Rig
+from .simulation import History, at_rest, warming_span
 from .spec import HeatingSpec
 from .thermal import ThermalModel, joined, seen
 
@@ -20,12 +20,16 @@ LEAST_CHARGE = 0.2
 """State of charge below which lead-acid batteries suffer."""
 
 BROKEN = {
-    "steepest": "the tube warms at up to {} K/s, beyond the ramp of {:g} K/s: a whole count is too coarse for it; a "
-    "battery of less voltage, or a resistor in series, makes counts finer",
+    "steepest": "the tube warms at up to {} K/s, beyond the ramp of {:g} K/s",
     "peak_current": "while the MOSFET conducts the current is {} A; the circuit bears {:g} A, and no duty changes that",
     "mean_current": "the mean current reaches {} A; the circuit bears {:g} A",
 }
 """What is said of a limit that is not kept: the value, and the limit."""
+
+COARSE_COUNT = (
+    ": a single count is too coarse for it; a battery of less voltage, or a resistor in series, makes counts finer"
+)
+"""What is added where one count alone breaks the ramp of the cold tube."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def outcome_of(
     ramp = float(warming[:, model.zone > GRIP].max() / (history.time[1] - history.time[0]))
     found = {"steepest": within.rate, "mean_current": within.mean_current, "peak_current": within.current}
     return Outcome(
-        lowest, highest, hottest, max(miss, 0.0), excess, mesh, ramp, **found, broken=broken(rig, spec, found)
+        lowest, highest, hottest, max(miss, 0.0), excess, mesh, ramp, **found, broken=broken(rig, spec, found, model)
     )
 
 
@@ -107,12 +111,25 @@ def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
     return first, first + spec.hold_slots
 
 
-def broken(rig: Rig, spec: HeatingSpec, found: Mapping[str, float]) -> tuple[str, ...]:
-    """In words, which of ramp and currents are beyond their limits; K/s and A by their names in `Outcome`."""
+def broken(
+    rig: Rig, spec: HeatingSpec, found: Mapping[str, float], model: ThermalModel | None = None
+) -> tuple[str, ...]:
+    """In words, which of ramp and currents are beyond their limits; K/s and A by their names in `Outcome`. With a
+    model, also whether a single count is too coarse for the ramp."""
     circuit = rig.circuit
     limits = {"steepest": spec.ramp, "peak_current": circuit.peak_limit, "mean_current": circuit.current_limit}
     beyond = {name: limit for name, limit in limits.items() if found[name] > limit}
-    return tuple(BROKEN[name].format(_above(found[name], limit), limit) for name, limit in beyond.items())
+    words = {name: BROKEN[name].format(_above(found[name], limit), limit) for name, limit in beyond.items()}
+    if "steepest" in words and model is not None and count_warms(model) > spec.ramp:
+        words["steepest"] += COARSE_COUNT
+    return tuple(words.values())
+
+
+def count_warms(model: ThermalModel) -> float:
+    """Fastest warming of the cold tube outside of the clamps by one count, K/s."""
+    rest = at_rest(model)
+    idle, full, _ = warming_span(model, rest.cells, rest.lumped)
+    return float((full - idle)[0, model.resolution.grip :].max() / COUNTS)
 
 
 def _above(value: float, limit: float) -> str:

@@ -81,6 +81,12 @@ class Schedule:
         """Whether everything is."""
         return self.outcome.kept
 
+    @property
+    def breaks(self) -> bool:
+        """Whether ramp or mean current are beyond their limits, which other counts may keep."""
+        outcome = self.outcome
+        return outcome.steepest > self.spec.ramp or outcome.mean_current > self.run.rig.circuit.current_limit
+
 
 def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | None = None) -> Schedule:
     """What counts in the place of mean duties do, and what is kept."""
@@ -112,7 +118,7 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
         nearest = nearest_hold(tube, found.run.rig, spec)
     # Whole counts miss by more than mean duties do, by about what rounding makes the tube swing.
     hopeless = nearest is None or nearest.missed + ripple(tube, rig, spec) > found.outcome.shortfall
-    if nearest is None or (hopeless and not found.outcome.excess):
+    if nearest is None or (hopeless and not found.outcome.excess and not found.breaks):
         return found
     return min(found, _counted(tube, found.run.rig, spec, nearest, found.program), key=_missing)
 

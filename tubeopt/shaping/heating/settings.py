@@ -47,7 +47,7 @@ class CountSolver(Settings):
     watched: float = 10.0
     """Time of the hold, s, after which no duty comes near the ramp, and counts follow without a look."""
     spared: float = 0.005
-    """Share of ramp and current limit that counts leave unused, for what the quick simulation beside them gets
+    """Share of the ramp that counts leave unused, for what the quick simulation beside them gets
     wrong."""
     decided: float = 0.5
     """Least time, s, for which a duty of the soonest hold is chosen; slots that are shorter share it."""
