@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq, minimize_scalar
 
 from tests.examples import THESIS
 from tubeopt import (
@@ -18,14 +19,18 @@ from tubeopt import (
     Piece,
     Tube,
     forward_kinematics,
+    inverse_kinematics,
     optimize_design,
     snap_free_certificate,
 )
 from tubeopt.block.quantities import Quantity
 from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design import (
     Avoid,
+    Coverage,
     Free,
+    Nesting,
     Objective,
     Poses,
     Reach,
@@ -38,16 +43,22 @@ from tubeopt.design.anatomy import SHARES, arm_points, arm_slopes
 from tubeopt.design.lookup import at_state
 from tubeopt.design.parameters import design_space
 from tubeopt.design.pieces import as_pieces
+from tubeopt.design.program import corners
 from tubeopt.design.rechecks import largest_strain
 from tubeopt.design.relaxation import DesignNotFoundError
+from tubeopt.design.settings import DesignSolver, OptimumSearch, OrderSearch
 from tubeopt.design.state import FixedPose, FreePose, Layout, State
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
+from tubeopt.solvers.sampling import sobol
 from tubeopt.stability.certificate import convexity
 from tubeopt.typing import Array
 
 PATTERN_OF_TWO = Free("piece_bending_factor", (0, 1), 0.2, 1.0, torsion_share=0.5)
 PATTERN = Free("piece_bending_factor", (0, 1, 2), 0.2, 1.0, torsion_share=0.5)
+
+
+NEAR = Avoid((Sphere((0.02, 0.0, 0.1), 0.01),))
 
 
 def chained() -> ConcentricRobot:
@@ -76,6 +87,16 @@ def chained() -> ConcentricRobot:
         ),
         (THESIS, [Free("piece_shape", (0, 1), -20.0, 20.0, coefficients=3), Free("piece_plane", (1,), -2.0, 2.0)]),
         (THESIS, [Free("curved_length", (0, 1), 0.05, 0.25, tie="equal"), Free("piece_curvature", (0,), -30.0, 30.0)]),
+        (
+            chained(),
+            [
+                Free("outer_diameter", (0, 1), 0.8e-3, 1.5e-3),
+                Free("outer_diameter", (2,), 0.5, 1.5, tie="scaled"),
+                Free("inner_diameter", (0, 2), 0.2e-3, 1.8e-3),
+                Free("curved_length", (1,), 0.02, 0.25),
+                Free("piece_bending_factor", (0, 1), 0.2, 1.0, torsion_share=0.4, slots=Slots(0.4)),
+            ],
+        ),
     ],
 )
 def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: list[Free]) -> None:
@@ -96,6 +117,7 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
     asked += [Quantity("certificate", at=shift), Quantity("curvature")]
     asked += [Quantity("strain", k, (i,)) for k, i in ((0, 0), (0, 2), (fixed, 1))]
     asked += [Quantity("straightened_strain", at=(i, 0)) for i in (0, 1)]
+    asked += [Quantity("bending_stiffness"), Quantity("clearance", 0, (NEAR,))]
 
     def look(at: Array) -> list[tuple[Array, Array]]:
         here = at_state(State(layout, at))
@@ -219,6 +241,85 @@ def test_lengths_of_tubes_of_pieces_are_designed_as_those_of_plain_ones() -> Non
     assert plain.robot.tubes[0].curved_length < 0.9 * THESIS.tubes[0].curved_length
 
 
+def test_diameters_of_tubes_of_pieces_are_those_that_a_search_finds() -> None:
+    """The least change of a wall and of a bore that excludes snaps of an S. A stiffness that was measured keeps its
+    ratio to that of the cross-section, and a mass its ratio to the area."""
+    measured = {"bending_stiffness": 1.5e-3, "torsional_stiffness": 1.9e-3}
+    pieces = [Piece(0.03, 12.0), Piece(0.02, -9.0, **measured)]
+    inner = Tube.of_pieces(0.9e-3, 0.5e-3, pieces, straight_length=0.05, mass_per_length=0.002)
+    outer = Tube.of_pieces(1.6e-3, 1.3e-3, [Piece(0.03, 20.0), Piece(0.01, -14.0)], straight_length=0.02)
+
+    def robot(diameter: float, bore: float) -> ConcentricRobot:
+        share = (diameter**4 - 0.5e-3**4) / (0.9e-3**4 - 0.5e-3**4)
+        changed = [pieces[0], replace(pieces[1], **{name: value * share for name, value in measured.items()})]
+        tube = Tube.of_pieces(diameter, 0.5e-3, changed, straight_length=0.05)
+        return ConcentricRobot((tube, replace(outer, inner_diameter=bore)))
+
+    def bore_at(diameter: float) -> float:
+        return float(brentq(lambda b: snap_free_certificate(robot(diameter, b)) - 0.4, 1.25e-3, 1.5e-3))
+
+    def change(diameter: float) -> float:
+        return (diameter / 0.9e-3 - 1) ** 2 + (bore_at(diameter) / 1.3e-3 - 1) ** 2
+
+    best = minimize_scalar(change, bounds=(0.95e-3, 1.14e-3), method="bounded", options={"xatol": 1e-9})
+    free = [Free("outer_diameter", (0,), 0.7e-3, 1.2e-3), Free("inner_diameter", (1,), 1.0e-3, 1.55e-3)]
+    task = DesignTask(ConcentricRobot((inner, outer)), free, [SnapFree(0.4), Nesting(0.05e-3)], Objective("change"))
+    found = optimize_design(task, turns=1)
+    assert found.verification.kept
+    assert found.objective == pytest.approx(best.fun, rel=1e-6)
+    assert [d.after for d in found.dimensions] == pytest.approx([1e3 * best.x, 1e3 * bore_at(best.x)], abs=1e-4)
+    tube = found.robot.tubes[0]
+    assert tube.pieces[1].bending_stiffness / tube.bending_stiffness == pytest.approx(1.5e-3 / inner.bending_stiffness)
+    assert tube.mass_per_length / tube.cross_section == pytest.approx(0.002 / inner.cross_section)
+    assert tube.pieces[0].bending_stiffness is None
+
+
+def test_diameters_of_plain_tubes_are_designed_as_those_of_one_piece() -> None:
+    """Also where the stiffness of a tube was measured."""
+    stiff = replace(THESIS.tubes[1], bending_stiffness=1.2 * THESIS.tubes[1].bending_stiffness)
+    tubes = THESIS.tubes[0], stiff, THESIS.tubes[2]
+    free = [
+        Free("outer_diameter", (0, 1), 0.5, 1.2, tie="scaled"),
+        Free("curved_length", (0, 1, 2), 0.3, 1.2, tie="scaled"),
+    ]
+    aims = [SnapFree(0.1), Poses(((0.0, 2.0, 1.0),), ((0.0, 0.0, 0.0),)), Strain((0.02,)), Nesting(0.02e-3)]
+    found = []
+    for one in (tubes, tuple(map(as_pieces, tubes))):
+        task = DesignTask(ConcentricRobot(one), free, aims, Objective("change"))
+        found.append(optimize_design(task, turns=0))
+    plain, pieces = found
+    assert plain.verification.kept
+    assert pieces.verification.kept
+    assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-5)
+    before, after = stiff, plain.robot.tubes[1]
+    assert after.outer_diameter != pytest.approx(before.outer_diameter, rel=1e-3)
+    stiffer = after.bending_stiffness / before.bending_stiffness
+    assert stiffer == pytest.approx(after.second_moment / before.second_moment)
+
+
+@pytest.mark.slow
+def test_a_box_is_covered_by_tubes_of_pieces() -> None:
+    """All of it, as inverse kinematics of the answer says, that of the design is not asked."""
+    tubes = [
+        Tube.of_pieces(*size, [Piece(0.03, 6.0), Piece(0.03, 14.0)], straight_length=held)
+        for size, held in (((0.9e-3, 0.7e-3), 0.06), ((1.3e-3, 1e-3), 0.03))
+    ]
+    box = Coverage((-0.008, -0.008, 0.074), (0.008, 0.008, 0.074), 1e-3, 2)
+    free = [Free("piece_curvature", (0, 1), -25.0, 25.0), Free("curved_length", (0, 1), 0.03, 0.12)]
+    quick = DesignSolver(
+        StartSearch(poses=64), optimum=OptimumSearch(iterations=40, ball_iterations=10), orders=OrderSearch(most=2)
+    )
+    task = DesignTask(
+        ConcentricRobot(tuple(tubes)), free, [box, SnapFreeInUse(0.1, paths=False)], Objective("length"), solver=quick
+    )
+    found = optimize_design(task)
+    assert found.verification.kept
+    inside = np.array(box.lower) + sobol(3, 4, 5) * (np.array(box.upper) - np.array(box.lower))
+    for point in (*corners(box), *inside):
+        reached = inverse_kinematics(found.robot, point, min_margin=0.09, on_failure="closest")
+        assert reached.position_error <= 1.001e-3
+
+
 def test_what_is_asked_too_much_is_relaxed_in_words() -> None:
     free = [Free("piece_bending_factor", (0, 1, 2), 0.8, 1.0, torsion_share=0.5)]
     with pytest.raises(DesignNotFoundError, match=r"certified margin must fall from 0.05 to -0\.6"):
@@ -245,7 +346,7 @@ def test_an_s_is_held_as_near_as_its_margin_asks() -> None:
 @pytest.mark.parametrize(
     ("free", "rest", "words"),
     [
-        ([PATTERN, Free("curvature", (0,), 1, 2)], {}, "beside pieces only these, straight_length and curved_length"),
+        ([PATTERN, Free("curvature", (0,), 1, 2)], {}, "beside pieces only lengths and diameters of these"),
         ([Free("piece_plane", (0,), 0, 1, pieces=(1,))], {}, "names piece 2 of tube 1; it has 1 pieces"),
         ([Free("piece_plane", (3,), 0, 1)], {}, "names tube 4; the robot has tubes 1 to 3"),
         ([PATTERN, PATTERN], {}, "free twice"),

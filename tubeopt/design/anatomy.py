@@ -60,29 +60,25 @@ def arm_slopes(pose: Pose | PiecePose, share: Array) -> Array:
     return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
 
 
-def arm_radius(state: State, index: PoseNumber, share: Array) -> tuple[Array, Array, Array]:
-    """Radius (K,) of the arm at parts (K,) of its length, its change (K, L) at fixed diameters, (K, n) by the radii.
+def arm_radius(state: State, index: PoseNumber, share: Array) -> tuple[Array, Array]:
+    """Radius (K,) of the arm at parts (K,) of its length, and its change (K, X).
 
     Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
     """
-    pose, n = state.pose(index), state.layout.n
+    pose, thicker = state.pose(index), 0.5 * state.slopes["outer_diameter"]
     radii = np.array([tube.outer_diameter / 2 for tube in state.tubes])
-    arc = pose.shape_slopes[2][-1]
+    longer = pose.shape_slopes[2][-1] @ state.chain(index)
+    ends = state.joint_slopes(index)[1] + state.slopes["curved_length"]
     beyond = (share[:, None] * pose.arc_length[-1] - pose.problem.assembly.end) / RAMP
     ramp = np.clip(beyond, 0.0, 1.0)
     each = radii - (radii - radii[0]) * ramp
     tube = each.argmax(1)
     k = np.arange(len(share))
-    by_radius = np.zeros((len(share), n))
-    by_radius[k, 0] += ramp[k, tube]
-    by_radius[k, tube] += 1 - ramp[k, tube]
+    thin = ramp[k, tube, None]
+    change = thin * thicker[0] + (1 - thin) * thicker[tube]
     sloping = (beyond[k, tube] > 0) & (beyond[k, tube] < 1)
     rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
-    moved = (rate * share)[:, None] * arc
-    moved[k, n + tube] -= rate
-    if isinstance(pose, Pose):  # the lengths of pieces are given
-        moved[k, 4 * n + tube] -= rate
-    return each[k, tube], moved, by_radius
+    return each[k, tube], change + rate[:, None] * (share[:, None] * longer - ends[tube])
 
 
 SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
@@ -91,10 +87,10 @@ SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 def arm_clearance(state: State, index: PoseNumber, body: Any) -> tuple[Array, Array]:
     """Distance (CLEARANCES,) of the arm's surface from a body where it is least in each part of the arm, m, less what
     the arm is held off, and its change (.., X)."""
-    pose, radii = state.pose(index), 0.5 * state.slopes["outer_diameter"]
-    radius, thinner, by_radius = arm_radius(state, index, SHARES)
+    pose = state.pose(index)
+    radius, thicker = arm_radius(state, index, SHARES)
     points = arm_points(pose, SHARES)
     room = body.signed_distance(points) - radius - HELD_OFF
     worst = room.reshape(CLEARANCES, WITHIN).argmin(1) + WITHIN * np.arange(CLEARANCES)
-    local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, SHARES[worst])) - thinner[worst]
-    return room[worst], local @ state.chain(index) - by_radius[worst] @ radii
+    local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, SHARES[worst]))
+    return room[worst], local @ state.chain(index) - thicker[worst]

@@ -116,8 +116,9 @@ def _of_pieces(state: State, pose: PiecePose, index: PoseNumber, tube: int) -> t
     s = here.problem.mesh.start[k] + here.length[k] * ENDS[end]
     inwards = here.problem.mesh.start[k] + here.length[k] / 2 - s
     rows = [_change(at, tube, (s, inwards), answer) for at, _, answer in pose.derivatives.answers]
-    slope = slopes.reshape(5, -1, order="F")[:4, worst]
-    value, change = float(strains[0, worst]), (np.array(rows) @ slope) @ state.chain(index)
+    slope = slopes.reshape(5, -1, order="F")[:, worst]
+    value, change = float(strains[0, worst]), (np.array(rows) @ slope[:4]) @ state.chain(index)
+    change = change + slope[4] * state.slopes["outer_diameter"][tube]
     if number[k] < 0:
         return value, change
     ratio, raised = _ratio(state, tube, int(number[k]))

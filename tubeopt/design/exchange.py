@@ -167,18 +167,16 @@ def _missed(program: Program, x: Array, box: Coverage) -> list[tuple[float, ...]
 
 def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: float, *, seed: int = 0) -> float:
     """How far, in steps of the limits, the robot at x stays from reaching a point within what poses must keep."""
-    space = program.layout.space
-    fixed = tuple(
-        Free(one.field, one.tubes, value, value, "scaled" if one.scaled else "equal")
-        for one, value in zip(space.unknowns, x.tolist(), strict=False)
-    )
+    robot = robot_at(program, x)
+    held = robot.tubes[0].straight_length
+    fixed = (Free("straight_length", (0,), held, held),)  # no dimension may change, but a task has one that is free
     target = Target((point[0], point[1], point[2]), tolerance)
     keep = tuple(
         replace(one, paths=False) if isinstance(one, SnapFreeInUse) else one
         for one in program.task.requirements
         if not isinstance(one, Coverage | Reach | SnapFree) and _of_one_pose(one, program.task.robot.n_tubes)
     )
-    alone = compile_task(DesignTask(program.task.robot, fixed, (Reach((target,)), *keep), ordered=False))
+    alone = compile_task(DesignTask(robot, fixed, (Reach((target,)), *keep), ordered=False))
     best = np.inf
     for attempt_number in range(3):
         random = np.random.default_rng([seed, attempt_number])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError, choice, finite, items, whole
 from ..robots.pieces import Slots
-from ..robots.tubes import Tube, second_moment
+from ..robots.tubes import STIFFNESSES, Tube, second_moment
 from ..typing import Array
 from .pieces import (
     PIECE_FIELDS,
@@ -22,6 +22,7 @@ from .pieces import (
     changed_tubes,
     given_of,
     largest_bend_slope,
+    of_section,
     start_of,
     with_slots,
 )
@@ -30,6 +31,8 @@ TUBE_FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter"
 
 FIELDS = (*TUBE_FIELDS, *PIECE_FIELDS)
 """Dimensions of a tube, or of its pieces, that may be free."""
+
+DIAMETERS = ("outer_diameter", "inner_diameter")
 
 TIES = ("each", "equal", "scaled")
 
@@ -45,10 +48,13 @@ UNITS = {
 }
 """How a dimension is shown: its unit, and what turns SI into it."""
 
+WHOLE = ("straight_length", "curved_length", *DIAMETERS)
+"""Dimensions of whole tubes that may be free where tubes are made of pieces."""
+
 MOST_COEFFICIENTS = 12
 """Of the curvature along a piece."""
 
-GRADED = (*TUBE_FIELDS, "bending_stiffness", "torsional_stiffness")
+GRADED = (*TUBE_FIELDS, *STIFFNESSES)
 """What a design is differentiated into, n each."""
 
 
@@ -179,11 +185,11 @@ class DesignSpace:
                 for i in one.tubes if one.field == name else ():
                     column[i] = x[k] * (getattr(self.robot_tubes[i], name) if one.scaled else 1.0)
             out[name] = column
-        if any(one.field in ("outer_diameter", "inner_diameter") for one in self.unknowns):
+        if any(one.field in DIAMETERS for one in self.unknowns):
             second = second_moment(out["outer_diameter"], out["inner_diameter"])
-            tubes = self.robot_tubes
-            out["bending_stiffness"] = ca.DM([tube.material.youngs_modulus for tube in tubes]) * second
-            out["torsional_stiffness"] = ca.DM([2 * tube.material.shear_modulus for tube in tubes]) * second
+            before = ca.DM([tube.second_moment for tube in self.robot_tubes])
+            for name in STIFFNESSES:
+                out[name] = out[name] * second / before
         return out
 
     def bend_slopes(self, tubes: Sequence[Tube], x: Array) -> Array:
@@ -218,11 +224,12 @@ class DesignSpace:
 
 def _changed(tube: Tube, changes: dict[str, float]) -> Tube:
     """A tube with other dimensions, those of pieces all in proportion."""
-    if not tube.general:
-        return replace(tube, **changes) if changes else tube  # type: ignore[arg-type]
-    for name, value in changes.items():
-        tube = tube.resized(name, value)
-    return tube
+    at_once = [name for name in changes if name in DIAMETERS or not tube.general]
+    changed = of_section(tube, **{name: changes[name] for name in at_once}) if at_once else tube
+    for name in changes:
+        if name not in at_once:
+            changed = changed.resized(name, changes[name])
+    return changed
 
 
 def _entries(free: Sequence[Free]) -> list[tuple[Free, Unknown]]:
@@ -270,15 +277,15 @@ def _piece_entries(
     tubes: tuple[Tube, ...], free: Sequence[Free]
 ) -> tuple[tuple[Tube, ...], list[tuple[Free, Unknown]]]:
     """The tubes with the slots that are free, and the unknowns of a design of pieces, each with what frees it."""
-    lengths = [one for one in free if one.field in ("straight_length", "curved_length")]
-    found = _entries(lengths)
+    whole = [one for one in free if one.field in WHOLE]
+    found = _entries(whole)
     for one in free:
-        if one in lengths:
+        if one in whole:
             continue
         if one.field not in PIECE_FIELDS:
             raise InputError(
-                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only these, straight_length and "
-                "curved_length are free: an equilibrium block has lengths of each piece as unknowns"
+                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only lengths and diameters of "
+                "these are free: piece_curvature bends the pieces of a tube"
             )
         places = [place for i in one.tubes for place in _places(one, i, tubes)]
         taken = {(other.field, place) for _, other in found for place in other.pieces}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..equilibrium.general_derivatives import Change, Linearised
 from ..errors import InputError
 from ..robots.pieces import Piece, Slots
 from ..robots.series import Quantity, Series, times, turned, values
-from ..robots.tubes import Tube
+from ..robots.tubes import STIFFNESSES, OfCrossSection, Tube
 from ..typing import Array
 
 PIECE_FIELDS = {
@@ -53,6 +53,24 @@ class Unknown:
 
 Given = Mapping[Place, Mapping[tuple[str, int], tuple[float, float | None]]]
 """Of every piece, the values of its unknowns by field and order, with the share of the torsion."""
+
+
+def of_section(tube: Tube, **changes: Any) -> Tube:
+    """The tube with other diameters or another material. A stiffness that is given, of the tube or of a piece, grows as
+    that of the cross-section does, and a given mass as its area."""
+    new = replace(tube, **changes)
+    second = new.second_moment / tube.second_moment
+    moduli = [(one.material.youngs_modulus, one.material.shear_modulus) for one in (new, tube)]
+    factors = [second * after / before for after, before in zip(*moduli, strict=True)]
+    grown = {
+        name: getattr(tube, name) * factor
+        for name, factor in zip(STIFFNESSES, factors, strict=True)
+        if not isinstance(getattr(tube, name), OfCrossSection)
+    }
+    mass = tube.mass_per_length
+    if mass is not None:
+        grown["mass_per_length"] = mass * new.cross_section / tube.cross_section
+    return replace(new, **grown, pieces=tuple(piece.stiffened(*factors) for piece in tube.pieces))
 
 
 def as_pieces(tube: Tube) -> Tube:
@@ -170,6 +188,15 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
     worst = int(np.argmax(np.hypot(*rows)))
     sign = float(np.sign(rows[0][worst])) or 1.0
     return sign * float(np.cos(unknown.order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
+
+
+def resized_change(here: Linearised, by: Mapping[str, Array]) -> Change:
+    """What dimensions and stiffnesses of whole tubes change along a solved arm, each of `by` (n,) as much."""
+    each = [(k, here.change(name, i)) for name, row in by.items() for i, k in enumerate(row.tolist()) if k]
+    none = here.change("straight_length", 0)
+    return Change(
+        *(sum((k * getattr(one, f.name) for k, one in each), 0 * getattr(none, f.name)) for f in fields(Change))
+    )
 
 
 def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:

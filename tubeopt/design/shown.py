@@ -22,7 +22,7 @@ import scipy
 from ..physics.strain import surface_strain
 from ..stability import snap_free_certificate
 from ..typing import Array
-from .parameters import TUBE_FIELDS
+from .parameters import TUBE_FIELDS, WHOLE
 from .program import Program, points_of
 from .requirements import Coverage, Reach, SnapFree, Strain, of_kind
 from .statements import Limit
@@ -34,9 +34,8 @@ SURELY = 1e-6
 
 def shown_infeasible(program: Program) -> str:
     """Why no design in the ranges of a task meets it, in words; "" where nothing of this kind shows it."""
-    if program.task.space.pieced or any(tube.general for tube in program.task.space.robot_tubes):
-        return ""
-    for kind in (_dimensions, _strains, _targets, _certificates):
+    kinds = (_dimensions, _targets) if program.task.space.pieced else (_dimensions, _strains, _targets, _certificates)
+    for kind in kinds:
         for words in kind(program):
             return words
     return ""
@@ -48,7 +47,8 @@ def _dimensions(program: Program) -> Iterator[str]:
     rows: list[tuple[Limit, Array, float]] = []
     for statement in (each for stated in program.stated for each in stated):
         found = statement.expression
-        if not all(one.pose is None and one.name in TUBE_FIELDS for one in found.quantities):
+        fields = WHOLE if space.pieced else TUBE_FIELDS
+        if not all(one.pose is None and one.name in fields for one in found.quantities):
             continue
         y = ca.SX.sym("y", found.value.size1_in(0))
         slope = ca.jacobian(found.value(y), y)

@@ -11,11 +11,11 @@ from ..block.quantities import PoseNumber, Quantity
 from ..equilibrium.general_derivatives import Change, Linearised
 from ..equilibrium.solving import Solution
 from ..robots.breakpoints import DIMENSIONS
-from ..robots.tubes import Tube
+from ..robots.tubes import STIFFNESSES, Tube
 from ..typing import Array
 from .drawn import drawn_back
 from .parameters import DesignSpace
-from .pieces import change_of, given_of
+from .pieces import change_of, given_of, resized_change
 from .pose import PiecePose, Pose, Twist, solve_pose, twist_at, without_solving
 
 
@@ -165,10 +165,12 @@ class State:
     def _piece_changes(self, here: Linearised) -> list[Change]:
         """What every unknown piece changes along a solved arm."""
         unknowns = self.layout.space.unknowns
-        straight, curved = self.slopes["straight_length"], self.slopes["curved_length"]
+        slopes = {name: self.slopes[name] for name in ("straight_length", "curved_length", *STIFFNESSES)}
         given = given_of(unknowns, self.x[: self.layout.designs].tolist())
         return [
-            change_of(here, one, given) if one.pieces else here.lengthened(straight[:, column], curved[:, column])
+            change_of(here, one, given)
+            if one.pieces
+            else resized_change(here, {name: slope[:, column] for name, slope in slopes.items()})
             for column, one in enumerate(unknowns)
         ]
 

@@ -20,6 +20,7 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, limited, time_left
 from ..typing import Progress
 from .objectives import key_of
 from .optimize import settle
+from .pieces import of_section
 from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
 from .shown import shown_infeasible
@@ -163,7 +164,7 @@ def combinations(stock: Sequence[StockTube], n: int, clearance: float) -> Iterat
 def with_sizes(task: DesignTask, sizes: Sequence[StockTube]) -> DesignTask:
     """The task with tubes of these sizes."""
     tubes = tuple(
-        replace(
+        of_section(
             tube,
             outer_diameter=size.outer_diameter,
             inner_diameter=size.inner_diameter,

@@ -11,12 +11,11 @@ from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
 from ..errors import InputError, instance, items
 from ..robots.concentric import ConcentricRobot
-from ..robots.tubes import must_follow_section, slots_unknown
+from ..robots.tubes import slots_unknown
 from ..typing import Array
 from .objectives import KINDS, POSED, PUSHED, AnyObjective, Objective, key_of
 from .order import Place, check_order, ordered_places
 from .parameters import DesignSpace, Free, design_space
-from .pieces import PIECE_FIELDS
 from .requirements import (
     Avoid,
     Coverage,
@@ -66,9 +65,6 @@ class DesignTask(Displayed):
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
         object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
-        general = any(tube.general for tube in self.robot.tubes)
-        if not general and not any(one.field in PIECE_FIELDS for one in self.free):
-            must_follow_section(self.robot.tubes, "a design whose pieces are not free (piece_curvature, ...)")
         requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
         if not isinstance(self.objective, AnyObjective):
             object.__setattr__(self, "objective", items("objective", self.objective, AnyObjective, "Objective"))
@@ -198,8 +194,6 @@ def _check_pieces(task: DesignTask) -> None:
             )
         if isinstance(one, Strain):
             _check_slots(task.space)
-        if isinstance(one, Coverage):
-            raise InputError("Coverage is required; a design of pieces does not take it, but targets at its points")
         if isinstance(one, SnapFree) and one.max_force:
             raise InputError(
                 "snap_free names a force; for tubes made of pieces nothing is proved under one: ask for a larger margin"

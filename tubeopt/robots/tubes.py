@@ -298,16 +298,6 @@ def must_be_plain(tubes: Iterable[Tube], what: str) -> None:
             raise InputError(f"tube {i} is made of pieces; {what} takes tubes of one constant curvature only")
 
 
-def must_follow_section(tubes: Iterable[Tube], what: str) -> None:
-    """Raise InputError where a tube is made of pieces, or has a stiffness that its cross-section does not give it."""
-    every = list(tubes)
-    must_be_plain(every, what)
-    for i, tube in enumerate(every, start=1):
-        for name in ("bending_stiffness", "torsional_stiffness"):
-            if not isinstance(getattr(tube, name), OfCrossSection):
-                raise InputError(f"{name} of tube {i} is given; {what} takes that of material and cross-section only")
-
-
 def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:
     """Length, u*, EI and GJ of every stretch of a tube from its held end, the straight part first."""
     own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
