@@ -6,7 +6,7 @@ import difflib
 import importlib
 import math
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, ClassVar
 
@@ -22,6 +22,22 @@ class ImplausibleWarning(UserWarning):
 
 class InputError(ValueError):
     """The input names something impossible; the message says which field, its value, and what is allowed."""
+
+
+FAULTS = (ArithmeticError, AttributeError, LookupError, NameError, TypeError, ValueError)
+"""What a function of a user raises by a fault of its own."""
+
+
+def called(name: str, function: Callable[[float], Any], at: float) -> Any:
+    """The value of a user's function of the arc length at `at`, m; raises InputError, with `name`, for its faults."""
+    try:
+        return function(at)
+    except InputError:
+        raise
+    except FAULTS as error:
+        raise InputError(
+            f"{name}, a function, fails at {at:.4g} m ({at * 1e3:.4g} mm): {type(error).__name__}: {error}"
+        ) from error
 
 
 class MissingExtraError(InputError):

@@ -71,7 +71,7 @@ def agrees(e: Equilibrium, same: Shot) -> None:
                 (0.05, 0.02, -0.03),
                 (0.004, -0.003, 0.006),
                 points=((0.08, (0.02, 0.03, 0.0), COUPLE), (0.03, (0.1, 0.0, 0.05))),
-                distributed=((0.0, 1.0, (0.1, 0.2, 0.0), PER_LENGTH),),
+                distributed=((0.0, 0.2, (0.1, 0.2, 0.0), PER_LENGTH),),
             ),
             RefLoad(
                 (0.05, 0.02, -0.03),
@@ -95,7 +95,8 @@ def test_tubes_that_are_drawn_back_against_shooting() -> None:
     robot = load_robot("configs/robots/crl_ctr.yaml")
     assert isinstance(robot, ConcentricRobot)
     shift = np.array([-0.06, -0.04, -0.01]) + [tube.straight_length for tube in robot.tubes]
-    load = Load(points=((0.03, NONE, COUPLE),), distributed=((0.0, 1.0, NONE, PER_LENGTH),))
+    length = float(robot.assembly(shift).total_length)
+    load = Load(points=((0.03, NONE, COUPLE),), distributed=((0.0, length, NONE, PER_LENGTH),))
     e = forward_kinematics(robot, ROTATIONS, shift, load=load)
     agrees(e, shot(robot, e, RefLoad(couples=((0.03, COUPLE),), couple_per_length=PER_LENGTH)))
 
@@ -139,7 +140,7 @@ def test_moment_along_a_straight_rod_twists_it_up_to_where_it_acts() -> None:
     e = forward_kinematics(robot, [0.0], load=Load(points=((at, NONE, (0.0, 0.0, moment)),)))
     assert e.tip_rotations[0] == pytest.approx(moment * (held + at) / shear, rel=1e-12)
     assert e.energy == pytest.approx(moment**2 * (held + at) / shear / 2, rel=1e-12)
-    e = forward_kinematics(robot, [0.0], load=Load(distributed=((0.0, 1.0, NONE, (0.0, 0.0, per_length)),)))
+    e = forward_kinematics(robot, [0.0], load=Load(distributed=((0.0, length, NONE, (0.0, 0.0, per_length)),)))
     assert e.tip_rotations[0] == pytest.approx(per_length * (length * held + length**2 / 2) / shear, rel=1e-12)
     energy = per_length**2 * (length**3 / 3 + length**2 * held) / shear / 2
     assert e.energy == pytest.approx(energy, rel=1e-12)

@@ -30,6 +30,7 @@ from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
+from ..solvers.time_limit import limited
 from ..typing import Array
 from .continuation import Family, JointPath, largest_twist, reach, shortest_arm, small_motion
 from .load_problem import check_load
@@ -55,12 +56,16 @@ SHORT = 0.01
 TOLERANCE = 1e-8
 """Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
 
+KINEMATICS_LIMIT = 60.0
+"""s, for one equilibrium: most take a few milliseconds, under a load a tenth of a second."""
+
 FOLD = "Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)"
 
 Along = Callable[[Array], Array]
 
 
 @typed
+@limited
 def forward_kinematics(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,
@@ -72,6 +77,7 @@ def forward_kinematics(  # noqa: PLR0913
     tolerance: float = TOLERANCE,
     verify: bool = False,
     discretisation: Discretisation = DEFAULT_DISCRETISATION,
+    time_limit: float = KINEMATICS_LIMIT,
 ) -> Equilibrium:
     """Equilibrium of a robot at given joint values.
 
@@ -91,6 +97,7 @@ def forward_kinematics(  # noqa: PLR0913
             made of pieces of 10 mm; the mesh is refined until the estimate is below.
         verify: also re-integrate adaptively and report the difference in `.verification`.
         discretisation: collocation family and degree.
+        time_limit: s, on the clock: moments that wind an arm up to a coil take many steps.
 
     Raises:
         InputError: no robot, wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube
@@ -99,6 +106,7 @@ def forward_kinematics(  # noqa: PLR0913
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
             or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
             out of reach; `.solution` holds the best equilibrium found, where there is one.
+        TimeLimitError: the time limit is reached, a `SolveError`.
 
     Examples:
         >>> import tubeopt

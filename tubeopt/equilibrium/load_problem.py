@@ -9,9 +9,10 @@ import numpy as np
 from ..block.transcription.loaded import LoadedProblem, Loading, load_problem
 from ..block.transcription.mesh import loaded_counts, loaded_mesh
 from ..block.transcription.reduced import ReducedProblem, reduce
+from ..constants import GRAVITY
 from ..errors import InputError, implausible
 from ..robots.assembly import Assembly, cut
-from ..robots.load import FORCE, MOMENT, Load, masses
+from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
 from ..typing import Array
@@ -41,6 +42,9 @@ the length, as no needle is used."""
 LARGEST_BEND = 1000.0
 """The same for a force that is refused: no tube bears it, and a mesh that would is too fine to solve."""
 
+MOST_GRAVITY = 100.0
+"""m/s^2, ten times that of the earth: beyond, it was probably meant in another unit."""
+
 LARGEST_TURN = 30.0
 """Moment times length over bending stiffness, rad: beyond, an arm is bent to a coil of five turns."""
 
@@ -65,6 +69,36 @@ def _check_size(robot: Robot, load: Load, length: float) -> None:
             f"a force of the load is {most:g} N, {most * length**2 / stiffness:.3g} times the bending stiffness over "
             f"the square of the length; forces are in N: was {most:g} mN meant?"
         )
+    pull = float(np.linalg.norm(load.gravity or 0.0))
+    if pull > MOST_GRAVITY:
+        implausible(
+            f"gravity is {pull:.4g} m/s^2, {pull / GRAVITY:.3g} times that of the earth: was {pull:.4g} mm/s^2 meant?"
+        )
+
+
+def _check_places(load: Load, length: float) -> None:
+    """Refuse points and stretches that lie beyond the end of the arm, where there is nothing that they could act on;
+    warn of stretches that begin on it and end beyond: they act as far as the arm goes."""
+    arm = f"the length of the arm, {length:g} m ({length * 1e3:.6g} mm)"
+    for k, part in enumerate(load.points):
+        if part.at > length * (1 + 1e-12):
+            raise InputError(
+                f"points[{k}] of the load is at {part.at:g} m ({part.at * 1e3:.6g} mm); it must be at most {arm}"
+            )
+    stretches = load.distributed if isinstance(load.distributed, tuple) else ()
+    for k, stretch in enumerate(stretches):
+        if not isinstance(stretch, Stretch):
+            return
+        begin, end = (f"{s:g} m ({s * 1e3:.6g} mm)" for s in (stretch.start, stretch.end))
+        if stretch.start >= length * (1 - 1e-12):
+            raise InputError(
+                f"distributed[{k}] of the load begins at {begin}; it must begin before the end of the arm, at "
+                f"{length:g} m ({length * 1e3:.6g} mm)"
+            )
+        if stretch.end > length * (1 + 1e-9):
+            implausible(
+                f"distributed[{k}] of the load ends at {end}, beyond the end of the arm; it acts as far as {arm}"
+            )
 
 
 @lru_cache(maxsize=64)
@@ -79,11 +113,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     if not length:
         raise InputError("no tube is in front of the plate, so there is no arm on which a load could act")
     _check_size(robot, load, length)
-    for k, part in enumerate(load.points):
-        if part.at > length * (1 + 1e-12):
-            raise InputError(
-                f"points[{k}] of load is at {part.at:g} m; it must be at most the length of the arm, {length:g} m"
-            )
+    _check_places(load, length)
     masses(robot.tubes, load)
 
 

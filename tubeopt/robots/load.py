@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
+from numbers import Real
 from typing import Annotated, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, choice, finite, items, positive, triple, vector
+from ..errors import InputError, called, choice, finite, items, positive, triple, vector
 from ..files.marks import NOT_NEGATIVE, OneOf, key, unit
 from ..typing import Array
 from .tubes import Tube, mass_per_length
@@ -149,7 +150,8 @@ class Load(Displayed):
             size = 6 if _has_moment(along) else 3
             for index in np.ndindex(arc_length.shape):
                 s = float(arc_length[index])
-                out[index][:size] = vector(f"distributed at {s:g} m", along(s), size, "as many as at 0 m")
+                value = called("distributed", along, s)
+                out[index][:size] = vector(f"distributed at {s:g} m", value, size, "as many as at 0 m")
         elif _stretches(along):
             for part in along:
                 out[(arc_length > part.start) & (arc_length < part.end)] += (*part.force, *part.moment)
@@ -224,7 +226,7 @@ def masses(tubes: Sequence[Tube], load: Load) -> Array:
 def _has_moment(along: Any) -> bool:
     """Whether a distributed load has moments, as a function has that returns six numbers."""
     if callable(along):
-        return bool(np.size(along(0.0)) == 6)
+        return bool(np.size(called("distributed", along, 0.0)) == 6)
     return _stretches(along) and any(any(part.moment) for part in along)
 
 
@@ -233,7 +235,7 @@ def _stretches(value: Any) -> TypeGuard[tuple[Stretch, ...]]:
 
 
 def _distributed(value: Any) -> Vector | tuple[Stretch, ...]:
-    if isinstance(value, Sequence) and value and not isinstance(value[0], int | float):
+    if isinstance(value, Sequence) and value and not isinstance(value[0], Real):
         return tuple(_stretch(k, entry) for k, entry in enumerate(value))
     return triple("distributed", value)
 

@@ -20,7 +20,7 @@ import scipy
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from ..errors import InputError
+from ..errors import InputError, called
 from ..typing import Array
 
 POINTS = 25
@@ -268,10 +268,7 @@ def expand(function: Callable[[float], ArrayLike], length: float, name: str, siz
 
 
 def _values(function: Callable[[float], ArrayLike], s: float, name: str, size: int) -> Array:
-    try:
-        values = np.asarray(function(float(s)), dtype=float).reshape(-1)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece fails: {error}") from None
+    values: Array = called(f"{name} of a piece", lambda s: np.asarray(function(s), dtype=float).reshape(-1), float(s))
     if values.shape != (size,) or not np.isfinite(values).all():
         wanted = "a finite number" if size == 1 else f"{size} finite numbers"
         raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece is {values.tolist()}; it must be {wanted}")

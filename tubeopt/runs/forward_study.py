@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import KINEMATICS_LIMIT, forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
 from ..typing import Progress
@@ -27,6 +27,7 @@ class ForwardKinematicsStudy(Posed, LoadedStudy):
     method: Literal["newton", "ipopt", "energy"] = Field("newton", description="how to solve: newton, ipopt, energy")
     tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest error of the tubes' angles")
     verify: bool = Field(False, description="compare with an adaptive re-integration")
+    time_limit_s: Positive = Field(Decimal(int(KINEMATICS_LIMIT)), description="on the clock")
 
     def run(self, progress: Progress | None = None) -> Equilibrium:
         """The equilibrium; raises SolveError where none is found."""
@@ -37,6 +38,7 @@ class ForwardKinematicsStudy(Posed, LoadedStudy):
             method=self.method,
             tolerance=self.si("tolerance_rad"),
             verify=self.verify,
+            time_limit=self.si("time_limit_s"),
         )
         if not found.arc_length[-1]:
             LOGGER.warning("no tube is in front of the plate at these translations: the tip lies in it")

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, PlainValidator, ValidationInfo
 
+from ..errors import InputError
 from ..files.checked import Entry, Triple, check
 from ..files.fields import EntryOf, Part, asking, described, extended, values
 from ..files.yaml_file import load_yaml
@@ -25,6 +26,13 @@ class LoadEntry(Part):
     def build(self) -> Load:
         """The load in SI; raises InputError where it makes no sense."""
         along: Any = self.distributed_mN_per_m
+        stretches = along if along and isinstance(along[0], Part) else []
+        points: list[Part] = getattr(self, "points") or []  # noqa: B009  # a field that `asking` adds
+        for name, parts in (("points", points), ("distributed_mN_per_m", stretches)):
+            for k, part in enumerate(parts):
+                own = [key for key in type(part).model_fields if key.startswith(("force", "moment"))]
+                if not part.model_fields_set & set(own):
+                    raise InputError(f"{name}[{k}] has no load; it must have {' or '.join(own)}")
         if along and isinstance(along[0], Part):
             along = tuple(part.build() for part in along)
         elif along is not None:
