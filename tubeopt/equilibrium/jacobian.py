@@ -16,7 +16,7 @@ from ..solvers.parallel.blas import small
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
 from .general_motion import GeneralMotion
-from .loaded_jacobian import loaded_columns
+from .linearised import Linearised
 from .result import Equilibrium, Jacobian
 from .state import arm_of_equilibrium, problem_of
 
@@ -112,10 +112,12 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
+    of: Derivatives | GeneralMotion | Linearised
     if equilibrium.load is not None:
-        return Jacobian(tuple(wrt), *loaded_columns(equilibrium, wrt, side))
-    by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
-    if by_kernel is not None:
-        return by_kernel
-    of = derivatives_of(equilibrium, wrt, side=side)
+        of = Linearised(equilibrium, wrt, side)
+    else:
+        by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
+        if by_kernel is not None:
+            return by_kernel
+        of = derivatives_of(equilibrium, wrt, side=side)
     return Jacobian(of.wrt, of.tip_position, of.tip_rotation, of.tip_rotations, of.margin, of.energy)

@@ -19,7 +19,7 @@ from ..block.transcription.tableau import FAMILIES
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..errors import SolveError, choice, whole
-from ..robots.assembly import Assembly
+from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..solvers.settings import NEWTON, Newton
@@ -140,7 +140,8 @@ def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi
     where a tube is made of pieces."""
-    if np.array_equal(arc_length, equilibrium.point):
+    own = equilibrium.point
+    if len(own) == len(arc_length) and np.abs(own - arc_length).max(initial=0.0) <= ROUND_OFF:
         theta = equilibrium.point_rotation
         if is_general(equilibrium.robot):
             theta = theta - equilibrium.robot.assembly(equilibrium.translations).wound(arc_length)

@@ -178,6 +178,33 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}
 
 
+@lru_cache(maxsize=32)
+def bent_functions(n: int) -> dict[str, ca.Function]:
+    """CasADi functions of (theta, kb, m, b) at one cross-section of n concentric tubes that bears a bending moment b
+    (2,), N m.
+
+    `linear`: M, u, bending energy, and their derivatives (n, 3 n + 2), (2, 3 n + 2), (1, 3 n + 2) with respect to
+    theta, kb, m and b.  `mode`, with further arguments g (2,), y (n,) and a softness c: what a mode of the second
+    variation that turns the tubes by y and bends by the moment g has per length,
+
+        y' (dM/dtheta) y - 2 g'(du/dtheta) y - c |g|^2 / sum kb,
+
+    and its gradient (3 n + 4) with respect to theta, kb, m, b and g.
+    """
+    theta, stiffness, moment, y = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "y"))
+    bent, felt, softness = ca.SX.sym("b", 2), ca.SX.sym("g", 2), ca.SX.sym("c")
+    inputs, given = [theta, stiffness, moment, bent], ca.vertcat(theta, stiffness, moment, bent)
+    here = cross_section(theta, stiffness, moment, load=bent)
+    values = [here.moment, here.curvature, here.bending_energy]
+    stiff, turned = ca.jacobian(here.moment, theta), ca.jacobian(here.curvature, theta)
+    mode = ca.bilin(stiff, y, y) - 2 * felt.T @ turned @ y - softness * ca.sumsqr(felt) / ca.sum1(stiffness)
+    table = {
+        "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, given)) for value in values)]),
+        "mode": ([*inputs, felt, y, softness], [mode, ca.densify(ca.gradient(mode, ca.vertcat(given, felt)))]),
+    }
+    return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}
+
+
 @lru_cache(maxsize=16)
 def bent_anyhow(n: int) -> ca.Function:
     """(theta, kb, m (n, 2)) -> M, dM/dtheta (n, n) of n concentric tubes with precurvature about both of their axes."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.loaded_jacobian import STEP, sides, step_of
+from ..equilibrium.load_problem import LOADED_DISCRETISATION, loaded_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, resized
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
@@ -113,8 +113,8 @@ def stroke_slopes(first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0) -
     out = []
     for k, (name, tube) in enumerate((name, i) for name in wrt for i in range(len(first.rotations))):
         slope = np.cross(turned[:, k], force)
-        step = step_of(first, name, tube)
-        both = sides(first, name, tube, partial(_turned, force, slope))
+        step = STEP * _unit(first, name, tube)
+        both = _sides(first, (name, tube, step), force, slope)
         if len(both) < 2 or any(problem.size != member.problem.size for problem, _ in both):
             raise SolveError(f"a stroke force has no derivative by {name} of tube {tube + 1}: breakpoints meet there")
         rate = _rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], step)
@@ -122,8 +122,44 @@ def stroke_slopes(first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0) -
     return value, np.array(out)
 
 
-def _turned(force: Array, slope: Array, step: float) -> Load:
-    return Load(tuple((force + step * slope).tolist()))
+STEP = 1e-5
+"""Of the differences: rad, and as a share of the arm's length, of one over it, or of a stiffness."""
+
+
+def _unit(e: Equilibrium, name: str, tube: int) -> float:
+    """By what a step is measured: it turns the tip by about as much, in rad."""
+    length = float(e.arc_length[-1])
+    match name:
+        case "rotations":
+            return 1.0
+        case "curvature":
+            return 1 / length
+        case "translations" | "straight_length" | "curved_length":
+            return length
+        case _:
+            return float(getattr(e.robot.tubes[tube], name))
+
+
+def _sides(
+    e: Equilibrium, what: tuple[str, int, float], force: Array, slope: Array
+) -> list[tuple[LoadedProblem, Array]]:
+    """Problems and rotations with a parameter of a tube a step further, and a step back, without those of which there
+    is no robot, under a force that changes by `slope` with it."""
+    (name, tube, size), out = what, []
+    for step in (size, -size):
+        joints = {"rotations": e.rotations.copy(), "translations": e.translations.copy()}
+        robot: Any = e.robot
+        try:
+            if name in joints:
+                joints[name][tube] += step
+            else:
+                robot = resized(robot, tube, name, getattr(robot.tubes[tube], name) + step)
+            load = Load(tuple((force + step * slope).tolist()))
+            shift = tuple(joints["translations"].tolist())
+            out.append((loaded_problem(robot, shift, load, LOADED_DISCRETISATION), joints["rotations"]))
+        except InputError:
+            continue
+    return out
 
 
 def _rate(loss: Loss, both: Sequence[tuple[LoadedProblem, Array, float]], step: float) -> float:

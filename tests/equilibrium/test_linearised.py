@@ -1,0 +1,217 @@
+"""The linearisation of an equilibrium, under every kind of load and of tubes, against differences of equilibria."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tubeopt import (
+    ConcentricRobot,
+    Equilibrium,
+    InputError,
+    Load,
+    Piece,
+    SolveError,
+    Tube,
+    forward_kinematics,
+    load_robot,
+)
+from tubeopt.equilibrium.arm_change import PARAMETERS
+from tubeopt.equilibrium.linearised import Linearised
+from tubeopt.robots.robot import resized
+from tubeopt.typing import Array
+
+HELIX = Piece(0.04, (3.0, 1.0, 8.0))
+WAVE = Piece(0.05, lambda s: (9.0 * np.cos(20 * s), 4.0 * s, 0.0))
+
+
+def _tube(k: int, straight: float, curved: float, curvature: float) -> Tube:
+    outer = 0.9e-3 + 0.5e-3 * k
+    return Tube(outer, outer - 0.3e-3, straight, curved, curvature, mass_per_length=4e-3 * (k + 1))
+
+
+@cache
+def _robot(n: int, pieces: bool = False) -> ConcentricRobot:
+    """Of n tubes, the innermost and longest of which is made of pieces."""
+    tubes = [_tube(k, 0.16 - 0.035 * k, 0.11 - 0.012 * k, (9.0, 7.0, -5.0, 6.0)[k]) for k in range(n)]
+    if pieces:
+        chain = (HELIX, WAVE, Piece(0.03, -8.0))
+        tubes[0] = Tube.of_pieces(0.9e-3, 0.6e-3, chain, straight_length=0.15, mass_per_length=4e-3)
+    return ConcentricRobot(tuple(tubes))
+
+
+SHIFT = np.array([-0.011, -0.017, -0.004, -0.013])
+ROTATIONS = np.array([0.3, 1.7, -0.6, 0.9])
+
+LOADS = {
+    "tip": Load((0.06, -0.04, 0.03)),
+    "gravity": Load(gravity=(2.0, -9.0, 3.0)),
+    "points": Load(points=((0.031, (0.1, 0.05, -0.06)), (0.066, (-0.05, 0.08, 0.02)))),
+    "distributed": Load(distributed=(0.4, -0.7, 0.3)),
+    "function": Load(distributed=lambda s: (0.9 * np.cos(25 * s), 0.5, -7 * s)),
+    "stretches": Load(distributed=((0.012, 0.043, (1.0, -0.8, 0.5)), (0.03, 0.3, (-0.2, 0.5, 0.4)))),
+    "moment": Load(moment=(0.004, -0.003, 0.002)),
+    "following": Load((0.03, 0.02, -0.04), (0.002, 0.001, -0.001), frame="tip"),
+    "point moment": Load(points=((0.037, (0.05, 0.02, 0.03), (0.003, -0.002, 0.004)),)),
+    "moments along": Load(distributed=((0.009, 0.071, (0.2, 0.3, -0.4), (0.02, 0.03, -0.04)),)),
+    "all": Load(
+        (0.02, 0.03, -0.02),
+        (0.001, 0.001, 0.002),
+        frame="tip",
+        gravity=(2.0, -9.0, 3.0),
+        distributed=lambda s: (0.5 * np.cos(25 * s), 0.2, -3 * s, 0.01, 0.01 * np.sin(30 * s), -0.01),
+        points=((0.037, (0.02, 0.02, 0.03), (0.001, -0.001, 0.002)),),
+    ),
+}
+
+
+def _moved(e: Equilibrium, name: str, by: Array) -> Equilibrium:
+    """The equilibrium with all values of a parameter changed by (n,), solved for anew."""
+    robot, joints = e.robot, {"rotations": e.rotations, "translations": e.translations}
+    if name in joints:
+        joints[name] = joints[name] + by
+    else:
+        for i, one in enumerate(by):
+            robot = resized(robot, i, name, getattr(robot.tubes[i], name) + one)
+    guess = e if robot is e.robot else None
+    return forward_kinematics(robot, joints["rotations"], joints["translations"], load=e.load, guess=guess)
+
+
+def _told(e: Equilibrium) -> Array:
+    return np.concatenate([e.tip_position, e.tip_rotation.ravel(), e.tip_rotations, [e.energy, e.margin]])
+
+
+def _columns(e: Equilibrium, name: str, direction: Array, side: int = 1) -> Array:
+    """The same rows of the Jacobian, along a direction (n,) of a parameter."""
+    of = e.jacobian(wrt=(name,), side=side)
+    turn = of.rotation @ direction
+    hat = np.array([[0, -turn[2], turn[1]], [turn[2], 0, -turn[0]], [-turn[1], turn[0], 0]])
+    rows = of.position @ direction, (hat @ e.tip_rotation).ravel(), of.tip_rotations @ direction
+    return np.concatenate([*rows, [of.energy @ direction, of.margin @ direction]])
+
+
+def _size(e: Equilibrium, name: str) -> Array:
+    """(n,) steps that turn the tip by about a thousandth."""
+    if name == "rotations":
+        return np.full(len(e.rotations), 2e-3)
+    if "length" in name or name == "translations":
+        return np.full(len(e.rotations), 2e-5)
+    return np.array([2e-3 * getattr(tube, name) for tube in e.robot.tubes])
+
+
+def _check(e: Equilibrium, name: str, tolerances: tuple[float, float, float, float, float]) -> None:
+    """Compare with differences of fourth order."""
+    random = np.random.default_rng(len(name))
+    step = _size(e, name) * random.uniform(0.5, 1.0, len(e.rotations)) * random.choice([-1, 1], len(e.rotations))
+    one, two, back, twice = (_told(_moved(e, name, k * step)) for k in (1, 2, -1, -2))
+    wanted = (8 * (one - back) - (two - twice)) / 12
+    found = _columns(e, name, step)
+    n = len(e.rotations)
+    for rows, size in zip(
+        (slice(0, 3), slice(3, 12), slice(12, 12 + n), slice(-2, -1), slice(-1, None)), tolerances, strict=True
+    ):
+        off = np.abs(found[rows] - wanted[rows])
+        assert np.isnan(wanted[rows]).all() or off.max() <= size, (name, rows, found[rows], wanted[rows])
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("load", LOADS)
+def test_every_derivative_under_every_load_is_that_of_differences(load: str, name: str) -> None:
+    """Steps change the tip by a tenth of a millimetre and a milliradian: 1e-6 of that and of the energy; the margin is
+    solved for to 1e-8."""
+    n = 1 + sorted(LOADS).index(load) % 4
+    for pieces in (False, True):
+        e = forward_kinematics(_robot(n, pieces), ROTATIONS[:n], SHIFT[:n], load=LOADS[load])
+        _check(e, name, (1e-10, 2e-9, 2e-9, 1e-6 * e.energy * 2e-3 + 1e-13, 3e-8))
+
+
+def _one_sided(e: Equilibrium, name: str, step: Array) -> Array:
+    """The change by a step to one side, of fourth order."""
+    rows = [_told(e), *(_told(_moved(e, name, k * step)) for k in (1, 2, 3, 4))]
+    return np.asarray(np.array([-25, 48, -36, 16, -3]) @ np.array(rows) / 12)
+
+
+ENDS_TOGETHER = np.zeros(3)
+"""Stands for translations at which all tubes end together."""
+AT_AN_END = Load((0.02, 0.03, -0.05), points=((0.086 - 0.004, (0.05, -0.04, 0.03)),))
+
+
+@pytest.mark.parametrize(
+    ("shift", "load"),
+    [
+        ((0.0, 0.0, 0.0), LOADS["tip"]),
+        ((0.0, 0.0, 0.0), LOADS["moments along"]),
+        (ENDS_TOGETHER, Load((0.06, -0.04, 0.03), gravity=(2.0, -9.0, 3.0), distributed=(0.4, -0.7, 0.3))),
+        (ENDS_TOGETHER, Load((0.06, -0.04, 0.03))),
+        ((-0.011, -0.017, -0.004), AT_AN_END),
+    ],
+    ids=["home", "home with moments", "ends together, weight", "ends together", "load at an end"],
+)
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("name", ["translations", "curved_length"])
+def test_where_breakpoints_meet_both_sides_are_those_of_differences(
+    shift: Array, load: Load, side: int, name: str
+) -> None:
+    for pieces in (False, True):
+        robot = _robot(3, pieces)
+        if shift is ENDS_TOGETHER:
+            reach = np.array([tube.curved_length for tube in robot.tubes])
+            shift = reach.min() - reach
+        e = forward_kinematics(robot, ROTATIONS[:3], shift, load=load)
+        for tube in range(3):
+            step = side * 2e-5 * np.eye(3)[tube]
+            wanted, found = _one_sided(e, name, step), _columns(e, name, step, side)
+            assert np.abs(found - wanted)[:-2].max() < 2e-9, (pieces, tube)
+            assert abs(found[-2] - wanted[-2]) < 1e-7 * e.energy
+            assert np.isnan(wanted[-1]) or abs(found[-1] - wanted[-1]) < 3e-8
+
+
+def test_under_a_load_of_nothing_it_is_that_without_load() -> None:
+    for robot, shift in (
+        (load_robot("configs/robots/thesis_ctr.yaml"), None),
+        (_robot(4), SHIFT),
+        (_robot(2, True), SHIFT[:2]),
+    ):
+        n = robot.n_tubes
+        plain = forward_kinematics(robot, ROTATIONS[:n], shift)
+        loaded = forward_kinematics(robot, ROTATIONS[:n], shift, load=Load())
+        for side in (1, -1):
+            one, other = (e.jacobian(wrt=PARAMETERS, side=side) for e in (plain, loaded))
+            for a, b in zip(
+                (one.position, one.rotation, one.tip_rotations, one.energy),
+                (other.position, other.rotation, other.tip_rotations, other.energy),
+                strict=True,
+            ):
+                assert np.abs(a - b).max() < 1e-8 * np.abs(a).max()
+
+
+def test_a_tip_does_not_draw_back_from_under_a_point_load() -> None:
+    e = forward_kinematics(_robot(1), [0.0], [0.0], load=Load(points=((0.11, (0.01, 0, 0)),)))
+    out = e.jacobian(wrt=("translations",)).position[:, 0]
+    moved = [forward_kinematics(e.robot, [0.0], [k * 1e-5], load=e.load).tip_position for k in (1, 2)]
+    assert np.abs(out - (4 * moved[0] - moved[1] - 3 * e.tip_position) / 2e-5).max() < 1e-6
+    with pytest.raises(InputError, match="points of load act at the tip, 110 mm from the plate"):
+        e.jacobian(wrt=("translations",), side=-1)
+    e.jacobian(wrt=("rotations",), side=-1)
+
+
+def test_a_moment_does_not_pass_from_tube_to_tube() -> None:
+    at = 0.086 - 0.004
+    e = forward_kinematics(_robot(3), ROTATIONS[:3], SHIFT[:3], load=Load(points=((at, (0, 0, 0), (0, 0, 1e-3)),)))
+    e.jacobian(wrt=("translations",))
+    with pytest.raises(SolveError, match="no derivative by the end of tube 3: a moment acts there"):
+        e.jacobian(wrt=("translations",), side=-1)
+    shift = np.array([-0.024, -0.012, 0.0])
+    e = forward_kinematics(_robot(3), ROTATIONS[:3], shift, load=Load(moment=(0, 0, 1e-3)))
+    for side in (1, -1):
+        with pytest.raises(SolveError, match="no derivative by the end of tube"):
+            e.jacobian(wrt=("curved_length",), side=side)
+
+
+def test_friction_is_refused() -> None:
+    e = forward_kinematics(_robot(2), ROTATIONS[:2], SHIFT[:2])
+    with pytest.raises(InputError, match="friction"):
+        Linearised(dataclasses.replace(e, friction="some"))  # type: ignore[arg-type]

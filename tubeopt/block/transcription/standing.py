@@ -1,0 +1,503 @@
+"""An arm in equilibrium, with a load or without, and how it answers to whatever changes: the one linearisation.
+
+Along the arm the elastic rotations phi of the tubes, their torques t, the frame R and the moment m on the
+cross-section, in world axes, obey
+
+    phi' = t / kt,   t' = M(theta, b) - l.e,   R' = R hat(u),   m' = -e x n - l,
+    b = (R'm)_xy,    u = (b + sum a_i) / sum kb_i,    e = R e3,    theta = phi + phase,
+
+with the force n on the cross-section and the moment l per length, whose part along the arm the outermost tube feels. A
+turn psi of the frame about world axes changes the rest by
+
+    psi' = R du,     db = (R'(dm - psi x m))_xy,     dm' = n x (psi x e) - e x dn.
+
+These equations are collocated where the equilibrium was. The state (phi, psi, t, m) at the end of a piece is linear in
+that where it begins; plate and tip close the chain. A breakpoint that moves uncovers a stretch with other tubes, which
+is a jump of the rates there. Without a load m, n and l are 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from ...errors import SolveError
+from ...physics.torsion import bent_functions
+from ...robots.load import Load
+from ...typing import Array, Index
+from .arm import ArmShape
+from .buffered import mapped
+from .collocated import STEPS
+from .couples import Couples
+from .linear import poses_at_points
+from .reduced import ReducedProblem
+
+_HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]])
+"""The matrix of b -> a x b by rows, from a."""
+
+
+def hat(a: Array) -> Array:
+    """(..., 3, 3) matrices of b -> a x b of vectors a (..., 3)."""
+    return np.asarray((a @ _HAT).reshape(*a.shape, 3))
+
+
+def cross(a: Array, b: Array) -> Array:
+    """(..., 3) cross product of vectors."""
+    return np.asarray((hat(a) @ b[..., None])[..., 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Burden:
+    """A load on an arm: the force (N, 3) on the cross-sections, N, but for what turns with the tip, and its moments."""
+
+    load: Load
+    force: Array
+    couples: Couples | None
+
+
+@dataclass(frozen=True, eq=False)
+class Sections:
+    """Cross-sections at X places, 3 n + 2 columns phase, kb, m, b of the derivatives.
+
+    torque (X, n), curvature (X, 2), energy (X,) of bending per length; by_torque (X, n, 3 n + 2), by_curvature
+    (X, 2, 3 n + 2), by_energy (X, 3 n + 2).
+    """
+
+    torque: Array
+    curvature: Array
+    energy: Array
+    by_torque: Array
+    by_curvature: Array
+    by_energy: Array
+
+
+def sections_of(theta: Array, stiffness: Array, moment: Array, bent: Array) -> Sections:
+    """Cross-sections of tubes (X, n) that bear bending moments (X, 2)."""
+    count, n = theta.shape
+    out = mapped(bent_functions(n)["linear"], count)(theta, stiffness, moment, bent)
+    torque, curvature, energy = (part.copy() for part in out[:3])
+    # CasADi stores (rows, 3 n + 2) by columns.
+    by = [part.reshape(count, 3 * n + 2, -1).swapaxes(1, 2).copy() for part in out[3:]]
+    return Sections(torque, curvature, energy[:, 0], by[0], by[1], by[2][:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Forcing:
+    """What Q parameters change at fixed arc lengths: alpha (n, Q), int ds / kt up to the plate (n, Q); at the points
+    phase, kb and m (P, K, 3 n, Q), 1 / kt (P, K, n, Q) and the force (P, K, 3, Q); what the state gains between the
+    pieces (P + 1, 2 n + 6, Q), and by which `side` of what acts there."""
+
+    base: Array
+    transmission: Array
+    data: Array
+    rate: Array
+    force: Array
+    jumps: Array
+    side: int
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Change of an arm at fixed arc lengths: the state (P + 1, 2 n + 6, Q) just behind the places between the pieces;
+    phi (P, K, n, Q), psi, m (P, K, 3, Q), t (P, K, n, Q), b (P, K, 2, Q) and u (P, K, 2, Q) at the points."""
+
+    state: Array
+    phi: Array
+    psi: Array
+    moment: Array
+    torque: Array
+    bent: Array
+    curvature: Array
+
+
+class Standing:
+    """An arm in equilibrium: n tubes, P pieces with K points each.
+
+    Args:
+        problem: of the rotations, on the mesh of the arm.
+        base: (n,) rotations, rad.
+        solved: (N, n) elastic rotations at the collocation points of the problem.
+        shape: of the arm.
+        burden: what acts on it, None for nothing.
+    """
+
+    def __init__(
+        self, problem: ReducedProblem, base: Array, solved: Array, shape: ArmShape, burden: Burden | None = None
+    ) -> None:
+        self.problem, self.base, self.shape = problem, base, shape
+        self.mesh, self.t, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
+        self.n = problem.assembly.n_tubes
+        self.pieces, self.degree = len(self.length), self.t.degree
+        self.h = self.length[:, None, None]
+        self.weights = self.length[:, None] * self.t.weights
+        self.cuts = np.append(self.mesh.start, problem.assembly.total_length)
+        sections = problem.here.sections
+        points = self.pieces, self.degree
+        self.phase, self.stiffness, self.moments = (
+            part.reshape(*points, self.n) for part in (sections.phase, sections.stiffness, sections.moment)
+        )
+        self.rate, self.transmission = problem.here.rate, problem.here.transmission
+        self.frame, self.position = poses_at_points(self.t, self.length, (shape.frame, shape.position, shape.curvature))
+        self.axis = self.frame[..., 2]
+        self.end_frame = shape.frame[::STEPS]
+        self._load(burden)
+        self._moments()
+        theta = np.zeros((*points, self.n))
+        theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
+        self._torques(self._sections(theta))
+        # Of tubes that are straight here theta is not solved for, but follows.
+        self.at = self._sections(self.phi)
+
+    # --- what stands --------------------------------------------------------------------------------------------------
+
+    def _load(self, burden: Burden | None) -> None:
+        """Forces, moments per length and on which tubes, moments at joints."""
+        points = self.pieces, self.degree
+        self.load = None if burden is None else burden.load
+        self.following = self.load is not None and self.load.frame == "tip"
+        given = (np.zeros(3),) * 2 if self.load is None else (np.array(self.load.force), np.array(self.load.moment))
+        tip = self.shape.frame[-1]
+        self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in given)
+        self.force = np.zeros((*points, 3))
+        if burden is not None:
+            self.force += burden.force.reshape(self.force.shape) + self.following * self.tip_force
+        self.tip_tube = int(np.argmax(self.problem.assembly.end))
+        self.along: Array | None = None
+        self.felt = np.zeros(self.phase.shape)
+        self.joints: list[tuple[int, int, Array]] = []
+        """Piece that begins at the moment, the tube it acts on, and the moment (3,)."""
+        couples = None if burden is None else burden.couples
+        if couples is not None:
+            count = len(couples.joint)
+            if len(couples.point):
+                along = np.zeros((self.pieces * self.degree, 3))
+                along[couples.point] = couples.moment[count:] / self.problem.weight[couples.point, None]
+                self.felt.reshape(-1, self.n)[couples.point, couples.tube[count:]] = 1.0
+                self.along = along.reshape(*points, 3)
+            each = couples.joint.tolist(), couples.tube[:count].tolist(), couples.moment[:count]
+            self.joints = [*zip(*each, strict=True)][1:]
+
+    def _moments(self) -> None:
+        """The moment m at the points, and just ahead of and just behind the places between the pieces, world axes."""
+        fall = cross(self.axis, self.force)
+        if self.along is not None:
+            fall += self.along
+        kicks = np.zeros((self.pieces + 1, 3))
+        for k, _, moment in self.joints:
+            kicks[k] += moment
+        self.moment, self.moment_behind, self.moment_ahead = self._inwards(fall, kicks, self.tip_moment)
+        self.bent = (self.frame[..., :2].swapaxes(2, 3) @ self.moment[..., None])[..., 0]
+
+    def _inwards(self, fall: Array, kicks: Array, tip: Array) -> tuple[Array, Array, Array]:
+        """Integral from the tip of what falls (P, K, r) towards it, and at places (P + 1, r): at the points, behind and
+        ahead of these places."""
+        whole = (self.weights[..., None] * fall).sum(1)
+        ahead = np.zeros_like(kicks)
+        ahead[:-1] = np.cumsum(whole[::-1], axis=0)[::-1]
+        ahead += tip + np.cumsum(kicks[::-1], axis=0)[::-1]
+        behind = ahead - kicks
+        return behind[:-1, None] - self.h * (self.t.adjoint @ fall), behind, ahead
+
+    def _sections(self, phi: Array) -> Sections:
+        tables = phi + self.phase, self.stiffness, self.moments, self.bent
+        return sections_of(*(table.reshape(-1, table.shape[-1]) for table in tables))
+
+    def _torques(self, at: Sections) -> None:
+        """Torques t and rotations phi at the points, and between the pieces as `_moments`."""
+        fall = -at.torque.reshape(self.pieces, self.degree, self.n)
+        if self.along is not None:
+            fall += self.felt * (self.along * self.axis).sum(2)[..., None]
+        kicks = np.zeros((self.pieces + 1, self.n))
+        for k, tube, moment in self.joints:
+            kicks[k, tube] += moment @ self.end_frame[k, :, 2]
+        tip = np.zeros(self.n)
+        tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
+        self.torque, self.torque_behind, self.torque_ahead = self._inwards(fall, kicks, tip)
+        turning = self.rate * self.torque
+        whole = (self.weights[..., None] * turning).sum(1)
+        first = self.base + self.transmission * self.torque_ahead[0]
+        self.phi_ends = first + np.concatenate([np.zeros((1, self.n)), np.cumsum(whole, axis=0)])
+        self.phi = self.phi_ends[:-1, None] + self.h * (self.t.matrix @ turning)
+
+    # --- linear maps --------------------------------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        """Length of a state: rotations, turn of the frame, torques, moment."""
+        return 2 * self.n + 6
+
+    @cached_property
+    def _slopes(self) -> tuple[Array, ...]:
+        """At the points: of b by psi and by m, of t' by psi, of m' by psi."""
+        across = self.frame[..., :2].swapaxes(2, 3)
+        twisting = np.zeros((*self.phi.shape, 3))
+        if self.along is not None:
+            twisting = -self.felt[..., None] * cross(self.axis, self.along)[..., None, :]
+        leaning = (self.force * self.axis).sum(2)[..., None, None] * np.eye(3)
+        return across @ hat(self.moment), across, twisting, leaning - self.axis[..., None] * self.force[..., None, :]
+
+    @cached_property
+    def _by(self) -> tuple[Array, ...]:
+        """At the points: of M and of u by theta, then by the tubes, then by b."""
+        n, out = self.n, []
+        for table in (self.at.by_torque, self.at.by_curvature):
+            whole = table.reshape(self.pieces, self.degree, *table.shape[1:])
+            out += [whole[..., :n], whole[..., : 3 * n], whole[..., 3 * n :]]
+        return tuple(out)
+
+    def _swept(self, matrix: Array, rates: Array) -> Array:
+        """(P, K, r, C) integrals of rates (P, K, r, C) by a matrix (K, K) of the tableau."""
+        out = matrix @ rates.reshape(self.pieces, self.degree, -1)
+        out *= self.h
+        return np.asarray(out.reshape(rates.shape))
+
+    def _rates(
+        self, q: Array, starts: tuple[Array, Array], forcing: tuple[Array, ...] | None, softness: float
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Rates of (phi, psi), t and m at the points, and what t, m, b and du there are, by columns (P, K, r, C) of
+        (phi, psi), and of t and m (P, 1, r, C) where the pieces begin."""
+        n, (by_turn, across, twisting, leaning) = self.n, self._slopes
+        torque_by_phi, _, torque_by_bent, u_by_phi, _, u_by_bent = self._by
+        phi, psi = q[..., :n, :], q[..., n:, :]
+        falling = leaning @ psi
+        if forcing is not None:
+            falling += forcing[3]
+        moment = self._swept(self.t.adjoint, falling) + starts[1]
+        bent = across @ moment + by_turn @ psi
+        twisted = torque_by_phi @ phi + torque_by_bent @ bent
+        if self.along is not None:
+            twisted += twisting @ psi
+        if forcing is not None:
+            twisted += forcing[1]
+        torque = self._swept(self.t.adjoint, twisted) + starts[0]
+        bending = u_by_phi @ phi + softness * (u_by_bent @ bent)
+        turned = softness * self.rate[..., None] * torque
+        if forcing is not None:
+            bending += forcing[2]
+            turned += forcing[0]
+        rates = np.concatenate([turned, self.frame[..., :2] @ bending], axis=2)
+        return (rates, twisted, falling), (torque, moment, bent, bending)
+
+    def _maps(self, softness: float, forcing: tuple[Array, ...] | None) -> tuple[Array, Array]:
+        """(P, K (n + 3), C) of (phi, psi) at the points and (P, 2 n + 6, C) of the state at the ends of the pieces, by
+        columns of the state where they begin, then of what is forced."""
+        n, size, k = self.n, self.size, self.degree
+        own = n + 3
+        given = 0 if forcing is None else forcing[0].shape[-1]
+        inner, count = k * own, k * own + size + given
+        q = np.zeros((1, k, own, count))
+        q.reshape(inner, count)[:, :inner] = np.eye(inner)
+        q = np.broadcast_to(q, (self.pieces, k, own, count))
+        begin = np.zeros((size, count))
+        begin[:, inner : inner + size] = np.eye(size)
+        wide = None
+        if forcing is not None:
+            wide = tuple(np.concatenate([np.zeros((*f.shape[:3], inner + size)), f], axis=3) for f in forcing)
+        (rates, twisted, falling), _ = self._rates(q, (begin[own : own + n], begin[own + n :]), wide, softness)
+        there = self._swept(self.t.matrix, rates) + begin[:own]
+        there = there.reshape(self.pieces, inner, count)
+        matrix = -there[..., :inner]
+        matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
+        solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
+        weights, ends = self.t.weights, []
+        for part in (rates, twisted, falling):
+            ends.append((weights @ part.reshape(self.pieces, k, -1)).reshape(self.pieces, -1, count) * self.h)
+        end = np.concatenate(ends, axis=1) + begin
+        return solved, end[..., inner:] + end[..., :inner] @ solved
+
+    def _kicked(self) -> Array | None:
+        """(P + 1, 2 n + 6, 2 n + 6) the state just behind a place by that just ahead of it; None where no moment acts
+        between pieces."""
+        if not self.joints:
+            return None
+        out = np.tile(np.eye(self.size), (self.pieces + 1, 1, 1))
+        for k, tube, moment in self.joints:
+            out[k, self.n + 3 + tube, self.n : self.n + 3] -= cross(self.end_frame[k, :, 2], moment)
+        return out
+
+    def _system(self, softness: float, ends: Array) -> Array:
+        """The matrix of torques and moment (n + 3) at the plate, and of the states behind the places (P, 2 n + 6)."""
+        n, size, own, pieces = self.n, self.size, self.n + 3, self.pieces
+        total = own + pieces * size
+        matrix = np.zeros((total, total))
+        kicks = self._kicked()
+        maps = ends[..., :size] if kicks is None else kicks[1:] @ ends[..., :size]
+        first = np.zeros((size, own))
+        first[own:] = np.eye(own)
+        first[range(n), range(n)] = softness * self.transmission
+        for k in range(pieces):
+            rows = slice(k * size, (k + 1) * size)
+            columns = slice(own + k * size, own + (k + 1) * size)
+            matrix[rows, columns] = np.eye(size)
+            if k:
+                matrix[rows, own + (k - 1) * size : own + k * size] = -maps[k]
+            else:
+                matrix[rows, :own] = -maps[0] @ first
+        if self.following and self.turning is not None:
+            # What turns with the tip changes by the turn of the tip.
+            turn = slice(total - size + n, total - size + own)
+            for k in range(pieces):
+                by = ends[k, :, size : size + 3] if kicks is None else kicks[k + 1] @ ends[k, :, size : size + 3]
+                matrix[k * size : (k + 1) * size, turn] -= by
+        last, rows = total - size, slice(pieces * size, total)
+        matrix[rows, last + own :] = np.eye(own)
+        tip = matrix[rows, last + n : last + own]
+        if self.following:
+            tip[n:] += hat(self.tip_moment)
+        else:
+            tip[self.tip_tube] -= cross(self.end_frame[-1, :, 2], self.tip_moment)
+        return matrix
+
+    @cached_property
+    def turning(self) -> Array | None:
+        """(P, K, 3, 3) change of m' by the turn of the tip, with which a force turns; None of dead forces."""
+        if not (self.following and self.tip_force.any()):
+            return None
+        return np.asarray(hat(self.axis) @ hat(self.tip_force))
+
+    def respond(self, forcing: Forcing) -> Response:
+        """How the arm answers to changes.
+
+        Raises:
+            SolveError: the equilibrium is a fold.
+        """
+        n, own, size, count = self.n, self.n + 3, self.size, forcing.base.shape[1]
+        forced, columns = self._forced(forcing)
+        inner, ends = self._maps(1.0, forced)
+        matrix = self._system(1.0, ends)
+        right, kicks = np.zeros((len(matrix), count)), self._kicked()
+        jumps = forcing.jumps
+        if kicks is not None and forcing.side < 0:
+            jumps = kicks @ jumps
+        first = np.zeros((size, count))
+        first[:n] = forcing.base + forcing.transmission * self.torque_ahead[0][:, None]
+        start = first + jumps[0]
+        table = right[: self.pieces * size].reshape(self.pieces, size, count)
+        gained = ends[..., size + self._turns :]
+        maps = ends[..., :size] if kicks is None else kicks[1:] @ ends[..., :size]
+        table[:] = jumps[1:]
+        table[..., columns] += gained if kicks is None else kicks[1:] @ gained
+        table[0] += maps[0] @ start
+        *_, found, singular = scipy.linalg.lapack.dgesv(matrix, right)
+        if singular or not np.isfinite(found).all():
+            raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
+        state = np.empty((self.pieces + 1, size, count))
+        state[1:] = found[own:].reshape(self.pieces, size, count)
+        state[0] = start
+        state[0, own:] += found[:own]
+        state[0, :n] += self.transmission[:, None] * found[:n]
+        return self._along(state, inner, (forced, columns), 1.0)
+
+    @property
+    def _turns(self) -> int:
+        """Columns of the turn of the tip."""
+        return 0 if self.turning is None else 3
+
+    def _forced(self, forcing: Forcing) -> tuple[tuple[Array, ...] | None, Index]:
+        """What is forced of phi', t', u and m' at the points, by columns (P, K, r, C) of the turn of the tip and of
+        the changes that force anything there, and which of the changes these are."""
+        some = [part.any((0, 1, 2)) for part in (forcing.data, forcing.rate, forcing.force)]
+        columns: Index = np.flatnonzero(some[0] | some[1] | some[2])
+        extra = self._turns
+        if not len(columns) and not extra:
+            return None, columns
+        data, rate, force = (part[..., columns] for part in (forcing.data, forcing.rate, forcing.force))
+        _, torque_by, _, _, u_by, _ = self._by
+        parts = [rate * self.torque[..., None], torque_by @ data, u_by @ data, -hat(self.axis) @ force]
+        if self.turning is not None:
+            parts = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in parts]
+            parts[3][..., :extra] = self.turning
+        return tuple(parts), columns
+
+    def _along(
+        self, state: Array, inner: Array, forced: tuple[tuple[Array, ...] | None, Index], softness: float
+    ) -> Response:
+        """The response at the points, of states (P + 1, 2 n + 6, Q)."""
+        (parts, columns), size, n, count = forced, self.size, self.n, state.shape[2]
+        extra = self._turns
+        q = inner[..., :size] @ state[:-1]
+        wide = None
+        if parts is not None:
+            q[..., columns] += inner[..., size + extra :]
+            wide = tuple(np.zeros((*part.shape[:3], count)) for part in parts)
+            for whole, part in zip(wide, parts, strict=True):
+                whole[..., columns] = part[..., extra:]
+            if self.turning is not None:
+                turn = state[-1, n : n + 3]
+                q += inner[..., size : size + extra] @ turn
+                wide[3][:] += self.turning @ turn
+        q = q.reshape(self.pieces, self.degree, n + 3, count)
+        begin = state[:-1, None]
+        _, (torque, moment, bent, bending) = self._rates(
+            q, (begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]), wide, softness
+        )
+        return Response(state, q[..., :n, :], q[..., n:, :], moment, torque, bent, bending)
+
+    def mode(self, margin: float) -> tuple[Response, float] | None:
+        """How the arm buckles when its elasticity is softened by its margin, one column, and 1 / (1 - margin); None
+        where two ways are equally easy, or the mesh is too coarse to show how."""
+        known = margin
+        for _ in range(MODE_STEPS):
+            # Beside the eigenvalue itself, where there would be nothing left to divide by.
+            beside = margin - ASIDE
+            softness = 1 / (1 - beside)
+            inner, ends = self._maps(softness, None)
+            matrix = self._system(softness, ends)
+            angle = np.arange(len(matrix), dtype=float)
+            factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix)
+            right = np.column_stack([np.cos(angle), np.sin(angle)])
+            grown = scipy.linalg.lapack.dgetrs(factors, pivots, right)[0]
+            size = np.abs(grown[:, 0]).max()
+            found = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
+            found /= np.abs(found).max()
+            other = np.abs(grown[:, 1] - found * ((found @ grown[:, 1]) / (found @ found))).max()
+            mode = self._along(self._state(found, softness), inner, (None, np.zeros(0, dtype=np.intp)), softness)
+            margin = self.quotient(mode, softness)
+            # Every mode grows by one over its distance, and is mixed into this one by as much.
+            if abs(margin - beside) * size < DOUBLE * other:
+                return None
+            if other < MIXED * size:
+                break
+        return (mode, softness) if abs(margin - known) < SAME_MODE else None
+
+    def _state(self, found: Array, softness: float) -> Array:
+        """(P + 1, 2 n + 6, 1) behind all places, of torques and moment at the plate and what follows."""
+        n, own = self.n, self.n + 3
+        state = np.zeros((self.pieces + 1, self.size, 1))
+        state[1:, :, 0] = found[own:].reshape(self.pieces, self.size)
+        state[0, own:, 0] = found[:own]
+        state[0, :n, 0] = softness * self.transmission * found[:n]
+        return state
+
+    def elastic(self, mode: Response, softness: float) -> float:
+        """The elastic part T of the second variation along a mode, one column."""
+        torque, bent, held = mode.torque[..., 0], mode.bent[..., 0], mode.state[0, self.n + 3 : 2 * self.n + 3, 0]
+        density = (self.rate * torque**2).sum(2) + (bent**2).sum(2) / self.stiffness.sum(2)
+        return float(softness**2 * ((self.weights * density).sum() + self.transmission @ held**2))
+
+    def quotient(self, mode: Response, softness: float) -> float:
+        """Second variation over its elastic part T along a mode, one column."""
+        y, psi, curved = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
+        bending = (self.frame[..., :2] @ curved[..., None])[..., 0]
+        form = np.einsum("pki,pkij,pkj->pk", y, self._by[0], y)
+        form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
+        return 1.0 + float((self.weights * form).sum()) / self.elastic(mode, softness)
+
+
+MODE_STEPS = 4
+"""How often a mode is sought at most, each time at the quotient of the one before."""
+
+MIXED = 3e-7
+"""Part of another mode that a mode may have."""
+
+SAME_MODE = 1e-6
+"""Difference of the margin up to which a mode is that of the margin."""
+
+ASIDE = 1e-12
+"""By how much less than the margin an arm is softened to find how it buckles."""
+
+DOUBLE = 1e-9
+"""Eigenvalues closer than this are one, whose mode, and so derivative, is not known."""

@@ -1,0 +1,497 @@
+"""Derivatives of an equilibrium of concentric tubes, of one curvature or made of pieces, with a load or without, by the
+implicit function theorem.
+
+What moves along the arm is taken at fixed arc lengths: a tube that moves carries what varies along it past every point,
+and a breakpoint that moves uncovers a stretch with other tubes, which is a jump of all rates there. Where breakpoints
+coincide the derivatives to either side differ, and both are exact.
+
+The margin mu is the least of Q / T, of the second variation Q over its elastic part T. At its mode, with y the turn of
+the tubes, v and g their torques and the bending moment, psi the turn of the frame,
+
+    d mu = int [partial derivative of  y' (dM/dtheta) y - 2 g'(du/dtheta) y - (v^2 / kt + |g|^2 / K) / (1 - mu)
+                - n.(psi x (psi x e))] ds / T,      R g = dm + m x psi,
+
+since no other change of the mode matters to it. What is continuous where the tubes change is y, v, psi, dm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ..block.transcription.buffered import mapped
+from ..block.transcription.green import INWARDS
+from ..block.transcription.linear import cumulate
+from ..block.transcription.standing import Burden, Forcing, Response, Sections, Standing, cross, hat, sections_of
+from ..errors import InputError, SolveError
+from ..physics.torsion import bent_functions
+from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.lengthwise import CrossSections
+from ..robots.load import FORCE, MOMENT, masses
+from ..typing import Array, Index, Mask
+from .arm_change import check_wrt
+from .derivatives import FLAT
+from .load_problem import loaded_problem
+from .result import Equilibrium, refuse_friction
+from .solving import discretisation_of, reduced_problem, sample_rotation
+
+APART = 1e-7
+"""Margins of either sign smaller than this are those of a fold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Breakpoints:
+    """J breakpoints in front of the plate: the `tube` that has each, the `index` of the piece that begins there, and
+    2 J cross-sections there, of what the tube uncovers when it moves to a side, then of what was there; `there` (2 J,)
+    whether there is any tube."""
+
+    tube: Index
+    index: Index
+    place: Array
+    sections: CrossSections
+    there: Mask
+    outermost: Index
+
+
+@lru_cache(maxsize=64)
+def breakpoints_of(assembly: Assembly, between: bytes, side: int) -> Breakpoints:
+    """Those that move towards the tip (`side` 1) or the plate (-1); `between` are the arc lengths (P + 1,) between the
+    pieces."""
+    cuts, nudge, n = np.frombuffer(between), side * ROUND_OFF, assembly.n_tubes
+    own = [(i, s) for i in range(n) for s in _places(assembly, i) if s > -nudge]
+    tube, place = np.array([i for i, _ in own], dtype=np.intp), np.array([s for _, s in own])
+    before = np.repeat((place + nudge)[:, None], n, axis=1)
+    after = before.copy()
+    after[np.arange(len(tube)), tube] -= 2 * nudge
+    near = np.concatenate([after, before])
+    present = near < assembly.end
+    return Breakpoints(
+        tube=tube,
+        index=np.searchsorted(cuts, place - 2 * ROUND_OFF),
+        place=place,
+        sections=_sections(assembly, np.concatenate([place, place]), near),
+        there=np.asarray(present.any(1)),
+        outermost=n - 1 - present[:, ::-1].argmax(1),
+    )
+
+
+def _places(assembly: Assembly, tube: int) -> list[float]:
+    """Arc lengths (m) of the breakpoints of a tube, but for where it is held."""
+    if assembly.lengthwise is not None:
+        own = [cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube][1:]]
+    else:
+        own = [float(assembly.transition[tube]), float(assembly.end[tube])]
+    own.sort()
+    return [s for k, s in enumerate(own) if not k or s - own[k - 1] > ROUND_OFF]
+
+
+def _sections(assembly: Assembly, s: Array, near: Array) -> CrossSections:
+    """The tubes at arc lengths (X,), each on the side of (X, n)."""
+    present = near < assembly.end
+    if assembly.lengthwise is not None:
+        return assembly.lengthwise.at(s[:, None] + assembly.transmission, near + assembly.transmission, present)
+    kb = assembly.bending_stiffness * present
+    none = np.zeros(kb.shape)
+    moment = kb * assembly.curvature * (near > assembly.transition)
+    return CrossSections(kb, moment, none, none + assembly.torsional_stiffness, none, none)
+
+
+class Linearised:
+    """Derivatives of an equilibrium by what `wrt` names of its n tubes, n columns each, computed where asked for.
+
+    Args:
+        equilibrium: of concentric tubes.
+        wrt: names of PARAMETERS.
+        side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
+            derivatives differ.
+
+    Raises:
+        InputError: a name that is not among PARAMETERS, a side that is neither 1 nor -1; or the tip draws back from
+            under a force or moment that acts where it is.
+        SolveError: the equilibrium is a fold.
+    """
+
+    def __init__(
+        self, equilibrium: Equilibrium, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1
+    ) -> None:
+        check_wrt(wrt, side)
+        refuse_friction(equilibrium)
+        if abs(equilibrium.margin) < APART:
+            raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
+        self.equilibrium, self.wrt, self.side = equilibrium, tuple(wrt), side
+        self.here = standing_of(equilibrium)
+        self.assembly = self.here.problem.assembly
+        self.n, self.arm, self.cuts = self.here.n, equilibrium.arm, self.here.cuts
+        self.terms = [[(name, i, 1.0)] for name in self.wrt for i in range(self.n)]
+        """What each column changes: parameters of tubes, and by how much."""
+        self.size = len(self.terms)
+
+    # --- what changes -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _given(self) -> tuple[Forcing, Array, Array]:
+        """What the parameters change; the natural turn (n, Q) up to the ends of the tubes; by how much each moves the
+        breakpoints (J, Q)."""
+        here, n, size = self.here, self.n, self.size
+        points, bases = (here.pieces, here.degree), np.zeros((3, n, size))
+        forcing = Forcing(
+            base=bases[0],
+            transmission=bases[1],
+            data=np.zeros((*points, 3 * n, size)),
+            rate=np.zeros((*points, n, size)),
+            force=np.zeros((*points, 3, size)),
+            jumps=np.zeros((here.pieces + 1, here.size, size)),
+            side=self.side,
+        )
+        speed = np.zeros((len(self._breakpoints.tube), size))
+        for column, terms in enumerate(self.terms):
+            for name, i, by in terms:
+                self._enter(forcing, (bases[2], speed), (column, name, i, by))
+        np.add.at(forcing.jumps, self._breakpoints.index, self._strips[0][:, :, None] * speed[:, None])
+        return forcing, bases[2], speed
+
+    def _enter(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int, float]) -> None:
+        """Add what a parameter of a tube changes, times a factor, to a column."""
+        column, name, i, by = what
+        here, n, own, (wound, speed) = self.here, self.n, self.equilibrium.robot.tubes[i], more
+        kb, m = (into.data[..., k * n + i, column] for k in (1, 2))
+        if name == "rotations":
+            into.base[i, column] += by
+        elif name == "straight_length":
+            into.transmission[i, column] += by / self._torsional(i, 0.0)
+        elif name == "curvature":
+            straight = here.stiffness[..., i] * self._bendable(i)
+            m += by * (here.moments[..., i] / own.curvature if own.curvature else straight)
+        elif name == "bending_stiffness":
+            kb += by * here.stiffness[..., i] / own.bending_stiffness
+            m += by * here.moments[..., i] / own.bending_stiffness
+        elif name == "torsional_stiffness":
+            into.rate[..., i, column] -= by * here.rate[..., i] / own.torsional_stiffness
+            into.transmission[i, column] -= by * here.transmission[i] / own.torsional_stiffness
+        else:
+            self._advance(into, (wound, speed), what)
+
+    def _advance(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int, float]) -> None:
+        """A tube moves forward with all that it is; or its curved part becomes longer, all its pieces in proportion: a
+        place x of the tube moves by (x - l) / L behind the straight part, l, for each unit of length, L."""
+        column, name, i, by = what
+        here, n, own, points = self.here, self.n, self.equilibrium.robot.tubes[i], self._breakpoints
+        wound, speed = more
+        held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
+
+        def moves(place: Array) -> Array:
+            if name == "translations":
+                return np.ones_like(place)
+            return np.maximum(place - own.straight_length, 0.0) / own.curved_length
+
+        speed[mine, column] += by * moves(points.place[mine] + held)
+        into.transmission[i, column] -= by * float(moves(np.array(held))) / self._torsional(i, held)
+        end = float(self.assembly.end[i])
+        if self._density[i] and end > -self.side * ROUND_OFF:
+            gained = by * float(moves(np.array(end + held))) * self._density[i]
+            into.force[..., column] += (self._arc_length < end)[..., None] * (gained * self._gravity)
+        if table is None:
+            if name == "curved_length":
+                grown = max(held - own.straight_length, 0.0) / own.curved_length
+                into.transmission[i, column] += by * grown / self._torsional(i, held)
+            return
+        place = self._arc_length + held
+        moved = by * moves(place)
+        for k, rate in enumerate(self._passing[:3]):
+            into.data[..., k * n + i, column] -= rate[..., i] * moved
+        into.rate[..., i, column] -= self._passing[3][..., i] * moved
+        if name == "curved_length":
+            straight = np.array([tube.straight_length for tube in self.equilibrium.robot.tubes])
+            up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
+            into.transmission[i, column] += by * max(float(up_to), 0.0) / own.curved_length
+            ends = np.array([tube.length for tube in self.equilibrium.robot.tubes])
+            begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
+            turned = here.problem.here.sections.wound.reshape(here.phase.shape)[..., i] - begun
+            into.data[..., i, column] += by * np.where(moved != 0, turned, 0.0) / own.curved_length
+            wound[i, column] += by * (ended - begun) / own.curved_length
+
+    @cached_property
+    def _arc_length(self) -> Array:
+        """(P, K) of the points, m."""
+        return np.asarray(self.here.mesh.start[:, None] + self.here.length[:, None] * self.here.t.nodes)
+
+    @cached_property
+    def _density(self) -> Array:
+        """(n,) mass per length of the tubes, kg/m; 0 where nothing weighs."""
+        load = self.here.load
+        return np.zeros(self.n) if load is None else masses(self.equilibrium.robot.tubes, load)
+
+    @property
+    def _gravity(self) -> Array:
+        load = self.here.load
+        return np.array((0.0, 0.0, 0.0) if load is None or load.gravity is None else load.gravity)
+
+    def _bendable(self, i: int) -> Array:
+        """(P, K) where a straight tube would be curved if it had a curvature; straight pieces stay straight."""
+        own, place = self.equilibrium.robot.tubes[i], self._arc_length + self.assembly.transmission[i]
+        return np.asarray((place > own.straight_length) & (not own.general))
+
+    def _torsional(self, i: int, place: float) -> float:
+        """kt of a tube at a place on it, on the side from which it moves, N m^2."""
+        table = self.assembly.lengthwise
+        if table is None:
+            return float(self.assembly.torsional_stiffness[i])
+        at = np.full((1, self.n), place)
+        return float(table.values(at, at - self.side * ROUND_OFF)[1, 0, i])
+
+    @cached_property
+    def _passing(self) -> tuple[Array, ...]:
+        """(P, K, n) rates of phase, kb, m and 1 / kt along the tubes at the points."""
+        table, here, mesh = self.assembly.lengthwise, self.here, self.here.mesh
+        assert table is not None
+        nodes = here.t.nodes
+        s, inside = (
+            (mesh.start[:, None] + here.length[:, None] * x).ravel()[:, None] + self.assembly.transmission
+            for x in (nodes, nodes + INWARDS * (0.5 - nodes))
+        )
+        _, kt, x, y, z, _ = (part.reshape(here.phase.shape) for part in table.values(s, inside))
+        kb, there = here.stiffness, here.stiffness > 0
+        dkb, dkt, dx, dy, _, _ = (part.reshape(here.phase.shape) for part in table.rates(s, inside))
+        size = np.hypot(x, y)
+        solid = np.where(size > 0, size, 1.0)
+        turning, growing = (x * dy - y * dx) / solid**2, (x * dx + y * dy) / solid
+        return z + turning, dkb * there, (dkb * size + kb * growing) * there, -dkt / kt**2
+
+    # --- breakpoints --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _breakpoints(self) -> Breakpoints:
+        return breakpoints_of(self.assembly, self.cuts.tobytes(), self.side)
+
+    @cached_property
+    def _force_there(self) -> Array:
+        """(J, 3) force on the cross-section at the breakpoints, on the side to which they move."""
+        here, index = self.here, self._breakpoints.index
+        if self.side < 0:
+            return np.asarray(here.t.basis((1.0,), 0)[0] @ here.force[index - 1])
+        table = np.concatenate([here.t.basis((0.0,), 0)[0] @ here.force, here.tip_force[None]])
+        return np.asarray(table[index])
+
+    @cached_property
+    def _along_there(self) -> Array:
+        """(J, 6) force and moment per length there."""
+        if self.here.load is None:
+            return np.zeros((len(self._breakpoints.place), 6))
+        return self.here.load.per_length(self.cuts[self._breakpoints.index] + self.side * ROUND_OFF)
+
+    @cached_property
+    def _strips(self) -> tuple[Array, Array, Array, Array]:
+        """What the rates of the state (J, 2 n + 6), the motion of the tip (J, 3), the elastic energy per length and
+        |u|^2 (J,) gain where a breakpoint moves."""
+        here, points = self.here, self._breakpoints
+        index, count = points.index, len(points.index)
+        if not count:
+            return np.zeros((0, here.size)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        there, frame = points.there, here.end_frame[index]
+        torque = np.tile((here.torque_ahead if self.side < 0 else here.torque_behind)[index], (2, 1))
+        at, rate, _ = self._sections_there
+        turning = rate * torque
+        bending = (np.concatenate([frame, frame])[..., :2] @ at.curvature[..., None])[..., 0]
+        along = self._along_there[:, MOMENT]
+        twisting = at.torque.copy()
+        twisting[np.arange(2 * count), points.outermost] -= np.tile((along * frame[..., 2]).sum(1), 2)
+        falling = np.tile(-cross(frame[..., 2], self._force_there) - along, (2, 1))
+        rates = np.concatenate([turning, bending, twisting, falling], axis=1)
+        energy = at.energy + (rate * torque**2).sum(1) / 2
+        parts = rates, np.tile(frame[..., 2], (2, 1)), energy, (at.curvature**2).sum(1)
+        out = [part * (there if part.ndim == 1 else there[:, None]) for part in parts]
+        gains = [self.side * (part[:count] - part[count:]) for part in out]
+        return gains[0], gains[1], gains[2], gains[3]
+
+    @cached_property
+    def _sections_there(self) -> tuple[Sections, Array, tuple[Array, ...]]:
+        """Cross-sections at the 2 J places, 1 / kt (2 J, n) there, and of what they are: theta, kb, m, b."""
+        here, points = self.here, self._breakpoints
+        index, tubes = points.index, points.sections
+        frame, moment = here.end_frame[index], here.moment_ahead if self.side < 0 else here.moment_behind
+        bent = (frame[..., :2].swapaxes(1, 2) @ moment[index][..., None])[..., 0]
+        phi = here.phi_ends[index]
+        # Where there is no tube a cross-section cannot be asked.
+        solid = np.where(points.there[:, None], tubes.stiffness, 1.0)
+        given = np.concatenate([phi, phi]) + tubes.phase, solid, tubes.moment, np.concatenate([bent, bent])
+        return sections_of(*given), 1 / tubes.torsional_stiffness, given
+
+    # --- answers ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def response(self) -> Response:
+        """Of the arm."""
+        forcing, _, speed = self._given
+        here, load = self.here, self.here.load
+        if load is not None:
+            self._must_stay(speed)
+            if load.distributed is not None:
+                force = load.per_length(self.cuts[-1:] + self.side * ROUND_OFF)[0, FORCE]
+                forcing.force[:] += np.outer(force, self._longer(speed))
+        return here.respond(forcing)
+
+    def _must_stay(self, speed: Array) -> None:
+        """Refuse motions that draw the tip, or the end of a tube, from under what acts there."""
+        here, ends, points = self.here, self.assembly.end, self._breakpoints
+        assert here.load is not None
+        at = {i: np.abs(points.place - ends[i]) <= ROUND_OFF for i in range(self.n)}
+        moving = {i for i in range(self.n) if speed[at[i] & (points.tube == i)].any()}
+        tip = self.cuts[-1]
+        if self.side < 0 and self._longer(speed).any() and any(part.at >= tip - TIP for part in here.load.points):
+            raise InputError(
+                f"points of load act at the tip, {1e3 * tip:g} mm from the plate, from where it draws back; take "
+                "derivatives by what moves it out (side=1)"
+            )
+        left = {tube for k, tube, _ in here.joints if self.side < 0 and abs(self.cuts[k] - ends[tube]) <= TIP}
+        if any(here.load.moment):
+            last = {i for i in range(self.n) if tip - ends[i] <= ROUND_OFF}
+            left |= last - {here.tip_tube} if self.side > 0 else ({here.tip_tube} if len(last) > 1 else set())
+        if left & moving:
+            tube = min(left & moving) + 1
+            raise SolveError(
+                f"there is no derivative by the end of tube {tube}: a moment acts there, which another tube takes over"
+            )
+
+    def _longer(self, speed: Array) -> Array:
+        """(Q,) change of the arm's length."""
+        at_tip = self._breakpoints.index == self.here.pieces
+        return np.asarray((self._strips[1] @ self.here.end_frame[-1, :, 2] * at_tip) @ speed)
+
+    @property
+    def pushed(self) -> Array:
+        """(3, Q) motion of the tip with the tubes that push it out, or that alone hold it there."""
+        return np.outer(self.here.end_frame[-1, :, 2], self._longer(self._given[2]))
+
+    @cached_property
+    def tip_position(self) -> Array:
+        """(3, Q) of the tip, m."""
+        here = self.here
+        levers = (here.weights[..., None, None] * -hat(here.axis)).reshape(-1, 3, 3).swapaxes(0, 1).reshape(3, -1)
+        return np.asarray(levers @ self.response.psi.reshape(-1, self.size) + self.pushed)
+
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, Q) turn vector of the tip frame in the plate frame, rad."""
+        return self.response.state[-1, self.n : self.n + 3]
+
+    @property
+    def tip_rotations(self) -> Array:
+        """(n, Q) of theta at each tube's own end."""
+        ends = np.clip(self.assembly.end, 0.0, self.cuts[-1])
+        index = np.abs(self.cuts - ends[:, None]).argmin(1)
+        return np.asarray(self.response.state[index, np.arange(self.n)] + self._given[1])
+
+    @cached_property
+    def position(self) -> Array:
+        """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
+        here = self.here
+        out = cumulate(here.t, here.h[..., None] * (-hat(here.axis) @ self.response.psi))
+        out[-1] += self.pushed
+        return out
+
+    @property
+    def total_bend(self) -> float:
+        """int |u|^2 ds along the arm, 1/m."""
+        return float(self.here.weights.ravel() @ (self.here.at.curvature**2).sum(1))
+
+    @cached_property
+    def bend(self) -> Array:
+        """(Q,) of int |u|^2 ds, 1/m."""
+        here, u = self.here, self.here.at.curvature
+        pull = (2 * here.weights.ravel()[:, None] * u).ravel()
+        return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + self._strips[3] @ self._given[2])
+
+    @cached_property
+    def energy(self) -> Array:
+        """(Q,) of the elastic energy, J."""
+        here, (forcing, _, speed), n = self.here, self._given, self.n
+        moved, weights, size = self.response, here.weights.ravel(), self.size
+        by = weights[:, None] * here.at.by_energy
+        out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
+        out += by[:, : 3 * n].ravel() @ forcing.data.reshape(-1, size)
+        out += by[:, 3 * n :].ravel() @ moved.bent.reshape(-1, size)
+        torque = here.torque.reshape(-1, n)
+        out += (weights[:, None] * here.rate.reshape(-1, n) * torque).ravel() @ moved.torque.reshape(-1, size)
+        out += (weights[:, None] * torque**2 / 2).ravel() @ forcing.rate.reshape(-1, size)
+        # The torque that the transmissions feel, behind what moves at the plate.
+        held, gained = here.torque_ahead[0], (moved.state - forcing.jumps)[0, n + 3 : 2 * n + 3]
+        out += (held**2 / 2) @ forcing.transmission + (here.transmission * held) @ gained
+        return np.asarray(out + self._strips[2] @ speed)
+
+    @cached_property
+    def margin(self) -> Array:
+        """(Q,) of the margin; NaN where it is a double eigenvalue, and for loads without one."""
+        value = self.equilibrium.margin
+        if value >= FLAT:
+            return np.zeros(self.size)
+        mode = None if np.isnan(value) else self.here.mode(value)
+        return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
+
+    def _quotient(self, mode: Response, softness: float) -> Array:
+        """(Q,) of the margin, from its mode."""
+        here, (forcing, _, speed), n, size = self.here, self._given, self.n, self.size
+        moved, weights = self.response, here.weights
+        y, psi, felt, torque, moment = (
+            part[..., 0] for part in (mode.phi, mode.psi, mode.bent, mode.torque, mode.moment)
+        )
+        count, function = len(here.at.energy), bent_functions(n)["mode"]
+        flat = [table.reshape(count, -1) for table in (here.phi + here.phase, here.stiffness, here.moments, here.bent)]
+        _, slope = mapped(function, count)(*flat, felt.reshape(count, 2), y.reshape(count, n), softness)
+        by = weights.ravel()[:, None] * slope
+        out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
+        out += by[:, : 3 * n].ravel() @ forcing.data.reshape(-1, size)
+        out += by[:, 3 * n : 3 * n + 2].ravel() @ moved.bent.reshape(-1, size)
+        across = here.frame[..., :2] @ by[:, 3 * n + 2 :].reshape(here.pieces, here.degree, 2, 1)
+        across = across[..., 0]
+        # g = (R'(dm + m x psi))_xy: by the moment, of which half is the costate's, and by the turn of the frame.
+        whole = moment + cross(here.moment, psi)
+        out += (cross(psi, across) / 2).ravel() @ moved.moment.reshape(-1, size)
+        turning = cross(across, whole)
+        twice = cross(psi, cross(psi, here.force))
+        turning -= weights[..., None] * cross(here.axis, twice)
+        out += turning.ravel() @ moved.psi.reshape(-1, size)
+        lean = cross(psi, cross(psi, here.axis))
+        out -= (weights[..., None] * lean).ravel() @ forcing.force.reshape(-1, size)
+        out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.rate.reshape(-1, size)
+        held = mode.state[0, n + 3 : 2 * n + 3, 0]
+        out -= softness * held**2 @ forcing.transmission
+        out += self._mode_gains(mode, softness) @ speed
+        return np.asarray(out / here.elastic(mode, softness))
+
+    def _mode_gains(self, mode: Response, softness: float) -> Array:
+        """(J,) what the margin gains where a breakpoint moves."""
+        here, points, n = self.here, self._breakpoints, self.n
+        index, count = points.index, len(points.index)
+        if not count:
+            return np.zeros(0)
+        frame, state = here.end_frame[index], mode.state[index, :, 0]
+        y, psi, torque, moment = np.split(state, [n, n + 3, 2 * n + 3], axis=1)
+        ahead = (here.moment_ahead if self.side < 0 else here.moment_behind)[index]
+        felt = (frame[..., :2].swapaxes(1, 2) @ (moment + cross(ahead, psi))[..., None])[..., 0]
+        _, rate, given = self._sections_there
+        more = (np.tile(part, (2, 1)) for part in (felt, y))
+        form, _ = mapped(bent_functions(n)["mode"], 2 * count)(*given, *more, softness)
+        density = form[:, 0] - softness * (rate * np.tile(torque, (2, 1)) ** 2).sum(1)
+        lean = cross(psi, cross(psi, frame[..., 2]))
+        density -= np.tile((self._force_there * lean).sum(1), 2)
+        density = density * points.there
+        return np.asarray(self.side * (density[:count] - density[count:]))
+
+
+TIP = 1e-9
+"""Distance (m) from the tip up to which a force acts at it."""
+
+
+def standing_of(equilibrium: Equilibrium) -> Standing:
+    """The arm of an equilibrium of concentric tubes, on the mesh on which it was solved."""
+    robot, shift = equilibrium.robot, tuple(equilibrium.translations.tolist())
+    if equilibrium.load is None:
+        problem, burden = reduced_problem(robot, shift, discretisation_of(equilibrium)), None
+    else:
+        loaded = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
+        problem, burden = loaded.torsion, Burden(loaded.load, loaded.force, loaded.couples)
+    solved = sample_rotation(equilibrium, problem.arc_length)
+    return Standing(problem, equilibrium.rotations, solved, equilibrium.arm, burden)
