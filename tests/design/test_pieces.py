@@ -16,6 +16,7 @@ from tubeopt import (
     ConcentricRobot,
     DesignTask,
     InputError,
+    Load,
     Piece,
     Tube,
     forward_kinematics,
@@ -131,6 +132,36 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
         # The largest curvature of a shape is looked for at 2,000 places.
         rough = asked[j].name == "curvature" or (asked[j].name == "straightened_strain" and robot is THESIS)
         assert np.abs(slope - found).max() <= (1e-3 if rough else 1e-7) * np.abs(found).max()
+
+
+def test_deflections_change_as_equilibria_say() -> None:
+    """Of robots whose pieces, diameters, lengths or joint values differ, solved with and without the force."""
+    robot, force = chained(), (0.02, 0.01, -0.03)
+    free = [
+        Free("piece_curvature", (0, 1), -30.0, 30.0, tie="equal"),
+        Free("piece_plane", (1,), -3.0, 3.0, pieces=(1,)),
+        Free("piece_twist", (0,), -50.0, 50.0, pieces=(1,)),
+        Free("piece_bending_factor", (2,), 0.2, 1.0, tie="equal", torsion_share=0.4),
+        Free("outer_diameter", (1,), 1.1e-3, 1.4e-3),
+        Free("curved_length", (1,), 0.02, 0.25),
+    ]
+    space = design_space(robot.tubes, free)
+    begin = np.array([1.32e-3, 0.064, 11.0, 0.3, 4.0, 0.7])
+    beta = np.array([-0.033, -0.021, -0.0052]) - [tube.straight_length for tube in space.tubes(begin)]
+    x = np.concatenate([begin, [0.3, 2.5, -1.0], beta])
+
+    def deflection(at: Array) -> Array:
+        robot = ConcentricRobot(space.tubes(at[:6]))
+        joints = at[6:9], at[9:] + [tube.straight_length for tube in robot.tubes]
+        plain, pushed = (forward_kinematics(robot, *joints, load=load) for load in (None, Load(force)))
+        return pushed.tip_position - plain.tip_position
+
+    value, slope = at_state(State(Layout(space, (FreePose(0),), (), ()), x))(Quantity("deflection", 0, force))
+    assert value == pytest.approx(deflection(x), abs=1e-10)
+    steps = np.concatenate([1e-4 * space.scale, np.full(3, 1e-4), np.full(3, 1e-6)])
+    found = np.array([(deflection(x + d) - deflection(x - d)) / (2 * d.sum()) for d in np.diag(steps)]).T
+    assert np.abs(found).max(0) == pytest.approx(np.abs(slope).max(0), rel=1e-5)
+    assert (np.abs(slope - found).max(0) <= 2e-6 * np.abs(found).max(0)).all()
 
 
 def test_points_along_the_arm_move_as_differences_say() -> None:
@@ -318,6 +349,30 @@ def test_a_box_is_covered_by_tubes_of_pieces() -> None:
         assert reached.position_error <= 1.001e-3
 
 
+def test_the_stiffest_diameter_is_that_of_a_search() -> None:
+    """A thicker inner tube takes wall from the outer one."""
+
+    def robot(diameter: float, bore: float) -> ConcentricRobot:
+        inner = Tube.of_pieces(diameter, 0.6e-3, [Piece(0.03, 12.0), Piece(0.04, -12.0)], straight_length=0.05)
+        outer = Tube.of_pieces(1.6e-3, bore, [Piece(0.035, 14.0), Piece(0.015, 0.0)], straight_length=0.02)
+        return ConcentricRobot((inner, outer))
+
+    def deflection(diameter: float) -> float:
+        here = robot(diameter, diameter + 0.1e-3)
+        plain, pushed = (forward_kinematics(here, [0.0, 2.0], load=load) for load in (None, Load((0, 0.02, 0))))
+        return float(np.linalg.norm(pushed.tip_position - plain.tip_position))
+
+    best = minimize_scalar(deflection, bounds=(0.9e-3, 1.3e-3), method="bounded", options={"xatol": 1e-8})
+    free = [Free("outer_diameter", (0,), 0.8e-3, 1.35e-3), Free("inner_diameter", (1,), 0.9e-3, 1.45e-3)]
+    asked = Poses(((0.0, 2.0),), ((0.0, 0.0),)), SnapFree(0.05), Nesting(0.1e-3)
+    task = DesignTask(robot(0.9e-3, 1.05e-3), free, asked, Objective("tip_deflection", tip_force=(0.0, 0.02, 0.0)))
+    found = optimize_design(task, turns=1)
+    assert found.verification.kept
+    assert found.certificate > 0.05
+    assert found.objective == pytest.approx(best.fun, rel=1e-6)
+    assert found.dimensions[0].after == pytest.approx(1e3 * best.x, abs=2e-3)
+
+
 def test_points_of_a_box_are_tried_by_the_robot_of_the_design() -> None:
     """With pieces as they are changed: a target at its own tip is reached."""
     robot = chained()
@@ -451,11 +506,11 @@ def test_opposed_tubes_hold_each_other_straight() -> None:
         assert again[i] == pytest.approx(told, rel=1e-6)
 
 
-def test_an_expression_along_the_arm_is_refused() -> None:
+def test_an_expression_of_a_stroke_force_is_refused() -> None:
     task = DesignTask(THESIS, [PATTERN], [Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0),))], Objective("change"))
     state = State(Layout(task.space, (FixedPose((0.0,) * 3, (0.0,) * 3),), (), ()), task.space.start)
-    with pytest.raises(InputError, match="speaks of the deflection in a pose"):
-        at_state(state)(Quantity("deflection", 0, (0.01, 0.0, 0.0)))
+    with pytest.raises(InputError, match="speaks of the stroke force in a pose"):
+        at_state(state)(Quantity("stroke_force", 0))
 
 
 def test_keys_of_a_file() -> None:

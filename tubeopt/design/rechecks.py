@@ -23,7 +23,7 @@ from ..robots.tubes import Tube, piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
 from .drawn import draw
-from .lookup import STRONGEST
+from .pushed import STRONGEST
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 
 MISSED = 1e-6

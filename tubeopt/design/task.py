@@ -13,7 +13,7 @@ from ..errors import InputError, instance, items
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import slots_unknown
 from ..typing import Array
-from .objectives import KINDS, POSED, PUSHED, AnyObjective, Objective, key_of
+from .objectives import KINDS, POSED, AnyObjective, Objective, key_of
 from .order import Place, check_order, ordered_places
 from .parameters import DesignSpace, Free, design_space
 from .requirements import (
@@ -189,9 +189,7 @@ def _check_pieces(task: DesignTask) -> None:
         return
     for one in task.requirements:
         if isinstance(one, StrokeForce):
-            raise InputError(
-                "stroke_force is required; a design of pieces does not take it, nor anything under a force"
-            )
+            raise InputError("stroke_force is required; a design of pieces does not take it")
         if isinstance(one, Strain):
             _check_slots(task.space)
         if isinstance(one, SnapFree) and one.max_force:
@@ -206,11 +204,8 @@ def _check_pieces(task: DesignTask) -> None:
             )
         if isinstance(wanted, Objective) and wanted.kind == "strain":
             _check_slots(task.space)
-        if isinstance(wanted, Objective) and wanted.kind in (*PUSHED, "stroke_force"):
-            raise InputError(
-                f"objective is {wanted.kind}; a design of pieces does not take it, since how pieces change what a "
-                "force moves is not computed: an equilibrium block with a load has it"
-            )
+        if isinstance(wanted, Objective) and wanted.kind == "stroke_force":
+            raise InputError(f"objective is {wanted.kind}; a design of pieces does not take it")
 
 
 def _check_slots(space: DesignSpace) -> None:

@@ -1,0 +1,87 @@
+"""What a force on the tip does in a pose of a design, and how that changes with the design."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..block.quantities import PoseNumber
+from ..block.transcription.loaded import evaluate, tip_position
+from ..equilibrium.arm_change import PARAMETERS
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_problem import loaded_problem
+from ..equilibrium.loaded import loaded_point
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import discretisation_of, to_equilibrium
+from ..errors import InputError
+from ..robots.breakpoints import DIMENSIONS
+from ..robots.concentric import ConcentricRobot
+from ..robots.load import Load
+from ..stability.stroke import stroke_slopes
+from ..typing import Array
+from .state import State
+
+STRONGEST = 10.0
+"""N; a pose that bears more along its tip counts as one that bears this."""
+
+STEP = 1e-5
+"""Of differences of the equations by what is free of pieces, as a share of its size."""
+
+
+def tip_deflection(state: State, index: PoseNumber, force: tuple[float, float, float]) -> tuple[Array, Array]:
+    """(3,) m and (3, X) of a force, N, that keeps its direction and grows on a pose; raises SolveError where the robot
+    does not bear it there."""
+    plain, names, rows = _unloaded(state, index)
+    pushed = forward_kinematics(plain.robot, plain.rotations, plain.translations, load=Load(force), guess=plain)
+    change = _tip_moves(state, pushed) - state.pose(index).tip_slope @ state.chain(index)
+    if names:
+        change += pushed.jacobian(wrt=names).position @ rows
+    return pushed.tip_position - plain.tip_position, change
+
+
+def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
+    """The stroke force of a pose, N, at most STRONGEST, and its change (X,); raises SolveError where there is no limit
+    close to where the branch is lost, or it has no derivative."""
+    if state.layout.space.pieced:
+        raise InputError("an expression speaks of the stroke force in a pose; a design of pieces has none for it")
+    plain, names, rows = _unloaded(state, index)
+    found = stroke_slopes(plain, names, STRONGEST)
+    return (STRONGEST, np.zeros(state.layout.size)) if found is None else (found[0], found[1] @ rows)
+
+
+def _unloaded(state: State, index: PoseNumber) -> tuple[Equilibrium, list[str], Array]:
+    """The equilibrium of a pose, the PARAMETERS that some unknown moves, and their change with the unknowns, n rows
+    each: the others need not be differentiated. What is free of pieces moves none."""
+    pose, robot, n = state.pose(index), ConcentricRobot(state.tubes), state.layout.n
+    slopes = {name: state.slopes[name] for name in DIMENSIONS}
+    if state.layout.space.pieced:
+        slopes["curvature"] = np.zeros((n, state.layout.size))
+    rows = dict(zip(PARAMETERS, [*state.joint_slopes(index), *slopes.values()], strict=True))
+    moved = {name: part for name, part in rows.items() if part.any()}
+    shift = tuple(state.joint_values(index)[1].tolist())
+    plain = to_equilibrium(robot, pose.solved, shift, ("newton", "guess", 0.0))
+    return plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()])
+
+
+def _tip_moves(state: State, pushed: Equilibrium) -> Array:
+    """(3, X) change of the tip of an equilibrium under load with what is free of pieces.
+
+    With H the second variation and g the gradient of the energy, H dx = -dg; the tip is differentiated along both.
+    """
+    space, designs = state.layout.space, state.x[: state.layout.designs]
+    change, shift = np.zeros((3, state.layout.size)), tuple(pushed.translations.tolist())
+    free = [k for k, one in enumerate(space.unknowns) if one.pieces]
+    if not free or pushed.load is None:
+        return change
+    point, d = loaded_point(pushed), discretisation_of(pushed)
+    for k in free:
+        step = STEP * float(space.scale[k])
+        robots = (ConcentricRobot(space.tubes(designs + by * np.eye(len(designs))[k])) for by in (step, -step))
+        both = [loaded_problem(robot, shift, pushed.load, d) for robot in robots]
+        ahead, back = (evaluate(problem, pushed.rotations, point.state.x).gradient for problem in both)
+        by = np.linalg.solve(point.state.hessian, (back - ahead) / (2 * step))
+        tips = [
+            tip_position(problem, evaluate(problem, pushed.rotations, point.state.x + sign * step * by))
+            for problem, sign in zip(both, (1, -1), strict=True)
+        ]
+        change[:, k] = (tips[0] - tips[1]) / (2 * step)
+    return change
