@@ -73,9 +73,60 @@ def test_a_sensor_that_closes_the_loop_makes_success_likely(run: Run) -> None:
     assert "--sensor: sensor is 'nose'; it must be one of" in refused(run("heat", RIG, "--sensor", "nose"))[0]
 
 
+def test_the_schedule_alone_is_rated_alike_with_and_without_a_sensor(run: Run) -> None:
+    flags = ("heat", "plan", RIG, "--hold-s", "5", "--samples", "20", "--charges-percent", "none")
+    alone, led = run(*flags), run(*flags, "--sensor", "thermocouple")
+    (share,) = re.findall(r"success: (\d+) % of 20 uncertain rigs", alone.out)
+    (alike,) = re.findall(r"by the schedule alone (\d+) % of the same rigs do", " ".join(led.out.split()))
+    assert share == alike
+    assert (alone.code, led.code) == (3, 0)
+
+
+@pytest.mark.parametrize("samples", ["0", "19"])
+def test_a_sensor_needs_uncertain_rigs(run: Run, samples: str) -> None:
+    flags = ("--samples", samples, "--sensor", "thermocouple")
+    wanted = f"--samples is {samples}; with a sensor it must be at least 20"
+    assert refused(run("heat", "plan", RIG, *flags)) == [wanted]
+    assert refused(run("fabricate", ROBOT, "--rig", RIG, *flags)) == [wanted]
+
+
+@pytest.mark.parametrize(
+    ("flags", "wanted"),
+    [
+        (("--charges-percent", "90,200"), "--charges-percent[1] is 200; it must be at most 100"),
+        (("--hold-s", "0.5"), "--hold-s is 0.5 s; it must be at least 1 s"),
+        (("--longest-s", "5000"), "--longest-s is 5000 s; it must be at most 1800 s"),
+        (("--slot-s", "10"), "--slot-s is 10 s; it must be 0.02 to 5 s, and not above the --hold-s"),
+        (("--lead-range-mm", "5,2"), "--lead-range-mm is 5 mm to 2 mm; the first must be below the second"),
+    ],
+)
+def test_what_is_refused_is_called_by_its_flag_and_unit(run: Run, flags: tuple[str, ...], wanted: str) -> None:
+    assert refused(run("heat", "plan", RIG, *flags)) == [wanted]
+
+
+def test_a_robot_in_place_of_a_rig_is_called_a_robot_file(run: Run) -> None:
+    (line,) = refused(run("heat", "plan", ROBOT))
+    assert line.endswith("kind is 'eccentric'; it must be rig; this is a robot file, and a rig file is wanted")
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        # The bare tube is in the window, the middle is not.
+        (("--material", "steel", "--window-degC", "60,120"), "the middle of the curved part is below the window"),
+        (("--hold-s", "5"), "mm from each clamp are below the window"),
+    ],
+)
+def test_a_cold_end_is_never_negative(run: Run, flags: tuple[str, ...], words: str) -> None:
+    outcome = run("heat", "plan", RIG, "--samples", "0", "--charges-percent", "none", *flags)
+    (said,) = re.findall("cold end (.*?) extra tube", " ".join(outcome.out.split()))
+    assert said.endswith(words)
+    assert "-" not in said
+
+
 @pytest.mark.parametrize("loss", ["0", "2"])
 def test_a_rig_that_is_known_keeps_the_window_without_a_sensor(run: Run, loss: str) -> None:
-    # 3 % of the loss is known after a calibration: docs/heating.md says that nearly all rigs keep the window then.
+    # 3 % of the loss is known after a calibration.
     flags = ("--objective", "margin", "--hold-s", "5", "--samples", "16", "--loss-percent", loss)
     outcome = run("heat", "plan", RIG, *flags, "--charges-percent", "none")
     assert "success: " in outcome.out
@@ -218,6 +269,13 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [("heat", "plan"), ("heat", "calibrate"), ("fabricate",)])
 def test_help_has_an_example(run: Run, words: tuple[str, ...]) -> None:
     assert f"Example: tubeopt {words[0]}" in run(*words, "--help").out
+
+
+def test_the_example_of_the_help_works(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+    monkeypatch.chdir(tmp_path)
+    text = " ".join(run("heat", "plan", "--help").out.split())
+    assert run(*text.split("Example: tubeopt ")[1].split()).code == 0
 
 
 def test_the_lid_of_a_fabricated_mold_has_the_vents_that_the_schedule_counts_on() -> None:

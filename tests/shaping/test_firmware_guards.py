@@ -75,11 +75,11 @@ static inline float reference_at(uint16_t k) {{ return REFERENCE[k < SLOTS ? k :
 SOURCES = resources.files("tubeopt.shaping.firmware") / "sketch"
 
 
-def compiled(folder: Path, options: tuple[str, ...] = ()) -> Path:
+def compiled(folder: Path, options: tuple[str, ...] = (), header: str = HEADER) -> Path:
     """The heater with this schedule, for this computer; `options` are the compiler's."""
     for name in ("heater.h", "heater.cpp", "hardware.h", "host.cpp"):
         (folder / name).write_text((SOURCES / name).read_text(encoding="utf-8"), encoding="utf-8")
-    (folder / "schedule.h").write_text(HEADER, encoding="utf-8")
+    (folder / "schedule.h").write_text(header, encoding="utf-8")
     (folder / "board.h").write_text(f"#define LEAKING_AMPERE ({LEAKING_AMPERE}f)\n", encoding="utf-8")
     return built(folder, options=options)
 
@@ -666,3 +666,16 @@ def test_what_a_full_count_cannot_give_is_owed_once(heater: Path, lag: float) ->
     rows = heated(30, volt=12.1, lag=lag)
     assert max(count for count, _ in run(heater, rows)) == 255 or lag == 0.0
     compare(heater, rows)
+
+
+def test_the_emptiest_of_many_schedules_is_for_batteries_below_them_all(tmp_path: Path) -> None:
+    # Every table begins with a count of its own.
+    rows = ", ".join(f"{{{k + 30}.0f, {', '.join('9.0f' for _ in REFERENCE[1:])}}}" for k in range(21))
+    volts = ", ".join(f"{12.7 - 0.1 * k:.1f}f" for k in range(21))
+    header = re.sub("TABLES 3u", "TABLES 21u", HEADER)
+    header = re.sub(r"(PLANNED\[TABLES\]\[SLOTS\] = ).*;", rf"\1{{{rows}}};", header)
+    header = re.sub(r"(VOLTS\[TABLES\] = ).*;", rf"\1{{{volts}}};", header)
+    many = compiled(tmp_path, header=header)
+    for volt, table in ((12.8, 0), (11.7, 10), (10.7, 20), (9.5, 20)):
+        counts = [count for count, _ in run(many, [Row(10, volt=volt, line='{"do":"start"}'), Row(110, volt=volt)])]
+        assert max(counts) == table + 32  # and what every pulse loses, 1.75

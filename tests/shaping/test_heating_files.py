@@ -12,14 +12,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tubeopt import InputError, Material, Tube, load_rig, save_rig
+from tubeopt import HeatingSpec, InputError, Material, Tube, load_rig, save_rig
 from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.robots.materials import NITINOL
 from tubeopt.runs.rig_file import load_heating_log, load_heating_trials, rig_from_dict
 from tubeopt.shaping.heating.calibration import HeatingLog, calibrate
-from tubeopt.shaping.heating.files import arduino_header
+from tubeopt.shaping.heating.files import arduino_header, slot_milliseconds
+from tubeopt.shaping.heating.outcome import remarks
+from tubeopt.shaping.heating.plan import quench_time
 from tubeopt.shaping.heating.rig import Battery
 from tubeopt.shaping.heating.robust import assess
+from tubeopt.shaping.heating.simulation import resimulate
+from tubeopt.shaping.heating.thermal import COARSE, thermal_model
 from tubeopt.show.plots.heating import plot_heating, plot_rig_fit
 
 from .heating_reference import CONFIGS, TUBE, mold_of, thesis_plan, thesis_rig, with_mold
@@ -161,3 +165,26 @@ def test_pictures(tmp_path: Path) -> None:
     for name in ("plan.png", "fit.png"):
         with Image.open(tmp_path / name) as image:
             assert image.size[0] > 300
+
+
+@pytest.mark.parametrize(("beyond", "whole"), [(0.9e-9, True), (1.1e-9, False)])
+def test_a_slot_is_a_whole_number_of_ms_to_a_picosecond(beyond: float, whole: bool) -> None:
+    slot = (500 + beyond) / 1000
+    if whole:
+        assert slot_milliseconds(slot) == 500
+    else:
+        with pytest.raises(InputError, match="a whole number of milliseconds"):
+            slot_milliseconds(slot)
+
+
+def test_a_battery_is_never_left_with_less_than_nothing() -> None:
+    rig = replace(thesis_rig(), battery=replace(thesis_rig().battery, state_of_charge=0.02))
+    model = thermal_model(TUBE, rig, COARSE)
+    history = resimulate(model, 5.0, np.full(360, 1.0))
+    (words,) = [words for words in remarks(rig, history, 300.0) if "battery" in words]
+    assert re.fullmatch(r"the heating takes \d+ % of the battery's capacity; the battery holds 2 %", words)
+
+
+@pytest.mark.parametrize("kelvin", [250.0, 300.0, 373.15])
+def test_a_cold_tube_needs_no_quench(kelvin: float) -> None:
+    assert quench_time(TUBE, HeatingSpec(), kelvin) == 0.0

@@ -154,7 +154,7 @@ COMMANDS: dict[str, Asked | str] = {
         the same.""",
         defaults={"charges_percent": CHARGES},
         example="tubeopt fabricate configs/robots/thesis_etr.yaml --rig configs/rigs/thesis_calcium_silicate.yaml "
-        "--out results",
+        "--sensor thermocouple --out results",
     ),
     "heat plan": Asked(
         "heating",
@@ -165,7 +165,7 @@ COMMANDS: dict[str, Asked | str] = {
         shown and saved all the same.""",
         arguments={"rig": RIG},
         defaults={"charges_percent": CHARGES},
-        example="tubeopt heat plan configs/rigs/thesis_calcium_silicate.yaml --out results",
+        example="tubeopt heat plan configs/rigs/thesis_calcium_silicate.yaml --sensor thermocouple --out results",
     ),
     "heat firmware": Asked(
         "led_heating",

@@ -168,7 +168,11 @@ def check_kind(
         raise InputError(f"{prefix}kind is missing; {allowed}")
     kind = data["kind"]
     if not isinstance(kind, str) or kind not in kinds:
-        hint = "; a robot is named by the key robot of such a file" if kind in OF_ROBOTS else nearest(kind, kinds)
+        hint = nearest(kind, kinds)
+        if kind in OF_ROBOTS and any("robot" in model.model_fields for model in kinds.values()):
+            hint = "; a robot is named by the key robot of such a file"
+        elif kind in OF_ROBOTS:
+            hint = f"; this is a robot file, and a {_either(list(kinds))} file is wanted"
         raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{hint}")
     return check(kinds[kind], data, where, names=names)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
 import types
 import typing
 from collections.abc import Callable, Collection, Mapping
@@ -21,9 +22,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Se
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
+from ..errors import InputError
 from .checked import Entry, Whole
 from .marks import Absent, Key, Marked, Named, OneOf, Range, Usual, Written, marked
-from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, plainest, to_si
+from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, parted, plainest, to_si
 
 E = TypeVar("E", bound=Entry)
 D = TypeVar("D")
@@ -39,7 +41,7 @@ class Part(Entry):
 
     def build(self) -> Any:
         """The object, in SI: what those fields make."""
-        return self.of(**values(self.of, self))
+        return made(self.of, self)
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
@@ -127,6 +129,23 @@ def values(what: Any, entry: Any) -> dict[str, Any]:
         if given is not None:
             read[field.name] = field.read(given)
     return read
+
+
+def made(what: type[D], entry: Any) -> D:
+    """The dataclass that the keys of an entry describe, in SI; what is wrong is said by these keys.
+
+    Raises:
+        InputError: values that it refuses.
+    """
+    try:
+        return what(**values(what, entry))
+    except InputError as error:
+        said = str(error)
+        for field in described(what):
+            # A name that is a plain word may be one of the sentence.
+            if "_" in field.name and parted(field.key)[0] != field.name:
+                said = re.sub(rf"(?<![\w.]){field.name}(?!\w)", field.key, said)
+        raise InputError(said) from None
 
 
 def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..files.checked import Positive, Whole
@@ -16,7 +16,7 @@ from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Progress
 from .base import RobotPath, Timed
-from .heating_study import SENSOR, Heating, RigPath, SensorName, Success, heating_of, sensor_of
+from .heating_study import SAMPLES, SENSOR, Charge, Heating, RigPath, SensorName, Success, enough, heating_of, sensor_of
 from .mold_study import MoldPath
 
 
@@ -61,15 +61,18 @@ class FabricationStudy(Timed):
     robot: RobotPath
     rig: RigPath = Field(examples=["RIG.yaml"])
     mold: MoldPath | None = Field(None, description="what is asked of the mold", examples=["MOLD.yaml"])
-    hold_s: Positive | None = Field(None, description="length of the hold; by default the mold file's, 60")
+    hold_s: Positive | None = Field(
+        None, ge=1, le=1800, description="length of the hold; by default the mold file's, 60"
+    )
     objective: Literal["time", "energy", "margin"] = Field("time", description="what is best: time, energy or margin")
-    charges_percent: list[Positive] = Field(
-        [], description="also tables for these states of charge; none for no tables"
-    )
-    samples: Annotated[Whole, Field(ge=0)] = Field(
-        32, description="uncertain rigs, of which the success probability is counted; 0 leaves it unknown"
-    )
+    charges_percent: list[Charge] = Field([], description="also tables for these states of charge; none for no tables")
+    samples: Annotated[Whole, Field(ge=0)] = Field(32, description=SAMPLES)
     sensor: SensorName | None = SENSOR
+
+    @model_validator(mode="after")
+    def _tried_enough(self) -> Self:
+        enough(self.samples, self.sensor)
+        return self
 
     def run(self, progress: Progress | None = None) -> Fabrication:
         """Each tube's mold drawn for the rig, and its heating planned on the rig with the mold as drawn.

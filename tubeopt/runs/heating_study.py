@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from decimal import Decimal
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from ..display import Displayed
-from ..errors import choice
+from ..errors import InputError, choice
 from ..files.checked import NotNegative, Positive, Whole, in_file
-from ..files.fields import asking, values
+from ..files.fields import asking, made
 from ..robots.tubes import Tube
 from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.law import wilson
@@ -62,7 +61,7 @@ class Heating(Displayed):
     """The same for other charges of the battery."""
     band: Band | None = None
     """Over uncertain rigs; None where that was not asked for."""
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty.of_a_workshop)
     """What the band is over."""
     scale: float = 1.0
     """By which the duties were scaled to the most likely success."""
@@ -89,7 +88,8 @@ def heating_of(
     """A plan with tables for other states of charge, and with what becomes of it on uncertain rigs: `samples` of them,
     for none of which there is no band; with `scaled` its duties are scaled to the most likely success, with a `sensor`
     its `feedback` is the law that leads it."""
-    uncertainty = uncertainty or Uncertainty()
+    enough(samples, sensor)
+    uncertainty = uncertainty or Uncertainty.of_a_workshop()
     steps = 1 + len(charges) + (samples > 0)
     tell = progress or (lambda done, total: None)
     tell(1, steps)
@@ -105,15 +105,31 @@ def heating_of(
         tell(2 + k, steps)
     tell(steps, steps)
     if sensor is not None:
-        planned = replace(planned, feedback=lead_by(planned, sensor, samples=max(samples, LEAST_LED)))
+        planned = replace(planned, feedback=lead_by(planned, sensor, uncertainty, samples=samples))
     return Heating(planned, tuple(tables), band, uncertainty, scale)
 
 
 LEAST_LED = 20
 """Uncertain rigs on which a law is tried at least."""
 
+
+def enough(samples: int, sensor: object) -> None:
+    """Refuse to try the law of a sensor on too few rigs."""
+    if sensor is not None and samples < LEAST_LED:
+        raise InputError(f"samples is {samples}; with a sensor it must be at least {LEAST_LED}")
+
+
+Charge = Annotated[Positive, Field(le=100)]
+"""A state of charge, percent."""
+
 SensorName = Annotated[str, AfterValidator(lambda name: choice("sensor", name, SENSORS))]
 """What is felt of the tube, by its name."""
+
+SAMPLES = (
+    "uncertain rigs, of which the success probability is counted; 0 leaves it unknown; with a sensor at least "
+    f"{LEAST_LED}"
+)
+"""What the key `samples` says."""
 
 SENSOR = Field(
     None,
@@ -183,7 +199,7 @@ class HeatedTube(TubeOnRig):
 
     def spec(self) -> HeatingSpec:
         """What is asked of the heating."""
-        return HeatingSpec(**values(HeatingSpec, self))
+        return made(HeatingSpec, self)
 
 
 @asking(HeatingSpec)
@@ -193,17 +209,27 @@ class HeatingStudy(HeatedTube):
     doing = "planning the heating"
 
     kind: Literal["heating"]
-    charges_percent: list[Positive] = Field(
-        [], description="also tables for these states of charge; none for no tables"
-    )
-    loss_percent: NotNegative = Field(
-        Decimal(15), lt=100, description="half-width of what is not known of the heat loss"
+    charges_percent: list[Charge] = Field([], description="also tables for these states of charge; none for no tables")
+    loss_percent: NotNegative | None = Field(
+        None,
+        lt=100,
+        description="half-width of what is not known of the heat loss of a calibrated rig, beside contacts (30 %) and "
+        "resistivity (2 %); by default nothing of the rig was measured, as for heat firmware",
     )
     robust: bool = Field(False, description="scale the duties to the most likely success")
-    samples: Annotated[Whole, Field(ge=0)] = Field(
-        64, description="uncertain rigs, of which the success probability is counted; 0 leaves it unknown"
-    )
+    samples: Annotated[Whole, Field(ge=0)] = Field(64, description=SAMPLES)
     sensor: SensorName | None = SENSOR
+
+    @model_validator(mode="after")
+    def _tried_enough(self) -> Self:
+        enough(self.samples, self.sensor)
+        return self
+
+    def uncertainty(self) -> Uncertainty:
+        """What is not known of the rig: all that a workshop does not know, or what a calibration leaves."""
+        if self.loss_percent is None:
+            return Uncertainty.of_a_workshop()
+        return Uncertainty(**self.in_si("loss_percent"))
 
     def run(self, progress: Progress | None = None) -> Heating:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
@@ -215,7 +241,7 @@ class HeatingStudy(HeatedTube):
             planned,
             charges,
             progress,
-            uncertainty=Uncertainty(**self.in_si("loss_percent")),
+            uncertainty=self.uncertainty(),
             samples=self.samples,
             scaled=self.robust,
             sensor=sensor_of(self.sensor),

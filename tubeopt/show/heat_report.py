@@ -46,12 +46,15 @@ def held_duties(plan: HeatingPlan) -> tuple[int, int]:
 
 def _duties(plan: HeatingPlan) -> str:
     most, least = held_duties(plan)
-    return f"{most} falling to {least} of 255, {plan.spec.slot:g} s each"
+    counts = f"{most}" if most == least else f"{most} falling to {least}"
+    return f"{counts} of 255, {plan.spec.slot:g} s each"
 
 
 def _cold_end(plan: HeatingPlan) -> str:
     if plan.cold_end == float("inf"):
-        return "the whole tube is below the window"
+        return "the middle of the curved part is below the window"
+    if plan.cold_end == 0.0:
+        return "no part between the clamps is below the window"
     return f"{plan.cold_end * TO_MM:.1f} mm from each clamp are below the window"
 
 
@@ -165,8 +168,8 @@ def success_words(success: Success | None) -> str:
     bounds = f"(95 %: {100 * low:.0f} to {100 * high:.0f} %)"
     if not success.led_by:
         return f"success: {kept} {bounds}; no sensor closes the loop"
-    without = f"{100 * (success.open_loop or 0):.0f} % without it"
-    return f"success: {kept} {bounds}; the sensor closes the loop ({success.led_by}), {without}"
+    alone = f"by the schedule alone {100 * (success.open_loop or 0):.0f} % of the same rigs do"
+    return f"success: {kept} {bounds}; the sensor closes the loop ({success.led_by}); {alone}"
 
 
 def unlikely(success: Success | None) -> str:
@@ -218,7 +221,7 @@ class HeatingReport(Report[Heating]):
                 f"{100 * band.probability:.0f} % of rigs stay in the window; {100 * band.too_cold:.0f} % fall "
                 f"below, {100 * band.too_hot:.0f} % rise above"
             )
-            told.append((f"loss +-{100 * self.answer.uncertainty.loss:g} %", words))
+            told.append(("by schedule alone" if self.answer.plan.feedback else "uncertain rigs", words))
         return told
 
     def below(self) -> list[RenderableType]:

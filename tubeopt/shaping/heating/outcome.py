@@ -150,7 +150,13 @@ def remarks(rig: Rig, history: History, wall: float) -> tuple[str, ...]:
             f"its groove reaches {math.ceil(wall - ZERO_CELSIUS)} degC"
         )
     left = rig.battery.state_of_charge - float(history.lumped[-1, 0, CHARGE])
-    if left < LEAST_CHARGE:
+    if left < 0:
+        used = rig.battery.state_of_charge - left
+        found.append(
+            f"the heating takes {100 * used:.0f} % of the battery's capacity; the battery holds "
+            f"{100 * rig.battery.state_of_charge:.0f} %"
+        )
+    elif left < LEAST_CHARGE:
         found.append(
             f"the battery is left with {100 * left:.0f} % of its charge; below {100 * LEAST_CHARGE:.0f} % lead-acid "
             "batteries suffer"

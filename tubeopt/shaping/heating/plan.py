@@ -214,17 +214,20 @@ class HeatingPlan(Displayed):
 
     @property
     def cold_end(self) -> float:
-        """Length of tube at each end, from the clamp's edge, that is colder than the window as the hold ends, m."""
+        """Length of tube at each end, from the clamp's edge, beyond which none is colder than the window as the hold
+        ends, m; infinite where the middle is."""
         row = self.temperature[int(np.flatnonzero(self.in_hold)[-1])]
         half = len(row) // 2
         x, values = self.position[:half], row[:half]
-        warm = np.flatnonzero(values >= self.spec.window_degC[0])
-        if not len(warm):
-            return math.inf
-        k = int(warm[0])
         low = self.spec.window_degC[0]
-        at = x[k] if k == 0 else np.interp(low, values[k - 1 : k + 1], x[k - 1 : k + 1])
-        return float(at - self.rig.clamps.grip)
+        cold = np.flatnonzero(values < low)
+        if not len(cold):
+            return 0.0
+        k = int(cold[-1])
+        if k == half - 1:
+            return math.inf
+        at = np.interp(low, values[k : k + 2], x[k : k + 2])
+        return max(float(at - self.rig.clamps.grip), 0.0)
 
     @property
     def free_length(self) -> float:
@@ -294,7 +297,7 @@ def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:
     wall = (tube.outer_diameter**2 - tube.inner_diameter**2) / (4 * tube.outer_diameter)
     rate = transfer / (data.density * data.heat_capacity * wall)
     goal = QUENCHED_DEGC + ZERO_CELSIUS
-    return max(0.0, math.log((hottest - medium) / (goal - medium)) / rate)
+    return 0.0 if hottest <= goal else max(0.0, math.log((hottest - medium) / (goal - medium)) / rate)
 
 
 def ageing(plan: HeatingPlan) -> tuple[float, float]:

@@ -100,7 +100,7 @@ def assess(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples
     """The band of temperatures of a plan over an ensemble of rigs, and the probability of staying in the window.
 
     Args:
-        uncertainty: how far the rig may be from what its file says.
+        uncertainty: how far the rig may be from what its file says; by default `Uncertainty.of_a_workshop()`.
         samples: size of the ensemble, at least 2.
 
     Raises:
@@ -108,7 +108,7 @@ def assess(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples
     """
     if samples < 2:
         raise InputError(f"samples is {samples}; it must be at least 2")
-    model, _ = (uncertainty or Uncertainty()).models(plan.tube, plan.rig, samples, ENSEMBLE)
+    model, _ = (uncertainty or Uncertainty.of_a_workshop()).models(plan.tube, plan.rig, samples, ENSEMBLE)
     return _band(plan, model, plan.duty[:-1])
 
 
@@ -160,7 +160,7 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     Raises:
         InputError: fewer than 2 samples.
     """
-    uncertainty = uncertainty or Uncertainty()
+    uncertainty = uncertainty or Uncertainty.of_a_workshop()
     before = assess(plan, uncertainty, samples=samples)
     model, _ = uncertainty.models(plan.tube, plan.rig, samples, ENSEMBLE)
     levels = plan.ideal_duty[:-1] / COUNTS

@@ -116,8 +116,7 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
         found = min(found, _corrected(tube, rig, spec, more, rounds=spec.solver.rounds), key=_missing)
     if nearest is None and found.outcome.shortfall > 0:
         nearest = nearest_hold(tube, found.run.rig, spec)
-    # Whole counts miss by more than mean duties do, by about what rounding makes the tube swing.
-    hopeless = nearest is None or nearest.missed + ripple(tube, rig, spec) > found.outcome.shortfall
+    hopeless = nearest is None or nearest.missed > found.outcome.shortfall
     if nearest is None or (hopeless and not found.outcome.excess and not found.breaks):
         return found
     return min(found, _counted(tube, found.run.rig, spec, nearest, found.program), key=_missing)

@@ -113,5 +113,6 @@ class HeatingSpec(Displayed):
 def _pair(name: str, value: Any) -> tuple[float, float]:
     low, high = vector(name, value, 2, "the least and the greatest").tolist()
     if not low < high:
-        raise InputError(f"{name} is {low:g} to {high:g}; the first must be below the second")
+        unit = " degC" if name.endswith("_degC") else " m"
+        raise InputError(f"{name} is {low:g}{unit} to {high:g}{unit}; the first must be below the second")
     return low, high
