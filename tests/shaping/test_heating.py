@@ -304,7 +304,7 @@ def test_a_battery_that_is_too_weak_is_told() -> None:
 
 def test_the_band_over_uncertain_rigs() -> None:
     plan = thesis_plan()
-    band = assess(plan, samples=16)
+    band = assess(plan, Uncertainty(), samples=16)
     assert band.coldest.shape == band.hottest.shape == (len(plan.time), 16)
     assert band.probability + band.too_cold + band.too_hot >= 1 - 1e-9
     assert 0 < band.probability < 0.6  # 15 % of loss are some 75 K of 500, the window has 50
@@ -355,7 +355,7 @@ def test_a_header_needs_whole_milliseconds() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"window_degC": (550, 500)}, "window_degC is 550 to 500; the first must be below the second"),
+        ({"window_degC": (550, 500)}, "window_degC is 550 degC to 500 degC; the first must be below the second"),
         ({"limit_degC": 540}, "window_degC is 500 to 550 degC; it must end below the limit of 540 degC"),
         ({"window_degC": 500}, "window_degC is 500; it must be 2 numbers (the least and the greatest)"),
         ({"window_degC": (20, 40)}, "it must begin at 50 degC or above"),

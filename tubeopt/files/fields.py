@@ -140,8 +140,8 @@ def made(what: type[D], entry: Any) -> D:
     try:
         return what(**values(what, entry))
     except InputError as error:
-        said = str(error)
-        for field in described(what):
+        said, of = str(error), typing.cast("Any", what)
+        for field in described(of):
             # A name that is a plain word may be one of the sentence.
             if "_" in field.name and parted(field.key)[0] != field.name:
                 said = re.sub(rf"(?<![\w.]){field.name}(?!\w)", field.key, said)
