@@ -188,3 +188,14 @@ def test_a_battery_is_never_left_with_less_than_nothing() -> None:
 @pytest.mark.parametrize("kelvin", [250.0, 300.0, 373.15])
 def test_a_cold_tube_needs_no_quench(kelvin: float) -> None:
     assert quench_time(TUBE, HeatingSpec(), kelvin) == 0.0
+
+
+def test_legends_of_a_plan_hide_no_curve() -> None:
+    figure = plot_heating(thesis_plan(), band=assess(thesis_plan(), samples=4))
+    figure.canvas.draw()
+    boxes = [axes.get_window_extent() for axes in figure.axes]
+    legends = [legend.get_window_extent() for axes in figure.axes if (legend := axes.get_legend()) is not None]
+    assert len(legends) == 4
+    for legend in legends:
+        assert not any(legend.overlaps(box) for box in boxes)
+        assert legend.x1 <= figure.bbox.x1

@@ -30,8 +30,8 @@ def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "", success: s
     plan = made.heating
     figure = new_sheet(f"Heating sheet: {title or f'tube {made.groove.number}'}")
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]
-    over_time = figure.add_axes((left, 0.66, wide, 0.23))
-    duty = figure.add_axes((left, 0.53, wide, 0.11), sharex=over_time)
+    over_time = figure.add_axes((left, 0.68, wide, 0.185))
+    duty = figure.add_axes((left, 0.53, wide, 0.105), sharex=over_time)
     draw_temperature(over_time, plan)
     draw_duty(duty, plan)
     over_time.tick_params(labelbottom=False)

@@ -55,6 +55,13 @@ def _window(axes: Axes, plan: HeatingPlan, *, label: bool = True) -> None:
     axes.axhline(plan.spec.limit, color=INK, lw=0.8, ls=(0, (5, 3)), label="limit" if label else None)
 
 
+def _legend_above(axes: Axes, columns: int) -> None:
+    """Put the legend above the axes, where it hides no curve."""
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, fontsize=7, borderaxespad=0.1, columnspacing=1.2
+    )
+
+
 def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) -> None:
     """Curved part and clamps over time, with the window."""
     _window(axes, plan)
@@ -67,10 +74,12 @@ def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) ->
     for at in (plan.hold_start, plan.hold_end):
         axes.axvline(at, color=FAINT, lw=0.6, ls=":")
     # What follows the hold is how the tube would cool in its mold; the table tells of the quench.
-    axes.text(plan.time[-1], 0.5 * plan.highest, "unquenched", fontsize=7, ha="right", color=FAINT)
+    axes.annotate(
+        "not\nquenched", (1.0, 0.0), (-2, 10), "axes fraction", "offset points", fontsize=7, ha="right", color=INK
+    )
     axes.set_ylabel("temperature (°C)")
     axes.set(ylim=(0, None), xlim=(0, plan.time[-1]))
-    axes.legend(loc="lower center", fontsize=7, ncols=2, bbox_to_anchor=(0.56, 0.1))
+    _legend_above(axes, 5)
 
 
 def _draw_close(axes: Axes, plan: HeatingPlan) -> None:
@@ -85,7 +94,7 @@ def _draw_close(axes: Axes, plan: HeatingPlan) -> None:
     low, high = min(plan.spec.window_degC[0], plan.lowest), max(plan.spec.limit, plan.hottest)
     axes.set_ylim(low - 0.25 * (high - low), high + 0.12 * (high - low))
     axes.set_ylabel("in the hold (°C)")
-    axes.legend(loc="lower center", fontsize=7, ncols=2)
+    _legend_above(axes, 2)
 
 
 def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
@@ -94,7 +103,7 @@ def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
     axes.plot(plan.time + 0.5 * plan.spec.slot, plan.ideal_duty, color=IDEAL, lw=0.9, label="ideal")
     axes.set_ylabel("duty (of 255)")
     axes.set_ylim(0, None)
-    axes.legend(loc="upper right", fontsize=7, ncols=2)
+    _legend_above(axes, 2)
 
 
 def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
@@ -116,7 +125,7 @@ def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
     _mark_zones(axes, plan)
     axes.set(xlim=(0, float(x[-1] + x[0])), ylim=(0, 1.18 * plan.spec.limit))
     axes.set(xlabel="along the tube, from the end of a clamp (mm)", ylabel="temperature (°C)")
-    axes.legend(loc="lower center", fontsize=7)
+    _legend_above(axes, 3)
 
 
 def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
@@ -134,7 +143,7 @@ def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
         ("lead", 0.5 * (edges[1] + edges[2])),
         ("curved part", 0.5 * total),
     ]
-    style: dict[str, Any] = {"transform": top, "fontsize": 7, "color": INK, "ha": "center", "va": "top"}
+    style: dict[str, Any] = {"transform": top, "fontsize": 6, "color": INK, "ha": "center", "va": "top"}
     for name, at in names:
         axes.text(float(at), 0.985, name, rotation=0 if name == "curved part" else 90, **style)
 
