@@ -10,6 +10,7 @@ import pytest
 from tests.stability.robots import random_robot
 from tubeopt import (
     ConcentricRobot,
+    InputError,
     Load,
     PlanOptions,
     SolveError,
@@ -21,7 +22,8 @@ from tubeopt import (
     verify_trajectory,
 )
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.stability.deflection import under_any_force
+from tubeopt.stability.deflection import most_borne, under_any_force
+from tubeopt.typing import Array
 
 FINE = ConcentricRobot((Tube(1e-3, 0.7e-3, 0.05, 0.08, 10.0), Tube(1.6e-3, 1.2e-3, 0.03, 0.05, 8.0)))
 """A robot that forces of some 100 mN cannot snap."""
@@ -67,6 +69,100 @@ def test_a_plan_under_any_force() -> None:
     assert found.proof.forced.max_force == 0.02
     with pytest.raises(SolveError, match="no plan can be proved: with translations of 0, 0 mm the margin is only"):
         plan_trajectory(FINE, *ends, options=replace(rest, max_force=2.0))
+
+
+BORNE = Load((0.01, -0.02, 0.0), gravity=(0.0, 3.0, -9.81), distributed=(0.05, 0.0, 0.1))
+"""On the tip, by weight, and along the arm."""
+
+
+def pushes(count: int) -> Array:
+    """(count, 3) forces of 1 N to all sides, those along the axes first."""
+    rows = np.random.default_rng(4).normal(size=(count - 6, 3))
+    return np.concatenate([np.eye(3), -np.eye(3), rows / np.linalg.norm(rows, axis=1)[:, None]])
+
+
+def test_what_holds_under_any_further_force_beside_a_load() -> None:
+    """Of arms that were solved for under the load and a force in many directions."""
+    way, turns = np.array([[0.0, 0.0], [-0.02, -0.01]]), np.array([[0.0, 0.0], [1.5, 1.0]])
+    body = Sphere(forward_kinematics(FINE, turns[1], way[1], load=BORNE).tip_position + ASIDE, 5e-3)
+    asked = {"obstacles": [body], "clearance": 5e-3, "max_force": 0.02}
+    proof = verify_trajectory(FINE, [0.0, 1.0], turns, way, load=BORNE, min_margin=0.2, **asked)
+    assert proof.holds
+    assert proof.forced is not None
+    radius = FINE.tubes[-1].outer_diameter / 2
+    for t in np.linspace(0, 1, 4):
+        joints = turns[0] + t * (turns[1] - turns[0]), way[0] + t * (way[1] - way[0])
+        here = forward_kinematics(FINE, *joints, load=BORNE)
+        for push in pushes(16):
+            further = replace(BORNE, force=tuple(BORNE.force + 0.02 * push))
+            e = forward_kinematics(FINE, *joints, load=further)
+            assert e.margin >= proof.least_margin
+            assert np.linalg.norm(e.tip_position - here.tip_position) <= proof.forced.deflection
+            assert body.signed_distance(e.position).min() - radius >= proof.least_clearance
+    bare = verify_trajectory(FINE, [0.0, 1.0], turns, way, min_margin=0.2, **asked)
+    assert bare.forced is not None
+    assert bare.forced.margin > proof.forced.margin + 0.015
+    strong = verify_trajectory(FINE, [0.0, 1.0], turns, way, load=BORNE, max_force=2.0)
+    assert any("nothing shows that no force of up to 2000 mN" in fault for fault in strong.faults)
+
+
+def test_no_cross_section_bears_more_than_the_bound() -> None:
+    """Its force is that of what lies ahead, integrated here."""
+    points = (0.03, (0.0, 0.02, 0.0)), (0.07, (0.01, 0.0, -0.03))
+    some = Load((0.01, 0.0, 0.02), gravity=(0.0, 0.0, -9.81), points=points, distributed=((0.01, 0.2, (0.1, 0, 0)),))
+    way = np.array([[-0.03, -0.02], [-0.01, 0.0]])
+    bound = most_borne(FINE, way, some)
+    s = np.linspace(0.0, 0.07, 7001)
+    weight = np.zeros((len(s), 3))
+    for tube, end in zip(FINE.tubes, (0.07, 0.05), strict=True):
+        area = np.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+        assert tube.material.thermal is not None
+        weight[:, 2] -= 9.81 * tube.material.thermal.density * area * np.maximum(end - s, 0.0)
+    borne = np.array(some.force) + weight + np.outer(np.maximum(0.07 - np.maximum(s, 0.01), 0.0), (0.1, 0.0, 0.0))
+    for at, force in points:
+        borne = borne + np.outer(s <= at, force)
+    assert np.linalg.norm(borne, axis=1).max() <= bound <= 2.5 * np.linalg.norm(borne, axis=1).max()
+    # To one side all forces add up, and so does their bound.
+    along = Load((0.02, 0, 0), points=((0.02, (0.01, 0, 0)),), distributed=(0.3, 0, 0))
+    assert most_borne(FINE, way, along) == pytest.approx(0.02 + 0.01 + 0.3 * 0.07, rel=1e-12)
+    with pytest.raises(InputError, match="distributed is a function, of which no number of values is a bound"):
+        most_borne(FINE, way, Load(distributed=lambda s: (s, 0.0, 0.0)))
+    with pytest.raises(InputError, match="nothing bounds the margin under further forces"):
+        most_borne(FINE, way, Load(moment=(0.01, 0, 0)))
+
+
+def test_a_further_force_is_bounded_as_the_sum_with_what_is_borne() -> None:
+    """The margin under 20 mN beside 50 mN is that under 70 mN; the tip is moved from where the load has it."""
+    way = np.array([[0.0, 0.0], [-0.004, -0.002]])
+    found, whole = under_any_force(FINE, way, 0.02, Load((0.0, 0.05, 0.0))), under_any_force(FINE, way, 0.07)
+    assert found.margin == whole.margin
+    assert found.deflection == pytest.approx(whole.deflection * 2 / 7)
+    column = ConcentricRobot((Tube(1e-3, 0.7e-3, 0.0, 0.1, 0.0),))
+    buckles = np.pi**2 / 4 * float(column.tubes[0].bending_stiffness) / 0.1**2
+    # A column of this length buckles under two thirds at the bound, and at the sum of both forces.
+    bound = under_any_force(column, [0.0], 0.3 * buckles, Load((0.0, 0.0, -0.3 * buckles)))
+    assert bound.margin == pytest.approx(1 - 1.5 * 0.6, abs=1e-6)
+    assert under_any_force(column, [0.0], 0.3 * buckles, Load((0.0, 0.0, -0.4 * buckles))).margin < 0
+
+
+def test_a_plan_under_a_load_and_any_further_force() -> None:
+    rest = PlanOptions(max_force=0.02, clearance=1e-3, objective="none")
+    ends = ([0.0, 0.0], [0.0, 0.0]), ([1.5, 1.0], [0.0, 0.0])
+    load = Load((0.01, 0.0, 0.0), gravity=(0.0, 0.0, -9.81))
+    body = Sphere(forward_kinematics(FINE, *ends[1], load=load).tip_position + ASIDE, 5e-3)
+    found = plan_trajectory(FINE, *ends, obstacles=[body], options=rest, load=load)
+    assert found.proved
+    assert found.proof.forced is not None
+    assert found.proof.least_clearance >= 1e-3 - 1e-9
+    for k in range(0, len(found.time), max(1, len(found.time) // 4)):
+        for push in pushes(10):
+            further = replace(load, force=tuple(load.force + 0.02 * push))
+            e = forward_kinematics(FINE, found.rotations[k], found.translations[k], load=further)
+            assert e.margin >= found.proof.least_margin
+            room = body.signed_distance(e.position).min() - FINE.tubes[-1].outer_diameter / 2
+            assert room >= found.proof.least_clearance
+    with pytest.raises(SolveError, match="no plan can be proved: with translations of 0, 0 mm the margin is only"):
+        plan_trajectory(FINE, *ends, options=replace(rest, max_force=2.0), load=load)
 
 
 def test_bounds_for_a_box_of_translations_hold_inside() -> None:

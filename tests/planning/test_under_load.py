@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -173,8 +174,6 @@ def test_what_is_not_proved_is_said_by_name() -> None:
     assert proof.followed == 1.0
     with pytest.raises(InputError, match="has a moment or turns with the tip"):
         verify_trajectory(THESIS, [0, 1], table, load=Load(moment=(0.01, 0, 0)))
-    with pytest.raises(InputError, match="load and max_force are both given"):
-        verify_trajectory(THESIS, [0, 1], table, load=SIDEWAYS, max_force=1e-3)
 
 
 def test_plans_of_a_loaded_robot_end_where_its_loaded_tip_is_wanted() -> None:
@@ -190,7 +189,6 @@ def test_plans_of_a_loaded_robot_end_where_its_loaded_tip_is_wanted() -> None:
 @pytest.mark.parametrize(
     ("load", "options", "words"),
     [
-        (SIDEWAYS, PlanOptions(max_force=0.01), "max_force is given beside a load"),
         (Load(points=((0.1, (0.01, 0, 0)),)), PlanOptions(), "forces at points along the arm, under which no motion"),
         (Load(moment=(0, 0, 0.01)), PlanOptions(), "a moment, or a force that turns with the tip, under which"),
     ],
@@ -220,5 +218,8 @@ def test_a_plan_under_load_from_the_command_line(run: Run, tmp_path: Path) -> No
     assert again["proved"]
     assert again["assumed"] == under
     assert "planned under a load is verified under it" in refused(run("verify", moved, "--json"))[0]
-    both = refused(run("plan", str(study), *flags, "--max-tip-force-mN", "5", "--json"))
-    assert "max_tip_force_mN is given beside a load" in both[0]
+    pushed = run("verify", moved, *flags, "--max-tip-force-mN", "5", "--json")
+    assert pushed.code == 3
+    told = json.loads(pushed.out)
+    assert "20, 0, 0 mN at the tip; gravity 0, 0, -9.81 m/s^2 and any force of up to 5 mN on the tip" in told["assumed"]
+    assert "nothing shows that no force of up to 5 mN" in told["faults"][0]

@@ -60,7 +60,7 @@ def plan_trajectory(  # noqa: PLR0913
 
     Raises:
         InputError: start or goal out of range, or numbers that make no sense; a load for which nothing is proved (see
-            `verify_trajectory`), or beside `max_force`, a roadmap, or a cost of smoothing.
+            `verify_trajectory`), or beside a roadmap, or a cost of smoothing.
         SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
             trajectory that comes closest to the goal, or None, and the message says why it ends there.
 

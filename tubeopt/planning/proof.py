@@ -179,7 +179,8 @@ def verify_trajectory(  # noqa: PLR0913
         clock: one hour by default. When it is over, what is not shown yet is left so, which is a fault: `.open`,
             `.followed`.
         max_force: N; margin and clearance hold under any force on the tip of up to that size which keeps its direction,
-            as far as one bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`).
+            as far as one bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`), beside the
+            load where there is one.
         load: that the robot bears all the way; a start without it is first loaded. What is proved is then proved of
             the loaded robot: for a force on the tip, weight and a constant load per length, all in fixed axes. Of other
             dead loads the equilibria are found, and what lies between them is named as not proved.
@@ -188,7 +189,7 @@ def verify_trajectory(  # noqa: PLR0913
     Raises:
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
             start or one at other joint values, a force on a robot for which nothing is proved; a load on an eccentric
-            robot, one without an energy, or beside `max_force`.
+            robot, one without an energy, or beside `max_force` one per length that is a function.
         SolveError: there is no stable equilibrium at the first sample.
 
     Examples:
@@ -211,9 +212,7 @@ def verify_trajectory(  # noqa: PLR0913
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
     positive("clearance", clearance, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
-    forced = under_any_force(robot, shift, max_force) if positive("max_force", max_force, zero=True) else None
-    if forced is not None and load is not None:
-        raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
+    forced = under_any_force(robot, shift, max_force, load) if positive("max_force", max_force, zero=True) else None
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     wanted = Wanted(clearance + moved, effort.accuracy, effort.cells)
     follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(LONG_TIME_LIMIT), effort, load)

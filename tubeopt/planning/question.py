@@ -181,7 +181,7 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     what = uncovered(load)
     if what:
         raise InputError(f"load has {what}, under which no motion can be proved")
-    for name in ("max_force", "roadmap", "extra_cost"):
+    for name in ("roadmap", "extra_cost"):
         if getattr(options, name):
             raise InputError(f"{name} is given beside a load; a plan under a load has none")
     return LoadedChart(space, load)
@@ -197,7 +197,7 @@ def bearing(task: PlanTask, *translations: Array) -> PlanTask:
         return task
     robot, alone = task.chart.space.robot, []
     for each in translations:
-        bound = under_any_force(robot, each, task.max_force)
+        bound = under_any_force(robot, each, task.max_force, task.chart.load)
         if bound.margin <= 0 or bound.margin < task.min_margin:
             where = ", ".join(f"{x * 1e3:.4g}" for x in each)
             raise SolveError(
@@ -206,6 +206,6 @@ def bearing(task: PlanTask, *translations: Array) -> PlanTask:
                 f"it must be {max(task.min_margin, 0.0):g}"
             )
         alone.append(bound.deflection)
-    between = under_any_force(robot, np.array(translations), task.max_force).deflection
+    between = under_any_force(robot, np.array(translations), task.max_force, task.chart.load).deflection
     reserve = task.effort.force_room * (between if np.isfinite(between) else max(alone))
     return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)

@@ -146,8 +146,6 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
                 raise ValueError(
                     "entry is given with leader, tip_path_mm or a load; it is for plans to a goal without one"
                 )
-        if self.pushing() is not None and self.si("max_tip_force_mN"):
-            raise ValueError("max_tip_force_mN is given beside a load; a plan holds under one load, or under any force")
         return self
 
     def run(self, progress: Progress | None = None) -> Trajectory:

@@ -62,11 +62,10 @@ def _again(p: Proof) -> str:
 
 
 def _assuming(p: Proof) -> str:
+    forced = "" if p.forced is None else f"any force of up to {p.forced.max_force * 1e3:g} mN on the tip"
     if p.end.load is not None:
-        return f"under {load_in_words(p.end.load)}, {BEYOND}"
-    if p.forced is None:
-        return ASSUMING
-    return f"under any force of up to {p.forced.max_force * 1e3:g} mN on the tip, assuming no weight or friction"
+        return f"under {load_in_words(p.end.load)}{forced and f' and {forced}'}, {BEYOND}"
+    return f"under {forced}, assuming no weight or friction" if forced else ASSUMING
 
 
 def _any_force(f: ForceBound) -> str:

@@ -13,6 +13,10 @@ more than curvatures differ, at most A_i |y_i| by tube i and |r| by bending. g(s
     m_i(x) = int_x^s (s - t) A_i dt,
 
 so that the arm moves by at most F kappa(L) kappa(s) / mu.
+
+A robot that bears a dead load already, of which no cross-section bears more than G, bears at most F + G with a further
+force of at most F on the tip. With mu the certificate under forces of at most F + G, all of this holds with x_0 the
+equilibrium under the load, x_F that with the further force: the work that differs is that of the further force alone.
 """
 
 from __future__ import annotations
@@ -26,7 +30,8 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError, finite_array
+from ..errors import InputError, finite_array, triple
+from ..robots.load import ZERO, Load, Stretch, masses
 from ..robots.robot import Robot, shifts
 from ..typing import Array
 from .certificate import snap_free_certificate
@@ -109,24 +114,28 @@ def _reach(bundle: Bundle, s: float) -> float:
 @dataclass(frozen=True)
 class ForceBound(Displayed):
     """What holds for all rotations, on a way of translations, and for all tip forces up to a size that keep their
-    direction."""
+    direction, beside a load where there is one."""
 
     max_force: float
     """N."""
     margin: float
     """No stable equilibrium has less; above 0 there is one for every force, and nothing snaps or buckles."""
     deflection: float
-    """How far any point of the arm at most is from where it is without force, m; infinite where the margin is not above
-    0."""
+    """How far any point of the arm at most is from where it is without such a force, m; infinite where the margin is
+    not above 0."""
 
 
-def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> ForceBound:
+def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, load: Load | None = None) -> ForceBound:
     """What holds on a way of translations (T, n), straight in between, whatever pushes on the tip with up to
-    `max_force`.
+    `max_force`, beside a dead load.
     The way is taken in boxes of translations, for each of which one bound holds.
+
+    Raises:
+        InputError: as `snap_free_certificate` under a force, and `most_borne`.
     """
     way = np.atleast_2d(np.asarray(translations, dtype=float))
-    first = snap_free_certificate(robot, way[0], max_force=max_force)
+    whole = max_force + (0.0 if load is None else most_borne(robot, way, load))
+    first = snap_free_certificate(robot, way[0], max_force=whole)
     if (way == way[0]).all():
         bundle = bundle_of(robot.assembly(way[0]))
         return ForceBound(max_force, first, _farthest(bundle, first, max_force))
@@ -139,10 +148,34 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> 
         bundle = bundle_of(robot.assembly(inside.min(0)), robot.assembly(inside.max(0)))
         margin = 1.0
         if bundle.total_length:
-            margin -= bundle.softened(max_force, pairs=True)
+            margin -= bundle.softened(whole, pairs=True)
         found.append((margin, _farthest(bundle, margin, max_force)))
     least, most = np.array(found).T
     return ForceBound(max_force, float(least.min()), float(most.max()))
+
+
+def most_borne(robot: Robot, way: Array, load: Load) -> float:
+    """Bound of the force on any cross-section under a dead load, N, with translations on a way (T, n).
+
+    Raises:
+        InputError: a load with a moment, one that turns with the tip, or one per length that is a function: no number
+            of its values bounds it.
+    """
+    load.require_energy("nothing bounds the margin under further forces")
+    if callable(load.distributed):
+        raise InputError(
+            "distributed is a function, of which no number of values is a bound; beside max_force it must be a force "
+            "(3,) or stretches"
+        )
+    ends = np.maximum(robot.assembly(way.max(0)).end, 0.0)
+    length, along = float(ends.max()), load.distributed or ZERO
+    pushed = [load.force, *(point.force for point in load.points)]
+    for part in along:
+        if isinstance(part, Stretch):
+            pushed.append(triple("force", np.multiply(max(0.0, min(part.end, length) - part.start), part.force)))
+    spread = 0.0 if isinstance(along[0], Stretch) else length * float(np.linalg.norm(along))
+    weight = np.linalg.norm(load.gravity or ZERO) * masses(robot.tubes, load)
+    return float(np.linalg.norm(pushed, axis=1).sum() + weight @ ends) + spread
 
 
 def _farthest(bundle: Bundle, margin: float, force: float) -> float:
