@@ -11,11 +11,12 @@ from ...errors import SolveError
 from ...robots.tubes import Tube
 from ..materials import CALCIUM_SILICATE
 from .counts import count_rate, full_current
-from .ideal import Ideal, Shift, solve_ideal
-from .outcome import Outcome, broken
+from .ideal import Ideal, solve_ideal
+from .outcome import Outcome, broken, hold_slots
 from .rig import Rig
-from .schedule import Programmed, Schedule, best_schedule, foreseen, realised
+from .schedule import Programmed, Schedule, best_schedule, foreseen, programmed, realised
 from .spec import LONGEST, HeatingSpec
+from .thermal import joined
 
 
 @dataclass(frozen=True)
@@ -47,17 +48,20 @@ def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple
     if best.outcome.shortfall <= 0:
         return _ordered(_for_limits(tube, rig, plain, best.outcome))
     found: list[Cure] = []
-    said, limited = best.program, bool(best.outcome.broken)
-    assert said is not None
-    near = said
-    answers = [] if spec.free or spec != plain else [(rig, spec, said.ideal)]
-    for change in _candidates(rig, plain, said.ideal, said.shift)[: spec.solver.cures.most]:
+    near, limited = best.program, bool(best.outcome.broken)
+    answers: list[tuple[Rig, HeatingSpec, Ideal]] = []
+    for change in _candidates(rig, plain, best)[: spec.solver.cures.most]:
+        cure = _kept(change, tube, limited)
+        if cure is None and not answers:
+            # Only what the soonest schedule does not keep needs the program.
+            near = near or programmed(tube, rig, spec)
+            if not spec.free and spec == plain:
+                answers.append((rig, spec, near.ideal))
         if _in_vain(change, answers):
             continue
-        cure = _kept(change, tube, limited)
-        if cure is None and (tried := _tried(change, tube, spec, near)) is not None:
+        if cure is None and near is not None and (tried := _tried(change, tube, spec, near)) is not None:
             answers.append((*change[1:], tried[1]))
-            if change[2].free:
+            if near is not None and change[2].free:
                 # What frees more begins with what less has made of it.
                 near = replace(near, ideal=tried[1])
             cure = _settled(change, tube, tried, limited)
@@ -190,14 +194,19 @@ def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> li
     return found
 
 
-def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) -> list[Change]:
+def _candidates(rig: Rig, spec: HeatingSpec, best: Schedule) -> list[Change]:
     """The changes that fit the reason: the whole tube too cold, its ends too cold, or a window too narrow."""
     low, high = spec.window_degC
-    last = ideal.held[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.held[-1])
+    if best.program is None:
+        _, end = hold_slots(spec, best.run.start)
+        last, heating = joined(best.run.model, best.checked.tube[end, 0]) - ZERO_CELSIUS, best.run.start
+    else:
+        ideal, shift = best.program.ideal, best.program.shift
+        last, heating = ideal.held[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.held[-1]), ideal.heating
     if last.max() < low:
         return _for_power(rig, spec)
     # A mold that had no time to get warm is told by a heating as long as it may be.
-    soon = _more_time(rig, spec) if ideal.heating > (1 - spec.solver.cures.worth) * spec.longest_heating else []
+    soon = _more_time(rig, spec) if heating > (1 - spec.solver.cures.worth) * spec.longest_heating else []
     if last.max() - last.min() > 0.5 * (high - low):
         return soon + _for_ends(rig, spec)
     return soon + _for_narrow_window(rig, spec)

@@ -128,7 +128,7 @@ class HeatingPlan(Displayed):
     growth: float
     """Of the tube's length by its expansion at the end of the hold, m."""
     iterations: int
-    """Of the optimal control problem, in its last round; 0 where the soonest counts keep everything without it."""
+    """Of the optimal control problem, in its last round; 0 where it was not needed."""
     feedback: Feedback | None = None
     """The law that leads the schedule by a sensor, where one was given."""
 

@@ -103,7 +103,12 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     # Nothing is farther from the window's ends than what does not fall behind.
     first = more if spec.objective == "margin" else room
     nearest = nearest_hold(tube, rig, spec) if hasty and fixed else None
-    far = nearest is not None and nearest.missed > spec.solver.hopeless
+    far, counted = nearest is not None and nearest.missed > spec.solver.hopeless, None
+    if nearest is not None and far:
+        # No program missed by less than this search where one count alone keeps the limits.
+        counted = _counted(tube, rig, spec, nearest, None)
+        if not counted.breaks and not counted.outcome.excess:
+            return counted
     found = _corrected(tube, rig, spec, first, rounds=1 if far else spec.solver.rounds)
     if hasty and not fixed and found.outcome.shortfall <= spec.solver.hopeless:
         sooner = _hastened(tube, found.run.rig, spec)
@@ -119,7 +124,20 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     hopeless = nearest is None or nearest.missed > found.outcome.shortfall
     if nearest is None or (hopeless and not found.outcome.excess and not found.breaks):
         return found
-    return min(found, _counted(tube, found.run.rig, spec, nearest, found.program), key=_missing)
+    counted = counted or _counted(tube, found.run.rig, spec, nearest, found.program)
+    return min(found, replace(counted, program=found.program), key=_missing)
+
+
+def programmed(tube: Tube, rig: Rig, spec: HeatingSpec) -> Programmed:
+    """What the program says of a schedule before any correction."""
+    reserve = _first_reserve(tube, rig, spec)
+    return Programmed(solve_ideal(tube, rig, spec, reserve=reserve, room=spec.solver.program.room), None, reserve)
+
+
+def _first_reserve(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[float, float]:
+    """What is kept from the window's ends before rounding and mesh error are known, K."""
+    error = spec.solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    return 2 * (ripple(tube, rig, spec) + error,)
 
 
 def _missing(found: Schedule) -> tuple[int, int, bool, float]:
@@ -211,8 +229,7 @@ def _behind(found: Schedule, spec: HeatingSpec) -> bool:
 def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float, *, rounds: int) -> Schedule:
     """The schedule after as many corrections as it takes, in so many rounds at most, with `room` below the ramp."""
     swing, solver = ripple(tube, rig, spec), spec.solver
-    error = solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
-    reserve = (swing + error, swing + error)
+    reserve = _first_reserve(tube, rig, spec)
     ideal: Ideal | None = None
     shift: Shift | None = None
     best: Schedule | None = None
